@@ -1,0 +1,138 @@
+"""What an arm is: a serial chain of fixed transforms and revolute axes, with limits and masses.
+
+Frame convention. Joint i has the frame ``offset[i] @ Rot(axis[i], q[i])`` in the frame of joint
+i-1 (joint 0: in the base). Link i moves with joint i; its centre of mass and inertia are given in
+the frame of joint i. The tool centre point (TCP) is ``tip`` in the frame of the last joint.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rejoint.errors import InputError
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Box:
+    """An axis-aligned region of TCP positions in the base frame."""
+
+    lower: Array
+    """(3,) [m]"""
+    upper: Array
+    """(3,) [m]"""
+
+    def __post_init__(self) -> None:
+        _freeze(self)
+        if self.lower.shape != (3,) or self.upper.shape != (3,) or (self.lower >= self.upper).any():
+            raise InputError(f"a box needs lower < upper on three axes, got {self.lower}, {self.upper}")
+
+    def sample(self, rng: np.random.Generator, shape: tuple[int, ...] = ()) -> Array:
+        """Draw points uniformly; returns ``(*shape, 3)`` [m]."""
+        return rng.uniform(self.lower, self.upper, (*shape, 3))
+
+    def contains(self, points: Array) -> NDArray[np.bool_]:
+        """Tell for ``(..., 3)`` [m] points whether they lie inside; returns ``(...)``."""
+        return np.all((points >= self.lower) & (points <= self.upper), axis=-1)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Arm:
+    """A serial arm of n revolute joints."""
+
+    name: str
+    joint_names: tuple[str, ...]
+    offset: Array
+    """(n, 4, 4) fixed transform to each joint frame at zero"""
+    axis: Array
+    """(n, 3) unit joint axes in the joint frames"""
+    tip: Array
+    """(4, 4) TCP in the frame of the last joint"""
+    lower: Array
+    """(n,) [rad] lower joint limits"""
+    upper: Array
+    """(n,) [rad] upper joint limits"""
+    max_speed: Array
+    """(n,) [rad/s] speed limit of each joint"""
+    mass: Array
+    """(n,) [kg] link masses"""
+    com: Array
+    """(n, 3) [m] centres of mass in the joint frames"""
+    inertia: Array
+    """(n, 3, 3) [kg m^2] about the centres of mass, joint-frame axes"""
+    rest: Array
+    """(n,) [rad] posture that the null space is pulled to; trials start here"""
+    targets: Box
+    """region in which targets are drawn"""
+    floor: float
+    """[m] lowest height that the guard allows for the TCP"""
+    encoder_step: float
+    """[rad] resolution of the joint encoders"""
+
+    def __post_init__(self) -> None:
+        _freeze(self)
+        n = len(self.joint_names)
+        shapes = {
+            "offset": (n, 4, 4), "axis": (n, 3), "tip": (4, 4), "lower": (n,), "upper": (n,),
+            "max_speed": (n,), "mass": (n,), "com": (n, 3), "inertia": (n, 3, 3), "rest": (n,),
+        }  # fmt: skip
+        for name, shape in shapes.items():
+            if getattr(self, name).shape != shape:
+                raise InputError(f"arm {self.name}: {name} has shape {getattr(self, name).shape}, expected {shape}")
+        if (self.lower >= self.upper).any():
+            raise InputError(f"arm {self.name}: every lower joint limit must be below the upper one")
+        if ((self.rest < self.lower) | (self.rest > self.upper)).any():
+            raise InputError(f"arm {self.name}: the rest posture is outside the joint limits")
+
+    @property
+    def joints(self) -> int:
+        """Number of joints n."""
+        return len(self.joint_names)
+
+
+@dataclass(frozen=True, kw_only=True)
+class DhRow:
+    """One row of a standard Denavit-Hartenberg table: Rz(q + offset) Tz(d) Tx(a) Rx(alpha)."""
+
+    d: float
+    """[m]"""
+    a: float
+    """[m]"""
+    alpha: float
+    """[rad]"""
+    offset: float = 0.0
+    """[rad] added to the joint angle"""
+
+
+def dh_chain(rows: Sequence[DhRow]) -> tuple[Array, Array, Array]:
+    """Turn a DH table of n rows into ``offset`` (n, 4, 4), ``axis`` (n, 3) and ``tip`` (4, 4)."""
+    offsets, before = [], np.eye(4)
+    for row in rows:
+        offsets.append(before @ _rotation_z(row.offset))
+        before = _after_joint(row)
+    return np.array(offsets), np.tile([0.0, 0.0, 1.0], (len(rows), 1)), before
+
+
+def _after_joint(row: DhRow) -> Array:
+    c, s = np.cos(row.alpha), np.sin(row.alpha)
+    return np.array([[1, 0, 0, row.a], [0, c, -s, 0], [0, s, c, row.d], [0, 0, 0, 1.0]])
+
+
+def _rotation_z(angle: float) -> Array:
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, -s, 0, 0], [s, c, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1.0]])
+
+
+def _freeze(instance: object) -> None:
+    """Copy every array of a frozen dataclass and make the copy read-only."""
+    for field in fields(instance):  # type: ignore[arg-type]
+        value = getattr(instance, field.name)
+        if isinstance(value, np.ndarray | list):
+            copy = np.array(value, dtype=float)
+            copy.setflags(write=False)
+            object.__setattr__(instance, field.name, copy)

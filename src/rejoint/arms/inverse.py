@@ -1,0 +1,102 @@
+"""Damped least squares (equation 11 of Park et al. 2024) and the inverse kinematics built on it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rejoint.arms.arm import Arm, Array
+from rejoint.arms.kinematics import frames, position_jacobian
+
+DAMPING = 0.05
+"""Damping factor lambda [m] of the paper (its section III-C), with positions in metres."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Solution:
+    """Result of an inverse-kinematics search."""
+
+    q: Array
+    """(..., n) [rad] within the joint limits"""
+    error: Array
+    """(...) [m] remaining distance of the TCP"""
+    converged: NDArray[np.bool_]
+    """(...) whether the error (and the orientation, if asked for) is within tolerance"""
+
+
+def dls(jacobian: Array, error: Array, damping: float | Array = DAMPING) -> Array:
+    """Damped least-squares step J'(JJ' + lambda^2 I)^-1 e.
+
+    ``jacobian`` is (..., k, n), ``error`` (..., k), ``damping`` a number or (...); returns (..., n)
+    [rad]. The form with the k x k matrix equals the paper's n x n form and is smaller.
+    """
+    transpose = np.swapaxes(jacobian, -1, -2)
+    ridge = np.asarray(damping)[..., None, None] ** 2 * np.eye(jacobian.shape[-2])
+    gram = jacobian @ transpose + ridge
+    return (transpose @ np.linalg.solve(gram, error[..., None]))[..., 0]
+
+
+def clip_norm(step: Array, limit: float) -> Array:
+    """Scale whole vectors (..., n) down so that no element exceeds ``limit`` in size."""
+    largest = np.abs(step).max(axis=-1, keepdims=True)
+    return step * np.minimum(1.0, limit / np.maximum(largest, 1e-12))
+
+
+def rotation_error(current: Array, wanted: Array) -> Array:
+    """Rotation vector (..., 3) [rad] in the base frame that turns ``current`` into ``wanted``."""
+    relative = wanted @ np.swapaxes(current, -1, -2)
+    skew = np.stack(
+        [
+            relative[..., 2, 1] - relative[..., 1, 2],
+            relative[..., 0, 2] - relative[..., 2, 0],
+            relative[..., 1, 0] - relative[..., 0, 1],
+        ],
+        axis=-1,
+    )
+    sine = 0.5 * np.linalg.norm(skew, axis=-1, keepdims=True)
+    cosine = 0.5 * (np.trace(relative, axis1=-2, axis2=-1)[..., None] - 1.0)
+    angle = np.arctan2(sine, cosine)
+    return skew * np.where(sine > 1e-9, angle / np.maximum(2.0 * sine, 1e-12), 0.5)
+
+
+def solve_position(
+    arm: Arm,
+    target: Array,
+    start: Array,
+    *,
+    rotation: Array | None = None,
+    tolerance: float = 1e-5,
+    iterations: int = 200,
+    max_step: float = np.radians(10.0),
+    rest_gain: float = 0.05,
+) -> Solution:
+    """Find joint positions whose TCP is at ``target`` (..., 3) [m], searching from ``start`` (..., n).
+
+    With ``rotation`` (..., 3, 3) the full pose is asked for, otherwise only the position, and the
+    null space pulls weakly to the rest posture. Joint limits are kept at every iterate.
+    ``tolerance`` is in metres (and in radians for the orientation). The damping shrinks with the
+    error, so that the last iterations converge quadratically.
+    """
+    shape = np.broadcast_shapes(target.shape[:-1], start.shape[:-1])
+    q = np.clip(np.broadcast_to(start, (*shape, arm.joints)), arm.lower, arm.upper)
+    for iteration in range(iterations + 1):
+        f = frames(arm, q)
+        j = position_jacobian(arm, f)
+        e = target - f.tcp_position
+        residual = np.linalg.norm(e, axis=-1)
+        if rotation is not None:
+            turn = rotation_error(f.tcp_rotation, rotation)
+            axes = np.swapaxes(np.einsum("...nij,nj->...ni", f.rotation, arm.axis), -1, -2)
+            j, e = np.concatenate([j, axes], axis=-2), np.concatenate([e, turn], axis=-1)
+        converged = np.abs(e).max(axis=-1) < tolerance
+        if converged.all() or iteration == iterations:
+            break
+        step = dls(j, e, np.minimum(DAMPING, np.linalg.norm(e, axis=-1) + 1e-4))
+        if rotation is None:
+            pull = rest_gain * (arm.rest - q)
+            step = step + pull - dls(j, (j @ pull[..., None])[..., 0], 1e-6)
+        step = np.where(converged[..., None], 0.0, clip_norm(step, max_step))
+        q = np.clip(q + step, arm.lower, arm.upper)
+    return Solution(q=q, error=residual, converged=converged)

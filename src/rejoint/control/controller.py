@@ -1,0 +1,36 @@
+"""What a controller promises: joint commands from joint states, once per control cycle."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+from rejoint.arms import Array
+from rejoint.control.robot import JointState, Mask
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Situation:
+    """All that a controller knows when it decides."""
+
+    state: JointState
+    target: Array
+    """(B, 3) [m] TCP targets"""
+    sent: Array
+    """(B, n) [rad] last command as it was sent, after the guard"""
+    since_target: Array
+    """(B,) [s] time since the target was set"""
+
+
+class Controller(Protocol):
+    """Turns situations into commands; may keep memory between cycles."""
+
+    @property
+    def name(self) -> str:
+        """Short name used in tables and on the command line."""
+
+    def reset(self, situation: Situation, where: Mask) -> None:
+        """Forget what belongs to the old target, for the arms in ``where`` (B,)."""
+
+    def command(self, situation: Situation) -> Array:
+        """Return the wanted joint positions (B, n) [rad]; the guard decides what is sent."""

@@ -1,0 +1,1 @@
+"""The plant behind the vendor's wire protocol, in wall-clock time."""

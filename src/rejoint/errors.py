@@ -1,0 +1,75 @@
+"""Errors with names. Each says what was expected, what was found and what to do.
+
+Every error carries the exit code that the command line ends with: 2 for input that cannot
+be used (a wrong address, a damaged file, a policy for another arm), 3 for a trip of the guard,
+4 for a robot that failed while it was being driven.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import ClassVar
+
+
+class RejointError(Exception):
+    """Base of every error that the project raises on purpose."""
+
+    exit_code: ClassVar[int] = 2
+
+
+class InputError(RejointError, ValueError):
+    """A value given by the user cannot be used."""
+
+
+class AddressError(InputError):
+    """A robot address is malformed, unknown, or nothing answers there."""
+
+
+class ProfileError(InputError):
+    """A wear profile does not exist or holds values that make no sense."""
+
+
+class FileError(RejointError):
+    """A file is missing, truncated, or not what its name says."""
+
+    def __init__(self, path: Path | str, problem: str, remedy: str) -> None:
+        self.path = Path(path)
+        self.problem = problem
+        self.remedy = remedy
+        super().__init__(f"{path}: {problem}; {remedy}")
+
+
+class ContractError(RejointError):
+    """A policy file does not fit the arm or the robot it is to drive."""
+
+
+class RobotError(RejointError):
+    """The robot failed while it was being driven."""
+
+    exit_code: ClassVar[int] = 4
+
+
+class NoReplyError(RobotError, TimeoutError):
+    """The robot did not answer in time."""
+
+
+class StaleReplyError(RobotError):
+    """The robot answered with an old or repeated state."""
+
+
+class ImpossibleReplyError(RobotError, ValueError):
+    """The robot answered with numbers that no such arm can have."""
+
+
+class ConnectionLostError(RobotError, ConnectionError):
+    """The connection to the robot broke and could not be made again safely."""
+
+
+class GuardTripError(RejointError):
+    """The guard stopped the motion; `reason` names why."""
+
+    exit_code: ClassVar[int] = 3
+
+    def __init__(self, reason: str, detail: str) -> None:
+        self.reason = reason
+        super().__init__(f"guard trip ({reason}): {detail}")

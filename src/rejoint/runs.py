@@ -1,0 +1,157 @@
+"""The run folder and its files: run logs as Parquet, results as JSON, written whole or not at all.
+
+A run log is a table with one row per control cycle. Row k holds the state that was read in cycle k
+and the command that was sent right after it, in force until the next one. Columns are flat
+(``position.joint1``), so that any tool that reads Parquet can plot them.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TypeVar
+
+import msgspec
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from rejoint.errors import FileError, InputError
+
+Array = NDArray[np.float64]
+T = TypeVar("T")
+
+FORMAT = 1
+"""Version of the run-log layout; a reader refuses others."""
+
+_METADATA_KEY = b"rejoint"
+_AXES = ("x", "y", "z")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RunLog:
+    """What one arm was told and what it did; T rows, n joints."""
+
+    arm: str
+    """name of the arm"""
+    joint_names: tuple[str, ...]
+    robot: str
+    """address of the robot"""
+    label: str
+    """what was run, such as ``excitation`` or ``hold/policy/0/2``"""
+    time: Array
+    """(T,) [s] on the robot's clock, strictly increasing"""
+    position: Array
+    """(T, n) [rad] measured joint positions"""
+    command: Array
+    """(T, n) [rad] sent joint positions"""
+    target: Array
+    """(T, 3) [m] TCP target; NaN where there is none"""
+    true_tcp: Array
+    """(T, 3) [m] where the tool really was; NaN where nobody knows"""
+    extra: dict[str, str] = field(default_factory=dict)
+    """anything else worth keeping: seed, profile, software version"""
+
+    def __post_init__(self) -> None:
+        rows, n = self.time.shape[0], len(self.joint_names)
+        shapes = {
+            "time": (rows,),
+            "position": (rows, n),
+            "command": (rows, n),
+            "target": (rows, 3),
+            "true_tcp": (rows, 3),
+        }
+        for name, shape in shapes.items():
+            array = np.array(getattr(self, name), dtype=float)
+            if array.shape != shape:
+                raise InputError(f"run log {self.label}: {name} has shape {array.shape}, expected {shape}")
+            array.setflags(write=False)
+            object.__setattr__(self, name, array)
+        for name in ("time", "position", "command"):
+            if not np.isfinite(getattr(self, name)).all():
+                raise InputError(f"run log {self.label}: {name} holds values that are not finite")
+        if (np.diff(self.time) <= 0).any():
+            raise InputError(
+                f"run log {self.label}: time must increase, row {int(np.argmax(np.diff(self.time) <= 0)) + 1}"
+            )
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+
+def write_log(path: Path, log: RunLog) -> None:
+    """Write a run log as Parquet."""
+    columns: dict[str, Array] = {"time": log.time}
+    for group in ("position", "command"):
+        columns |= {f"{group}.{name}": getattr(log, group)[:, i] for i, name in enumerate(log.joint_names)}
+    for group in ("target", "true_tcp"):
+        columns |= {f"{group}.{axis}": getattr(log, group)[:, i] for i, axis in enumerate(_AXES)}
+    header = {
+        "format": FORMAT, "arm": log.arm, "joints": list(log.joint_names), "robot": log.robot, "label": log.label,
+        "extra": log.extra,
+    }  # fmt: skip
+    table = pa.table(columns).replace_schema_metadata({_METADATA_KEY: json.dumps(header).encode()})
+    write_whole(path, lambda temporary: pq.write_table(table, temporary, compression="zstd"))
+
+
+def read_log(path: Path) -> RunLog:
+    """Read a run log; FileError names a file that is missing, damaged or something else."""
+    remedy = "record it again or take another file"
+    try:
+        table = pq.read_table(path)
+        header = json.loads((table.schema.metadata or {})[_METADATA_KEY])
+        if header["format"] != FORMAT:
+            raise FileError(path, f"run log of format {header['format']}, expected {FORMAT}", remedy)
+        names = tuple(header["joints"])
+
+        def group(prefix: str, parts: Sequence[str]) -> Array:
+            return np.stack([table[f"{prefix}.{part}"].to_numpy() for part in parts], axis=-1)
+
+        return RunLog(
+            arm=header["arm"], joint_names=names, robot=header["robot"], label=header["label"],
+            time=table["time"].to_numpy(), position=group("position", names), command=group("command", names),
+            target=group("target", _AXES), true_tcp=group("true_tcp", _AXES), extra=header["extra"],
+        )  # fmt: skip
+    except FileNotFoundError as error:
+        raise FileError(path, "no such file", "check the path") from error
+    except (OSError, pa.ArrowException, KeyError, TypeError, ValueError, InputError) as error:
+        raise FileError(path, f"not a readable run log ({_first_line(error)})", remedy) from error
+
+
+def write_json(path: Path, value: object) -> None:
+    """Write a dataclass (or plain data) as readable JSON."""
+    data = msgspec.json.format(msgspec.json.encode(value), indent=2)
+    write_whole(path, lambda temporary: temporary.write_bytes(data))
+
+
+def read_json(path: Path, kind: type[T]) -> T:
+    """Read JSON written by `write_json` as an instance of ``kind``; FileError if it is not one."""
+    try:
+        return msgspec.json.decode(path.read_bytes(), type=kind)
+    except FileNotFoundError as error:
+        raise FileError(path, "no such file", "run the stage that writes it first") from error
+    except (OSError, msgspec.MsgspecError, UnicodeDecodeError) as error:
+        raise FileError(path, f"damaged ({_first_line(error)})", "delete it and run its stage again") from error
+
+
+def write_whole(path: Path, write: Callable[[Path], object]) -> None:
+    """Let ``write`` fill a temporary file beside ``path`` and move it there: all or nothing."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    os.close(handle)
+    temporary = Path(name)
+    try:
+        write(temporary)
+        temporary.chmod(0o644)
+        temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _first_line(error: BaseException) -> str:
+    return (str(error).splitlines() or [type(error).__name__])[0]

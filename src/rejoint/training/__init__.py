@@ -1,0 +1,1 @@
+"""Teaching a policy on randomised twins: the task, PPO and the export."""

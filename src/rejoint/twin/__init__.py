@@ -1,0 +1,1 @@
+"""The fitted model of an arm: parameters, MuJoCo model, batch and identification."""
