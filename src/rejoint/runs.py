@@ -96,14 +96,14 @@ def write_log(path: Path, log: RunLog) -> None:
         "extra": log.extra,
     }  # fmt: skip
     table = pa.table(columns).replace_schema_metadata({_METADATA_KEY: json.dumps(header).encode()})
-    write_whole(path, lambda temporary: pq.write_table(table, temporary, compression="zstd"))
+    write_whole(path, lambda temporary: pq.write_table(table, temporary, compression="zstd", write_page_checksum=True))
 
 
 def read_log(path: Path) -> RunLog:
     """Read a run log; FileError names a file that is missing, damaged or something else."""
     remedy = "record it again or take another file"
     try:
-        table = pq.read_table(path)
+        table = pq.read_table(path, page_checksum_verification=True)
         header = json.loads((table.schema.metadata or {})[_METADATA_KEY])
         if header["format"] != FORMAT:
             raise FileError(path, f"run log of format {header['format']}, expected {FORMAT}", remedy)

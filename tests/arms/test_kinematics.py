@@ -1,0 +1,108 @@
+"""Kinematics against MuJoCo, finite differences and the paper's table."""
+
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+
+from rejoint.arms import Arm, frames, gravity_torque, jacobian, mycobot280, position_jacobian, tcp_pose, tcp_position
+from rejoint.arms.arm import dh_chain
+from rejoint.arms.mycobot280 import DH_TABLE, PAPER_ANGLE_SHIFT, PAPER_DH_TABLE
+from rejoint.errors import InputError
+
+ARM = mycobot280()
+
+
+def random_postures(count: int, seed: int = 0) -> np.ndarray:
+    return np.random.default_rng(seed).uniform(ARM.lower, ARM.upper, (count, ARM.joints))
+
+
+def mujoco_model(arm: Arm) -> mujoco.MjModel:
+    spec = mujoco.MjSpec()
+    body = spec.worldbody
+    for i in range(arm.joints):
+        quaternion = np.empty(4)
+        mujoco.mju_mat2Quat(quaternion, arm.offset[i, :3, :3].flatten())
+        body = body.add_body(pos=arm.offset[i, :3, 3], quat=quaternion)
+        body.explicitinertial = True
+        body.mass, body.ipos = arm.mass[i], arm.com[i]
+        inertia = arm.inertia[i]
+        body.fullinertia = [inertia[0, 0], inertia[1, 1], inertia[2, 2], inertia[0, 1], inertia[0, 2], inertia[1, 2]]
+        body.add_joint(name=f"j{i}", axis=arm.axis[i])
+    body.add_site(name="tcp", pos=arm.tip[:3, 3])
+    return spec.compile()
+
+
+def test_agrees_with_mujoco() -> None:
+    model = mujoco_model(ARM)
+    data = mujoco.MjData(model)
+    jacp, jacr = np.empty((3, 6)), np.empty((3, 6))
+    for q in random_postures(50):
+        data.qpos[:] = q
+        mujoco.mj_forward(model, data)
+        mujoco.mj_jacSite(model, data, jacp, jacr, 0)
+        np.testing.assert_allclose(tcp_position(ARM, q), data.site_xpos[0], atol=1e-9)
+        np.testing.assert_allclose(jacobian(ARM, q), np.vstack([jacp, jacr]), atol=1e-9)
+        np.testing.assert_allclose(gravity_torque(ARM, q), data.qfrc_bias, atol=1e-9)
+
+
+def test_jacobian_is_the_derivative() -> None:
+    q, h = random_postures(20), 1e-6
+    analytic = position_jacobian(ARM, frames(ARM, q))
+    for i in range(ARM.joints):
+        step = h * np.eye(ARM.joints)[i]
+        numeric = (tcp_position(ARM, q + step) - tcp_position(ARM, q - step)) / (2 * h)
+        np.testing.assert_allclose(analytic[..., i], numeric, atol=1e-8)
+
+
+def test_any_leading_shape_gives_the_same() -> None:
+    q = random_postures(12).reshape(3, 4, 6)
+    poses, torques, jacobians = tcp_pose(ARM, q), gravity_torque(ARM, q), jacobian(ARM, q)
+    for i in np.ndindex(3, 4):
+        np.testing.assert_allclose(poses[i], tcp_pose(ARM, q[i]), atol=1e-15)
+        np.testing.assert_allclose(torques[i], gravity_torque(ARM, q[i]), atol=1e-15)
+        np.testing.assert_allclose(jacobians[i], jacobian(ARM, q[i]), atol=1e-15)
+
+
+def test_gravity_torque_is_the_gradient_of_the_potential() -> None:
+    def potential(q: np.ndarray) -> float:
+        f = frames(ARM, q)
+        com = f.position + np.einsum("nij,nj->ni", f.rotation, ARM.com)
+        return 9.81 * float(ARM.mass @ com[:, 2])
+
+    for q in random_postures(10):
+        steps = 1e-6 * np.eye(6)
+        gradient = [(potential(q + s) - potential(q - s)) / 2e-6 for s in steps]
+        np.testing.assert_allclose(gravity_torque(ARM, q), gradient, atol=1e-8)
+
+
+def test_the_papers_table_is_the_same_mechanism() -> None:
+    # the paper gives d1 and d5 as 131.2 and 74.1 mm, the vendor 131.22 and 75.05 mm
+    rows = list(PAPER_DH_TABLE)
+    rows[0], rows[4] = replace(rows[0], d=DH_TABLE[0].d), replace(rows[4], d=DH_TABLE[4].d)
+    offset, axis, tip = dh_chain(rows)
+    wide = {"lower": np.full(6, -10.0), "upper": np.full(6, 10.0)}
+    paper = replace(ARM, offset=offset, axis=axis, tip=tip, **wide)
+    q = random_postures(200)
+    np.testing.assert_allclose(tcp_position(paper, q + PAPER_ANGLE_SHIFT), tcp_position(ARM, q), atol=1e-12)
+
+
+def test_zero_posture_is_upright_at_the_vendors_height() -> None:
+    np.testing.assert_allclose(tcp_position(ARM, np.zeros(6)), [0.0456, -0.0634, 0.41267], atol=1e-9)
+
+
+def test_an_arm_with_the_wrong_shapes_is_refused() -> None:
+    with pytest.raises(InputError, match="lower has shape"):
+        replace(ARM, lower=np.zeros(5))
+    with pytest.raises(InputError, match="rest posture"):
+        replace(ARM, rest=np.full(6, 9.0))
+
+
+def test_an_arm_owns_read_only_copies() -> None:
+    limits = np.full(6, 2.0)
+    arm = replace(ARM, upper=limits)
+    limits[:] = 0.0
+    assert (arm.upper == 2.0).all()
+    with pytest.raises(ValueError, match="read-only"):
+        arm.upper[0] = 1.0

@@ -1,0 +1,24 @@
+"""The import graph is the one that docs/architecture.md draws."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).parent.parent
+
+
+def test_imports_point_one_way() -> None:
+    command = [str(Path(sys.executable).with_name("lint-imports")), "--config", str(ROOT / ".importlinter")]
+    result = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert result.returncode == 0, result.stdout + result.stderr
+    assert "0 broken" in result.stdout
+
+
+def test_a_policy_runs_without_a_simulator() -> None:
+    blocked = "torch skrl mujoco numba scipy matplotlib jinja2".split()
+    code = (
+        f"import sys\nfor name in {blocked!r}: sys.modules[name] = None\n"
+        "import rejoint.cli, rejoint.control.policy, rejoint.control.loop, rejoint.robots.mycobot, rejoint.robots\n"
+    )
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert result.returncode == 0, result.stderr
