@@ -84,6 +84,76 @@ class RunLog:
         return len(self.time)
 
 
+@dataclass(frozen=True, kw_only=True)
+class RunInfo:
+    """What a run folder is about; written once, when the folder is made."""
+
+    robot: str
+    """address of the robot"""
+    arm: str
+    """name of the arm"""
+    seed: int
+    version: str
+    """version of the software that made the folder"""
+    created: str
+    """local date and time, ISO 8601"""
+
+
+@dataclass(frozen=True)
+class RunFolder:
+    """Where each stage of a run leaves its files."""
+
+    path: Path
+
+    @property
+    def info(self) -> Path:
+        """Robot, arm and seed (`RunInfo`)."""
+        return self.path / "run.json"
+
+    @property
+    def diagnosis(self) -> Path:
+        """What is wrong with the arm."""
+        return self.path / "diagnosis.json"
+
+    @property
+    def twin(self) -> Path:
+        """The identified twin."""
+        return self.path / "twin.toml"
+
+    @property
+    def training(self) -> Path:
+        """Folder of training curves and checkpoints."""
+        return self.path / "training"
+
+    @property
+    def policy(self) -> Path:
+        """The trained policy with its contract."""
+        return self.path / "policy.onnx"
+
+    @property
+    def comparison(self) -> Path:
+        """Every controller on the same arm."""
+        return self.path / "comparison.json"
+
+    @property
+    def report(self) -> Path:
+        """The page for the owner."""
+        return self.path / "report.html"
+
+    @property
+    def figures(self) -> Path:
+        """Folder of the report's figures as PNG files."""
+        return self.path / "figures"
+
+    def log(self, name: str) -> Path:
+        """Path of the run log called ``name``; slashes become dashes."""
+        return self.path / "logs" / f"{name.replace('/', '-')}.parquet"
+
+    def logs(self) -> dict[str, Path]:
+        """Paths of all run logs by name, sorted."""
+        return {path.stem: path for path in sorted((self.path / "logs").glob("*.parquet"))}
+
+
 def write_log(path: Path, log: RunLog) -> None:
     """Write a run log as Parquet."""
     columns: dict[str, Array] = {"time": log.time}
