@@ -1,0 +1,59 @@
+"""The pieces that control laws are made of; deployed controllers and the training share them.
+
+The base law is equation 17 of Park et al. 2024 with its theta_t read as the last command:
+``c_t = c_{t-1} + GAIN * step``, with the damped least-squares step of `dls_step`, then `limit_lead`
+and the joint limits. Adding to the measured position instead would forget the sag that a soft
+servo needs the command to lead by.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from rejoint.arms import Arm, Array, clip_norm, dls, frames, position_jacobian
+
+GAIN = 0.1
+"""Fraction of the step that is added to the command per control cycle (chosen: 0.2 already oscillates on worn arms)."""
+
+STEP_LIMIT = np.radians(5.0)
+"""[rad] largest joint change asked for by one step; Park et al. 2024, section IV-D, give 0.5 to 5 degrees a frame."""
+
+_PROJECTION_DAMPING = 1e-4
+"""[m] keeps the null-space projection finite at singular postures (chosen: far below the working damping)."""
+
+
+class DlsStep(NamedTuple):
+    """What the kinematics say about one cycle."""
+
+    step: Array
+    """(..., n) [rad] damped least-squares step towards the target, scaled down as a whole to STEP_LIMIT"""
+    error: Array
+    """(..., 3) [m] target minus measured TCP (encoder kinematics)"""
+    jacobian: Array
+    """(..., 3, n) [m/rad] d(TCP)/dq at the measured position"""
+
+
+def dls_step(arm: Arm, measured: Array, target: Array) -> DlsStep:
+    """Step from joint positions ``measured`` (..., n) [rad] towards ``target`` (..., 3) [m]."""
+    f = frames(arm, measured)
+    jacobian = position_jacobian(arm, f)
+    error = target - f.tcp_position
+    return DlsStep(clip_norm(dls(jacobian, error), STEP_LIMIT), error, jacobian)
+
+
+def limit_lead(command: Array, measured: Array, lead: float | Array) -> Array:
+    """Keep ``command`` (..., n) [rad] within ``lead`` [rad] of the measured position, joint by joint (anti-windup)."""
+    return np.clip(command, measured - lead, measured + lead)
+
+
+def limit_position(arm: Arm, command: Array) -> Array:
+    """Keep ``command`` (..., n) [rad] inside the joint limits."""
+    return np.clip(command, arm.lower, arm.upper)
+
+
+def null_space(jacobian: Array, motion: Array) -> Array:
+    """Part of a joint motion (..., n) [rad] that leaves the TCP where it is, to first order."""
+    moved = (jacobian @ motion[..., None])[..., 0]
+    return motion - dls(jacobian, moved, _PROJECTION_DAMPING)
