@@ -1,0 +1,98 @@
+"""Many twins of one arm in lockstep, each with its own parameters, time step and gravity."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+from mujoco.batch import Batch
+from numpy.typing import NDArray
+
+from rejoint.arms import Arm, Array
+from rejoint.errors import InputError
+from rejoint.twin.model import TIMESTEP, model_fields, twin_model
+from rejoint.twin.parameters import TwinParameters, nominal_parameters
+
+Ids = NDArray[np.integer] | NDArray[np.bool_] | None
+
+
+class TwinBatch:
+    """``nsim`` simulations of one arm; bit for bit what as many single models would do.
+
+    The arrays ``qpos``, ``qvel``, ``ctrl`` (nsim, n) are live: writing to them sets the state of the
+    next step.
+    """
+
+    def __init__(self, arm: Arm, nsim: int, timestep: float = TIMESTEP, threads: int = 1) -> None:
+        if nsim < 1 or threads < 1:
+            raise InputError(f"twin batch: {nsim} simulations on {threads} threads, expected at least one of each")
+        self.arm = arm
+        start = nominal_parameters(arm)
+        self._batch = Batch(twin_model(arm, start, timestep), nsim=nsim, nthread=threads)
+        self.qpos: Array = self._batch.bind("qpos")
+        self.qvel: Array = self._batch.bind("qvel")
+        self.ctrl: Array = self._batch.bind("ctrl")
+        self._timestep = np.full(nsim, float(timestep))
+        self.write(start.repeat(nsim))
+
+    @property
+    def nsim(self) -> int:
+        """Number of simulations."""
+        return int(self._batch.nsim)
+
+    @property
+    def timestep(self) -> Array:
+        """(nsim,) [s] time step of each simulation, read-only."""
+        view = self._timestep.view()
+        view.setflags(write=False)
+        return view
+
+    def write(
+        self,
+        parameters: TwinParameters,
+        ids: Ids = None,
+        *,
+        timestep: float | Array | None = None,
+        gravity_scale: float | Array = 1.0,
+    ) -> None:
+        """Give the simulations in ``ids`` (all by default) new parameters; their state stays.
+
+        ``parameters`` have the leading shape (m,) of the m simulations chosen, or none for the same
+        twin everywhere. ``ids`` are increasing indices or a mask (nsim,). ``timestep`` [s], a number or
+        (m,), is kept where it is not given; ``gravity_scale``, a number or (m,), is 1 where not given.
+        """
+        chosen = np.arange(self.nsim)[slice(None) if ids is None else ids]
+        if parameters.shape == ():
+            parameters = parameters.repeat(len(chosen))
+        if parameters.stiffness_shape != (len(chosen), self.arm.joints):
+            expected = (len(chosen), self.arm.joints)
+            raise InputError(f"twin batch: parameters of shape {parameters.stiffness_shape}, expected {expected}")
+        if timestep is not None:
+            self._timestep[chosen] = timestep
+        for name, value in model_fields(parameters, self._timestep[chosen], np.asarray(gravity_scale)):
+            self._batch.expand(name)[chosen] = value
+        self._batch.set_const(chosen.astype(np.int32))
+
+    def step(self, substeps: int = 1, ids: Ids = None) -> None:
+        """Advance the simulations in ``ids`` (all by default) under the present ``ctrl``."""
+        self._batch.step(ids, nstep=substeps)
+
+    def rollout(self, control: Array, ids: Ids = None) -> Array:
+        """Advance by ``control`` (m, steps, n) [rad], one row a step; return positions (m, steps, n) after each."""
+        return self._batch.rollout(control.shape[1], control, record=("qpos",), ids=ids)["qpos"]
+
+    def model(self, index: int) -> mujoco.MjModel:
+        """Copy of one simulation's model, for rendering or inspection."""
+        return self._batch.get_model(index)
+
+    def bind(self, name: str) -> Array:
+        """Live (nsim, ...) array of any other MjData field, such as ``site_xpos`` or ``qfrc_constraint``."""
+        return self._batch.bind(name)
+
+    def restart(self, position: Array, velocity: Array | float = 0.0, ids: Ids = None) -> None:
+        """Put simulations at ``position`` (m, n) [rad] with ``velocity`` [rad/s], and forget the solver's memory."""
+        chosen = np.arange(self.nsim)[slice(None) if ids is None else ids]
+        self._batch.bind("qacc_warmstart")[chosen] = 0.0
+        self._batch.bind("time")[chosen] = 0.0
+        self.qpos[chosen] = position
+        self.qvel[chosen] = velocity
+        self.ctrl[chosen] = position

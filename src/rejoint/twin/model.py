@@ -1,0 +1,110 @@
+"""From an arm to a MuJoCo model: a serial chain whose joints are driven by position servos.
+
+This is the twin's physics. It never imports `rejoint.plant` and shares no code with it, for the
+reason given in `rejoint.twin.parameters`.
+
+Per joint: torque = clip(stiffness (command + offset - q), +-limit) - damping qdot - Coulomb friction.
+Delay and reference ramp act on the command before it reaches the model (`rejoint.twin.reference`).
+Contacts and joint stops are left out: the guard keeps commands away from both.
+
+Two settings matter. Dry friction must hold: with MuJoCo's default solver settings a joint creeps about
+1 deg/s near the friction limit (measured), with these below 0.01 deg/s. And the constraint Jacobian
+stays dense, since the sparse Cholesky factorisation of MuJoCo 4.0.0 has a known fault.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import mujoco
+import numpy as np
+
+from rejoint.arms import Arm, Array
+from rejoint.arms.kinematics import GRAVITY
+from rejoint.errors import InputError
+from rejoint.twin.parameters import TwinParameters
+
+TIMESTEP = 0.005
+"""[s] chosen: half of it changes predictions by less than an encoder step"""
+
+FRICTION_IMPEDANCE = (0.9999, 0.9999, 0.001, 0.5, 2.0)
+"""solimp of the friction constraints (MuJoCo, modelling, solver parameters): nearly rigid"""
+
+TCP_SITE = "tcp"
+
+
+def twin_model(
+    arm: Arm, parameters: TwinParameters, timestep: float = TIMESTEP, gravity_scale: float = 1.0
+) -> mujoco.MjModel:
+    """Compile the model of one twin; actuators and joints are in the arm's order, with its names."""
+    if parameters.shape or parameters.joints != arm.joints:
+        raise InputError(
+            f"twin: parameters of shape {parameters.stiffness_shape}, expected one twin of {arm.joints} joints"
+        )
+    model = _spec(arm).compile()
+    for name, value in model_fields(parameters, np.asarray(timestep), np.asarray(gravity_scale)):
+        if name == "opt.timestep":
+            model.opt.timestep = float(value)
+        elif name == "opt.gravity":
+            model.opt.gravity = value
+        else:
+            getattr(model, name)[:] = value
+    mujoco.mj_setConst(model, mujoco.MjData(model))
+    return model
+
+
+def model_fields(parameters: TwinParameters, timestep: Array, gravity_scale: Array) -> Iterator[tuple[str, Array]]:
+    """Yield every field of the model that a twin decides, as (name, value), for any leading shape.
+
+    The only place where parameters become physics: a single model and a batch are both filled from
+    here. ``timestep`` [s] and ``gravity_scale`` have the parameters' leading shape or none.
+    """
+    p, shape = parameters, parameters.stiffness_shape
+    timestep = np.broadcast_to(timestep, p.shape)
+    zero = np.zeros(shape)
+    gain = np.zeros((*shape, mujoco.mjNGAIN))
+    gain[..., 0] = p.stiffness
+    bias = np.zeros((*shape, mujoco.mjNBIAS))
+    bias[..., 0], bias[..., 1] = p.stiffness * p.offset, -p.stiffness
+    yield "actuator_gainprm", gain
+    yield "actuator_biasprm", bias
+    yield "actuator_forcerange", np.stack([-p.torque_limit, p.torque_limit], axis=-1)
+    yield "dof_damping", p.damping
+    yield "dof_frictionloss", p.coulomb
+    yield "dof_armature", p.armature
+    yield "dof_solref", np.stack([zero + 2.0 * timestep[..., None], zero + 1.0], axis=-1)
+    yield "opt.timestep", timestep
+    yield "opt.gravity", np.broadcast_to(gravity_scale, p.shape)[..., None] * GRAVITY
+
+
+def _spec(arm: Arm) -> mujoco.MjSpec:
+    spec = mujoco.MjSpec()
+    spec.modelname = arm.name
+    option = spec.option
+    option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    option.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
+    disable = mujoco.mjtDisableBit
+    option.disableflags |= (
+        disable.mjDSBL_CONTACT | disable.mjDSBL_LIMIT | disable.mjDSBL_EQUALITY | disable.mjDSBL_SENSOR
+        | disable.mjDSBL_SPRING | disable.mjDSBL_ISLAND
+    )  # fmt: skip
+    body = spec.worldbody
+    for i, name in enumerate(arm.joint_names):
+        body = body.add_body(name=f"link{i + 1}", pos=arm.offset[i, :3, 3], quat=_quaternion(arm.offset[i, :3, :3]))
+        body.explicitinertial = True
+        body.mass, body.ipos = arm.mass[i], arm.com[i]
+        inertia = arm.inertia[i]
+        body.fullinertia = inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+        # A value above zero, so that MuJoCo reserves the friction constraints; the writer sets the real one.
+        body.add_joint(name=name, axis=arm.axis[i], frictionloss=1.0, solimp_friction=FRICTION_IMPEDANCE)
+        servo = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+        servo.set_to_position(kp=1.0)
+        servo.forcelimited, servo.forcerange = True, (-1.0, 1.0)
+    body.add_site(name=TCP_SITE, pos=arm.tip[:3, 3], quat=_quaternion(arm.tip[:3, :3]))
+    return spec
+
+
+def _quaternion(rotation: Array) -> Array:
+    quaternion = np.zeros(4)
+    mujoco.mju_mat2Quat(quaternion, np.ascontiguousarray(rotation).ravel())
+    return quaternion

@@ -1,0 +1,248 @@
+"""What a twin is described by: its parameters, their units, and what is believed before any data.
+
+The twin stands for what one can know of an arm; the simulated worn arm in `rejoint.plant` stands for
+reality. The two never import one another and share no physics code: a twin that shared the
+plant's model would fit it perfectly and prove nothing.
+
+Sources of the ranges
+---------------------
+Stiffness: Park et al. 2024 train on P = 50..200; a 0.85 kg arm shows the oscillations of their Fig. 10
+with 0.06 P N m/rad (measured in simulation), so 3 to 12 N m/rad. The other ranges were measured on the
+same arm: a policy trained in twins drawn from them held its accuracy on arms it had not met.
+The bounds hold what serial-bus hobby servos have been identified with (stiffness 19-26 N m/rad,
+Coulomb friction 0.25-0.8 N m, viscous friction 0.8-1.6 N m s/rad on an SO-101), with room.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rejoint.arms import Arm, Array, gravity_torque
+from rejoint.errors import InputError
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TwinParameters:
+    """Physical parameters of one twin, or of a batch of twins with any leading shape."""
+
+    stiffness: Array
+    """(..., n) [N m/rad] torque per angle between command and joint: the servo's position gain"""
+    damping: Array
+    """(..., n) [N m s/rad] viscous friction, back-EMF and the servo's derivative gain together"""
+    coulomb: Array
+    """(..., n) [N m] dry friction"""
+    armature: Array
+    """(..., n) [kg m^2] inertia of motor and gears, seen at the joint"""
+    torque_limit: Array
+    """(..., n) [N m] largest torque of the servo"""
+    offset: Array
+    """(..., n) [rad] the joint's position under no load, minus the command"""
+    delay: Array
+    """(...) [s] from sending a command to reading its first effect: latency plus age of the answer"""
+    ramp_speed: Array
+    """(...) [rad/s] speed at which the servo moves its reference towards a new command"""
+
+    def __post_init__(self) -> None:
+        for parameter in PARAMETERS:
+            array = np.array(getattr(self, parameter.name), dtype=float)
+            expected = self.stiffness_shape if parameter.per_joint else self.stiffness_shape[:-1]
+            if array.shape != expected:
+                raise InputError(f"twin: {parameter.name} has shape {array.shape}, expected {expected}")
+            array.setflags(write=False)
+            object.__setattr__(self, parameter.name, array)
+
+    @property
+    def stiffness_shape(self) -> tuple[int, ...]:
+        """Shape (..., n) of every per-joint array."""
+        shape = np.shape(self.stiffness)
+        if not shape:
+            raise InputError("twin: stiffness needs an axis of joints")
+        return shape
+
+    @property
+    def joints(self) -> int:
+        """Number of joints n."""
+        return self.stiffness_shape[-1]
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Leading shape: () for one twin, (m,) for a batch."""
+        return self.stiffness_shape[:-1]
+
+    def __getitem__(self, index: int | slice | NDArray[np.integer] | NDArray[np.bool_]) -> TwinParameters:
+        """Select twins along the first leading axis."""
+        if not self.shape:
+            raise InputError("twin: a single twin cannot be indexed")
+        return TwinParameters(**{field.name: getattr(self, field.name)[index] for field in fields(self)})
+
+    def repeat(self, count: int) -> TwinParameters:
+        """Give ``count`` copies of a single twin a leading axis."""
+        return TwinParameters(
+            **{f.name: np.broadcast_to(getattr(self, f.name), (count, *np.shape(getattr(self, f.name))))
+               for f in fields(self)}
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class Parameter:
+    """One row of the table of parameters: what it is and what is believed before any data."""
+
+    name: str
+    unit: str
+    meaning: str
+    nominal: float
+    """prior median, for an arm of `REFERENCE_LOAD` and a joint near the base"""
+    sigma: float
+    """prior standard deviation: of the logarithm if `log`, else in `unit`"""
+    lower: float
+    upper: float
+    log: bool = True
+    """positive quantity, estimated as its logarithm"""
+    per_joint: bool = True
+    wrist: float = 1.0
+    """factor on the nominal value for joints with little inertia"""
+    by_load: bool = False
+    """whether nominal value and bounds grow with the weight of the arm"""
+
+
+PARAMETERS: tuple[Parameter, ...] = (
+    Parameter(name="stiffness", unit="N m/rad", meaning="servo torque per angle between command and joint",
+              nominal=7.0, sigma=0.7, lower=0.5, upper=200.0, wrist=0.8, by_load=True),
+    Parameter(name="damping", unit="N m s/rad", meaning="viscous friction and derivative gain together",
+              nominal=0.25, sigma=0.8, lower=0.005, upper=20.0, wrist=0.6, by_load=True),
+    Parameter(name="coulomb", unit="N m", meaning="dry friction",
+              nominal=0.08, sigma=0.8, lower=0.002, upper=2.0, wrist=0.5, by_load=True),
+    Parameter(name="armature", unit="kg m^2", meaning="inertia of motor and gears at the joint",
+              nominal=0.02, sigma=0.4, lower=0.002, upper=0.1),
+    Parameter(name="torque_limit", unit="N m", meaning="largest torque of the servo",
+              nominal=0.92, sigma=0.35, lower=0.05, upper=5.0, wrist=0.5, by_load=True),
+    Parameter(name="offset", unit="rad", meaning="unloaded joint position minus command",
+              nominal=0.0, sigma=0.01, lower=-0.1, upper=0.1, log=False),
+    Parameter(name="delay", unit="s", meaning="command latency plus age of the answer",
+              nominal=0.025, sigma=0.012, lower=0.0, upper=0.1, log=False, per_joint=False),
+    Parameter(name="ramp_speed", unit="rad/s", meaning="speed of the servo's reference",
+              nominal=2.0, sigma=0.25, lower=0.5, upper=20.0, per_joint=False),
+)  # fmt: skip
+"""The table. The order is that of the parameter vector."""
+
+JOINT_PARAMETERS = tuple(p for p in PARAMETERS if p.per_joint)
+ARM_PARAMETERS = tuple(p for p in PARAMETERS if not p.per_joint)
+
+REFERENCE_LOAD = 0.838
+"""[N m] largest gravity torque of the myCobot 280, for which the table's values hold"""
+
+WRIST_INERTIA = 0.2
+"""A joint is of the wrist below this fraction of the largest link inertia about a joint (chosen)."""
+
+
+def vector_names(joint_names: tuple[str, ...]) -> tuple[str, ...]:
+    """Names of the elements of the parameter vector, such as ``stiffness.joint2`` and ``delay``."""
+    return (
+        *(f"{p.name}.{joint}" for p in JOINT_PARAMETERS for joint in joint_names),
+        *(p.name for p in ARM_PARAMETERS),
+    )
+
+
+def vector_is_log(joints: int) -> NDArray[np.bool_]:
+    """(k,) which elements of the parameter vector are logarithms."""
+    return np.array([p.log for p in JOINT_PARAMETERS for _ in range(joints)] + [p.log for p in ARM_PARAMETERS])
+
+
+def pack(parameters: TwinParameters) -> Array:
+    """Parameter vector (..., k): logarithms of the positive quantities, the others as they are."""
+    parts = [getattr(parameters, p.name) for p in JOINT_PARAMETERS]
+    parts += [getattr(parameters, p.name)[..., None] for p in ARM_PARAMETERS]
+    values = np.concatenate(parts, axis=-1)
+    log = vector_is_log(parameters.joints)
+    return np.where(log, np.log(np.where(log, values, 1.0)), values)
+
+
+def unpack(vector: Array, joints: int) -> TwinParameters:
+    """Parameters with the leading shape of ``vector`` (..., k); the inverse of `pack`."""
+    log = vector_is_log(joints)
+    if vector.shape[-1] != len(log):
+        raise InputError(f"twin: parameter vector of {vector.shape[-1]} elements, expected {len(log)}")
+    values = np.where(log, np.exp(np.where(log, vector, 0.0)), vector)
+    split = len(JOINT_PARAMETERS) * joints
+    per_joint = values[..., :split].reshape(*vector.shape[:-1], len(JOINT_PARAMETERS), joints)
+    joint_part = {p.name: per_joint[..., i, :] for i, p in enumerate(JOINT_PARAMETERS)}
+    arm_part = {p.name: values[..., split + i] for i, p in enumerate(ARM_PARAMETERS)}
+    return TwinParameters(**joint_part, **arm_part)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Prior:
+    """What is believed of an arm before any data, over the parameter vector of length k."""
+
+    mean: Array
+    """(k,) medians, as logarithms where the parameter is positive"""
+    sigma: Array
+    """(k,) standard deviations in the same terms"""
+    lower: Array
+    """(k,) physical bounds in the same terms"""
+    upper: Array
+
+
+def prior(arm: Arm) -> Prior:
+    """Prior of an arm from the table, its largest gravity torque and its link inertias."""
+    load = largest_gravity_torque(arm) / REFERENCE_LOAD
+    wrist = _wrist(arm)
+    rows: list[tuple[float, float, float, float]] = []
+    for p in PARAMETERS:
+        scale = load if p.by_load else 1.0
+        for is_wrist in wrist if p.per_joint else [False]:
+            values = np.array([p.nominal * (p.wrist if is_wrist else 1.0), p.lower, p.upper]) * scale
+            median, lower, upper = np.log(values) if p.log else values
+            rows.append((median, p.sigma, lower, upper))
+    mean, sigma, lower_, upper_ = np.array(rows).T
+    return Prior(mean=mean, sigma=sigma, lower=lower_, upper=upper_)
+
+
+def nominal_parameters(arm: Arm) -> TwinParameters:
+    """Twin of the prior medians."""
+    return unpack(prior(arm).mean, arm.joints)
+
+
+HEALTHY_STIFFNESS_FACTOR = 5.0
+"""A healthy servo over the prior's worn median: 35 N m/rad, the middle of the 25-45 N m/rad that follow
+from a healthy STS3215's error under load (SO-ARM100, issue 134)."""
+HEALTHY_DAMPING_FACTOR = 3.2
+HEALTHY_TORQUE_FACTOR = 2.2
+HEALTHY_FRICTION_FACTOR = 0.6
+"""The other healthy values over the prior's medians (chosen from the servo's data sheet)."""
+
+
+def healthy_parameters(arm: Arm) -> TwinParameters:
+    """Twin of an arm of this build that shows no wear: what one would assume without identification."""
+    worn = nominal_parameters(arm)
+    return TwinParameters(
+        stiffness=HEALTHY_STIFFNESS_FACTOR * worn.stiffness,
+        damping=HEALTHY_DAMPING_FACTOR * worn.damping,
+        coulomb=HEALTHY_FRICTION_FACTOR * worn.coulomb,
+        armature=worn.armature,
+        torque_limit=HEALTHY_TORQUE_FACTOR * worn.torque_limit,
+        offset=worn.offset,
+        delay=worn.delay,
+        ramp_speed=worn.ramp_speed,
+    )
+
+
+def largest_gravity_torque(arm: Arm) -> float:
+    """[N m] largest gravity torque about any joint, over postures spread between the limits."""
+    postures = np.random.default_rng(0).uniform(arm.lower, arm.upper, (4096, arm.joints))
+    return max(float(np.abs(gravity_torque(arm, postures)).max()), 1e-3)
+
+
+def _wrist(arm: Arm) -> NDArray[np.bool_]:
+    """(n,) joints that carry little inertia: mass behind each, times the square of its reach."""
+    inertia = np.zeros(arm.joints)
+    for i in range(arm.joints):
+        reach = 0.0  # upper bound of the distance from joint i: the chain stretched out
+        for j in range(i, arm.joints):
+            if j > i:
+                reach += float(np.linalg.norm(arm.offset[j, :3, 3]))
+            inertia[i] += arm.mass[j] * (reach + float(np.linalg.norm(arm.com[j]))) ** 2
+    return inertia < WRIST_INERTIA * inertia.max()
