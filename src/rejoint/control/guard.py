@@ -1,0 +1,211 @@
+"""The guard between every controller and the robot: what may be sent, and why it was changed.
+
+A pure function over a batch of arms. Two kinds of reasons:
+
+* Limits (POSITION, LEAD, STEP, FLOOR) change the command and the motion goes on.
+* Trips (see `TRIPS`) mean that the arm cannot be judged any more. The guard returns the last
+  command, and the control loop stops the robot.
+
+The limits are applied in the order lead, position, step, floor, so that in a conflict the later one
+wins: whatever comes in, no command is further from the last one than the step limit, and none
+brings the arm nearer to the floor than is allowed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntFlag
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rejoint.arms import Arm, Array, frames
+from rejoint.control.law import limit_lead
+from rejoint.control.robot import JointState, Mask
+from rejoint.errors import InputError
+
+Reasons = NDArray[np.uint16]
+
+_BISECTIONS = 6
+_HEIGHT_TOLERANCE = 1e-9  # [m] rounding of the kinematics: a joint that cannot move must not look sinking
+
+
+class Reason(IntFlag):
+    """Why a command was changed, or why the guard tripped."""
+
+    NONE = 0
+    POSITION = 1
+    """beyond a joint limit"""
+    STEP = 2
+    """further from the last command than the joint's speed allows in one period"""
+    LEAD = 4
+    """further ahead of the measured position than allowed"""
+    FLOOR = 8
+    """a point of the arm would come too low"""
+    NOT_FINITE = 16
+    """a command or a measured position is not a finite number"""
+    STALE = 32
+    """the joint state is too old"""
+    OUT_OF_RANGE = 64
+    """a measured position lies far outside the joint limits"""
+    TEMPERATURE = 128
+    """a servo is too hot"""
+    SERVO_FAULT = 256
+    """a servo reports a fault"""
+
+
+TRIPS = Reason.NOT_FINITE | Reason.STALE | Reason.OUT_OF_RANGE | Reason.TEMPERATURE | Reason.SERVO_FAULT
+"""Reasons that end the motion."""
+_TRIP_BITS = np.uint16(TRIPS.value)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class GuardLimits:
+    """What the guard allows. `GuardLimits.of` fills it for an arm."""
+
+    arm: Arm
+    lower: Array
+    """(n,) [rad] lowest command"""
+    upper: Array
+    """(n,) [rad] highest command"""
+    max_speed: Array
+    """(n,) [rad/s] times the period: largest change of the command in one cycle"""
+    max_lead: float = np.radians(20.0)
+    """[rad] between command and measured position (chosen: twice what the worn arm's sag needs)"""
+    max_period: float = 0.1
+    """[s] periods longer than this do not allow a larger step (chosen: twice the slowest regular period)"""
+    tcp_floor: float = 0.0
+    """[m] lowest height of the TCP"""
+    joint_floor: float = 0.03
+    """[m] lowest height of a joint frame (chosen: radius of a link and a little more)"""
+    max_age: float = 0.5
+    """[s] oldest joint state (chosen: ten periods of the slowest wire)"""
+    max_temperature: float = 65.0
+    """[deg C] hottest servo (chosen: 5 below the 70 at which servos of this class switch themselves off)"""
+    range_margin: float = np.radians(10.0)
+    """[rad] a measured position further than this outside the arm's limits is not believed (chosen)"""
+
+    def __post_init__(self) -> None:
+        for name in ("lower", "upper", "max_speed"):
+            array = np.array(getattr(self, name), dtype=float)
+            if array.shape != (self.arm.joints,) or not np.isfinite(array).all():
+                raise InputError(f"guard limits: {name} needs {self.arm.joints} finite numbers, got {array}")
+            array.setflags(write=False)
+            object.__setattr__(self, name, array)
+        if (self.lower >= self.upper).any() or (self.max_speed <= 0).any():
+            raise InputError("guard limits: lower must be below upper and speeds must be positive")
+        for name in ("max_lead", "max_period", "max_age"):
+            if not getattr(self, name) > 0:
+                raise InputError(f"guard limits: {name} must be positive, got {getattr(self, name)}")
+
+    @classmethod
+    def of(cls, arm: Arm, *, margin: float = np.radians(0.5)) -> GuardLimits:
+        """Limits of an arm; commands stay ``margin`` [rad] inside the joint limits (chosen)."""
+        return cls(
+            arm=arm, lower=arm.lower + margin, upper=arm.upper - margin, max_speed=arm.max_speed, tcp_floor=arm.floor
+        )
+
+
+class Guarded(NamedTuple):
+    """The guard's answer."""
+
+    command: Array
+    """(B, n) [rad] what is to be sent"""
+    reasons: Reasons
+    """(B,) `Reason` flags per arm; 0 where the wanted command passed unchanged"""
+
+    @property
+    def tripped(self) -> Mask:
+        """(B,) arms whose motion must end."""
+        return (self.reasons & _TRIP_BITS) != 0
+
+
+def guard(limits: GuardLimits, command: Array, sent: Array, state: JointState, period: float | Array) -> Guarded:
+    """Decide what is sent when ``command`` (B, n) [rad] is wanted and ``sent`` (B, n) was the last command.
+
+    ``period`` is the time [s] since the last command, a number or (B,). The result is always finite,
+    within one step of ``sent`` and, if ``sent`` is, inside the position limits; a ``sent`` outside is
+    led back at the speed limit. An acceptable command passes unchanged.
+    """
+    last, trips = _check(limits, command, sent, state)
+    tripped: Mask = trips.astype(bool)
+    measured, wanted = state.position, command
+    if tripped.any():
+        measured, wanted = (np.where(tripped[:, None], last, array) for array in (measured, wanted))
+    reach = limits.max_speed * np.clip(np.nan_to_num(period), 0.0, limits.max_period)[..., None]
+    near = limit_lead(wanted, measured, limits.max_lead)
+    legal = np.clip(near, limits.lower, limits.upper)
+    stepped = np.clip(legal, last - reach, last + reach)
+    allowed, lifted = _keep_above_floor(limits, np.where(tripped[:, None], last, stepped), last)
+    reasons = (
+        _flag(near != wanted, Reason.LEAD) + _flag(legal != near, Reason.POSITION)
+        + _flag(stepped != legal, Reason.STEP) + _flag(lifted[:, None], Reason.FLOOR)
+    )  # fmt: skip
+    changed = (allowed != wanted).any(axis=-1) & ~tripped
+    return Guarded(allowed, trips + reasons * changed)
+
+
+def reason_names(reasons: int) -> tuple[str, ...]:
+    """Names of the flags in one element of `Guarded.reasons`, as shown to people."""
+    return tuple(reason.name.lower().replace("_", " ") for reason in Reason(int(reasons)) if reason.name)
+
+
+def _check(limits: GuardLimits, command: Array, sent: Array, state: JointState) -> tuple[Array, Reasons]:
+    """Return the posture to hold (B, n), always finite, and the trips (B,)."""
+    unknown = ~np.isfinite(state.position)
+    lowest, highest = limits.arm.lower - limits.range_margin, limits.arm.upper + limits.range_margin
+    not_finite = ~np.isfinite(command) | ~np.isfinite(sent) | unknown
+    trips = (
+        _flag(not_finite, Reason.NOT_FINITE)
+        + _flag(~(state.age <= limits.max_age)[:, None], Reason.STALE)  # NaN counts as stale
+        + _flag(((state.position < lowest) | (state.position > highest)) & ~unknown, Reason.OUT_OF_RANGE)
+    )
+    if state.temperature is not None:
+        trips = trips + _flag(state.temperature > limits.max_temperature, Reason.TEMPERATURE)
+    if state.fault is not None:
+        trips = trips + _flag(state.fault, Reason.SERVO_FAULT)
+    if not not_finite.any():
+        return sent, trips
+    known = np.where(unknown, limits.arm.rest, np.clip(state.position, limits.lower, limits.upper))
+    return np.where(np.isfinite(sent), sent, known), trips
+
+
+def _flag(per_joint: NDArray[np.bool_], reason: Reason) -> Reasons:
+    """``reason`` (B,) where it holds for any joint of an arm."""
+    flagged: Reasons = np.any(per_joint, axis=-1) * np.uint16(reason.value)
+    return flagged
+
+
+def _keep_above_floor(limits: GuardLimits, command: Array, sent: Array) -> tuple[Array, Mask]:
+    """Scale steps back that bring a point of the arm below its floor; returns the arms it changed.
+
+    A point that is already too low may not sink further, so every motion that lifts it is free.
+    """
+    heights = _clearances(limits, command)
+    low: Mask = np.any(heights < 0.0, axis=-1)
+    if not low.any():
+        return command, low
+    index = np.flatnonzero(low)
+    start, goal = sent[index], command[index]
+    lowest = np.minimum(_clearances(limits, start), 0.0) - _HEIGHT_TOLERANCE
+    fine = np.all(heights[index] >= lowest, axis=-1, keepdims=True)
+    share, width = np.where(fine, 1.0, 0.0), 0.5
+    for _ in range(_BISECTIONS):
+        trial = np.where(fine, 1.0, share + width)
+        good = np.all(_clearances(limits, start + trial * (goal - start)) >= lowest, axis=-1, keepdims=True)
+        share = np.where(good, trial, share)
+        width /= 2
+    result = command.copy()
+    result[index] = np.where(fine, goal, start + share * (goal - start))
+    changed = low.copy()
+    changed[index] = ~fine.ravel()
+    return result, changed
+
+
+def _clearances(limits: GuardLimits, q: Array) -> Array:
+    """Height (B, n) [m] above their floors of all joint frames but the first, which stands still, and of the TCP."""
+    f = frames(limits.arm, q)
+    return np.concatenate(
+        [f.position[..., 1:, 2] - limits.joint_floor, f.tcp_position[..., 2:] - limits.tcp_floor], axis=-1
+    )

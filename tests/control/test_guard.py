@@ -1,0 +1,210 @@
+"""Laws of the guard: finite, bounded, idempotent, transparent, the same for one arm and for many."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from rejoint.arms import frames, mycobot280, tcp_position
+from rejoint.control.guard import TRIPS, Guarded, GuardLimits, Reason, guard, reason_names
+from rejoint.control.robot import JointState
+from rejoint.errors import InputError
+
+ARM = mycobot280()
+LIMITS = GuardLimits.of(ARM)
+PERIOD = 0.025
+REACH = ARM.max_speed * PERIOD
+
+
+def state(position, *, age=0.0, temperature=None, fault=None):
+    position = np.atleast_2d(position)
+    count = len(position)
+    return JointState(
+        time=np.zeros(count),
+        position=position,
+        age=np.full(count, age),
+        temperature=temperature,
+        fault=fault,
+    )
+
+
+def clearance(q):
+    f = frames(ARM, q)
+    points = np.concatenate(
+        [f.position[..., 1:, 2] - LIMITS.joint_floor, f.tcp_position[..., 2:] - LIMITS.tcp_floor], -1
+    )
+    return points.min(axis=-1)
+
+
+anything = st.floats(allow_nan=True, allow_infinity=True, width=64)
+rows = st.integers(1, 4)
+seeds = st.integers(0, 2**32 - 1)
+
+
+@settings(max_examples=150, deadline=None)
+@given(rows.flatmap(lambda b: st.tuples(*(arrays(float, (b, 6), elements=anything) for _ in range(2)))), seeds)
+def test_output_is_finite_inside_the_limits_and_near_the_last_command(noise, seed):
+    command, position = noise
+    sent = np.random.default_rng(seed).uniform(LIMITS.lower, LIMITS.upper, command.shape)
+    out = guard(LIMITS, command, sent, state(position), PERIOD)
+    assert np.isfinite(out.command).all()
+    assert ((out.command >= LIMITS.lower) & (out.command <= LIMITS.upper)).all()
+    assert (np.abs(out.command - sent) <= REACH + 1e-12).all()
+    assert (out.command[out.tripped] == sent[out.tripped]).all()
+
+
+@settings(max_examples=60, deadline=None)
+@given(arrays(float, (2, 6), elements=anything), arrays(float, (2, 6), elements=anything), anything, anything)
+def test_output_is_finite_even_if_memory_and_clock_are_garbage(sent, position, period, age):
+    out = guard(LIMITS, np.zeros((2, 6)), sent, state(position, age=age), np.full(2, period))
+    assert np.isfinite(out.command).all()
+
+
+def situation(seed, count=5):
+    """Last commands, measured positions within the lead, and wild or mild wanted commands."""
+    rng = np.random.default_rng(seed)
+    sent = rng.uniform(LIMITS.lower, LIMITS.upper, (count, 6))
+    measured = np.clip(sent + rng.uniform(-0.3, 0.3, sent.shape), ARM.lower, ARM.upper)
+    command = sent + rng.normal(0.0, rng.choice([0.01, 0.1, 2.0]), sent.shape)
+    return command, sent, state(measured)
+
+
+@settings(max_examples=150, deadline=None)
+@given(seeds)
+def test_idempotent_and_a_reason_for_every_change(seed):
+    command, sent, now = situation(seed)
+    once = guard(LIMITS, command, sent, now, PERIOD)
+    twice = guard(LIMITS, once.command, sent, now, PERIOD)
+    assert (twice.command == once.command).all()
+    assert (twice.reasons == 0).all()
+    assert ((once.reasons != 0) == (once.command != command).any(axis=-1)).all()
+
+
+@settings(max_examples=100, deadline=None)
+@given(seeds)
+def test_floor_is_never_approached_from_below_and_holds_from_above(seed):
+    command, sent, now = situation(seed)
+    out = guard(LIMITS, command, sent, now, PERIOD)
+    assert (clearance(out.command) >= np.minimum(clearance(sent), 0.0) - 1e-8).all()
+
+
+@settings(max_examples=50, deadline=None)
+@given(seeds)
+def test_a_batch_is_many_single_arms(seed):
+    command, sent, now = situation(seed)
+    period = np.random.default_rng(seed).uniform(0.01, 0.05, len(sent))
+    batch = guard(LIMITS, command, sent, now, period)
+    for b in range(len(sent)):
+        one = guard(LIMITS, command[[b]], sent[[b]], state(now.position[[b]]), period[[b]])
+        assert (one.command[0] == batch.command[b]).all()
+        assert one.reasons[0] == batch.reasons[b]
+
+
+def test_an_acceptable_command_passes_unchanged():
+    sent = np.tile(ARM.rest, (3, 1))
+    command = sent + 0.9 * REACH * np.array([[1.0], [0.0], [-1.0]])
+    out = guard(LIMITS, command, sent, state(sent), PERIOD)
+    assert (out.command == command).all()
+    assert (out.reasons == 0).all()
+
+
+def one(command, sent=None, position=None, **kwargs) -> Guarded:
+    sent = ARM.rest if sent is None else sent
+    position = sent if position is None else position
+    return guard(LIMITS, np.atleast_2d(command), np.atleast_2d(sent), state(position, **kwargs), PERIOD)
+
+
+def test_step_is_speed_times_period():
+    out = one(ARM.rest + 1.0)
+    np.testing.assert_allclose(out.command[0] - ARM.rest, np.radians(150.0) * 0.025)
+    assert out.reasons[0] == Reason.LEAD | Reason.STEP
+
+
+def test_a_long_period_does_not_allow_a_long_step():
+    sent = np.atleast_2d(ARM.rest)
+    out = guard(LIMITS, sent + 0.34, sent, state(sent), 5.0)
+    np.testing.assert_allclose(out.command - sent, ARM.max_speed[None] * LIMITS.max_period)
+    assert out.reasons[0] == Reason.STEP
+
+
+def test_lead_is_kept():
+    measured = ARM.rest - np.radians(19.0)
+    out = one(ARM.rest + np.radians(3.0), position=measured)
+    np.testing.assert_allclose(out.command[0], ARM.rest + np.radians(1.0))
+    assert out.reasons[0] == Reason.LEAD
+
+
+def test_position_limit_and_way_back_from_outside():
+    outside = ARM.rest.copy()
+    outside[2] = ARM.lower[2] - np.radians(2.0)
+    out = one(outside, sent=outside)
+    assert out.reasons[0] == Reason.POSITION
+    assert out.command[0, 2] == LIMITS.lower[2]
+    further = one(outside - 0.01, sent=outside)
+    assert further.command[0, 2] == LIMITS.lower[2]
+
+
+def posture_at(height):
+    """Shoulder angle at which the stretched arm's TCP is at ``height`` [m]."""
+    angles = np.linspace(0.0, np.radians(139.0), 20_000)
+    q = np.zeros((len(angles), 6))
+    q[:, 1] = -angles
+    heights = tcp_position(ARM, q)[:, 2]
+    return q[np.argmax(heights < height)]
+
+
+def test_floor_scales_the_step_back_and_lets_the_arm_leave():
+    sent = posture_at(ARM.floor + 0.002)
+    down = posture_at(ARM.floor - 0.01)
+    down = sent + (down - sent) * min(1.0, 0.9 * REACH[1] / np.abs(down - sent).max())
+    out = one(down, sent=sent)
+    assert out.reasons[0] == Reason.FLOOR
+    assert 0.0 <= tcp_position(ARM, out.command[0])[2] - ARM.floor < 0.001
+    below = posture_at(ARM.floor - 0.005)
+    up = below + 0.5 * (sent - below)
+    assert (one(up, sent=below).command[0] == up).all()
+    held = one(below - 0.3 * (sent - below), sent=below)
+    assert held.reasons[0] == Reason.FLOOR
+    np.testing.assert_allclose(held.command[0], below, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("reason", "change"),
+    [
+        (Reason.STALE, {"age": 1.0}),
+        (Reason.STALE, {"age": np.nan}),
+        (Reason.TEMPERATURE, {"temperature": np.array([[30.0, 30, 80, 30, 30, 30]])}),
+        (Reason.SERVO_FAULT, {"fault": np.array([[False, False, True, False, False, False]])}),
+        (Reason.OUT_OF_RANGE, {"position": ARM.rest + 5.0}),
+        (Reason.NOT_FINITE, {"position": ARM.rest * np.nan}),
+    ],
+)
+def test_trips_hold_and_are_named(reason, change):
+    out = one(ARM.rest + 0.01, **change)
+    assert out.reasons[0] == reason
+    assert out.tripped.all()
+    assert reason in TRIPS
+    assert (out.command[0] == ARM.rest).all()
+
+
+def test_warm_servos_and_a_young_state_do_not_trip():
+    out = one(ARM.rest + 0.01, age=0.1, temperature=np.full((1, 6), 50.0), fault=np.zeros((1, 6), bool))
+    assert out.reasons[0] == 0
+
+
+def test_inputs_are_not_changed():
+    command, sent, now = situation(3)
+    copies = command.copy(), sent.copy(), now.position.copy()
+    guard(LIMITS, command, sent, now, PERIOD)
+    for before, after in zip(copies, (command, sent, now.position), strict=True):
+        assert (before == after).all()
+
+
+def test_names_and_bad_limits():
+    assert reason_names(Reason.STEP | Reason.NOT_FINITE) == ("step", "not finite")
+    assert reason_names(0) == ()
+    with pytest.raises(InputError, match="max_speed needs 6"):
+        GuardLimits(arm=ARM, lower=ARM.lower, upper=ARM.upper, max_speed=np.ones(3))
+    with pytest.raises(InputError, match="max_lead must be positive"):
+        GuardLimits(arm=ARM, lower=ARM.lower, upper=ARM.upper, max_speed=ARM.max_speed, max_lead=0.0)
