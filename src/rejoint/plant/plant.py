@@ -1,0 +1,208 @@
+"""A batch of simulated worn arms: what a lab full of real ones would be.
+
+Shares no code with `rejoint.twin`, on purpose (see the package docstring). Arms do not collide with
+anything; mechanical stops end the travel of the joints.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from mujoco.batch import Batch
+from numpy.typing import NDArray
+
+from rejoint.arms import Arm, Array, gravity_torque, tcp_position
+from rejoint.errors import InputError
+from rejoint.plant import servo
+from rejoint.plant.model import build_model
+from rejoint.plant.streams import stream_keys
+from rejoint.plant.wear import PARAMETERS, Wear
+
+Mask = NDArray[np.bool_]
+Ids = NDArray[np.int64]
+
+
+class Plant:
+    """B simulated arms with clocks of their own, one per wear, each in millisecond steps.
+
+    Arm i draws its noise from the stream ``first + i`` of ``seed``, so it behaves bit for bit as it
+    would alone, ``Plant(arm, [wears[i]], seed=seed, first=first + i)``, at any number of threads.
+    """
+
+    def __init__(self, arm: Arm, wears: Sequence[Wear], *, seed: int, threads: int = 1, first: int = 0) -> None:
+        if not wears:
+            raise InputError("a plant needs at least one wear profile, got none")
+        self.arm = arm
+        self.count = len(wears)
+        self._joints = np.array([_joint_records(arm, wear) for wear in wears])
+        self._servos = np.zeros((self.count, arm.joints), servo.STATE)
+        self._tick = np.zeros(self.count, np.int64)
+        self._key = stream_keys(seed, self.count, first=first)
+        self._due = np.full((self.count, servo.QUEUE), servo.NEVER)
+        self._queue = np.zeros((self.count, servo.QUEUE, arm.joints))
+        self._history = np.zeros((self.count, servo.HISTORY, arm.joints))
+        self._batch = Batch(build_model(arm), self.count, threads)
+        armature = self._batch.expand("dof_armature")
+        armature[:, 0::2] = self._joints["reflected_inertia"]
+        armature[:, 1::2] = servo.gear_armature(self._joints["link_stiffness"])
+        self._qpos, self._qvel = self._batch.bind("qpos"), self._batch.bind("qvel")
+        self._applied = self._batch.bind("qfrc_applied")
+        self._servos["speed_limit"] = servo.RAMP_SPEED
+        self._servos["temperature"] = servo.AMBIENT
+        self.reset(np.tile(arm.rest, (self.count, 1)))
+
+    @property
+    def time(self) -> Array:
+        """(B,) [s] on the arms' own clocks."""
+        return np.asarray(self._tick * servo.STEP)
+
+    @property
+    def speed(self) -> Array:
+        """(B, n) [rad/s] of the servo outputs."""
+        return self._qvel[:, 0::2].copy()
+
+    @property
+    def torque(self) -> Array:
+        """(B, n) [N m] of the motors in the last step."""
+        return self._servos["torque"].copy()
+
+    @property
+    def temperature(self) -> Array:
+        """(B, n) [deg C] of the servos."""
+        return self._servos["temperature"].copy()
+
+    @property
+    def power(self) -> Mask:
+        """(B,) whether the servos are powered."""
+        return np.asarray(self._servos["powered"].all(axis=1))
+
+    @property
+    def goal(self) -> Array:
+        """(B, n) [rad] the command that the firmware follows."""
+        return self._servos["goal"].copy()
+
+    def link_position(self) -> Array:
+        """(B, n) [rad] angles of the links themselves, behind play and flex."""
+        return self._qpos[:, 0::2] + self._qpos[:, 1::2]
+
+    def true_tcp(self) -> Array:
+        """(B, 3) [m] where the tools really are."""
+        return tcp_position(self.arm, self.link_position())
+
+    def encoder(self, age: Array | float | None = None) -> Array:
+        """(B, n) [rad] what the encoders said ``age`` (B,) [s] ago, now if None."""
+        steps = np.rint(np.broadcast_to(0.0 if age is None else age, self.count) / servo.STEP).astype(np.int64)
+        if (steps < 0).any() or (steps >= servo.HISTORY).any():
+            raise InputError(f"encoder age must be within 0 and {(servo.HISTORY - 1) * servo.STEP} s, got {age}")
+        return self._history[np.arange(self.count), (self._tick - steps) % servo.HISTORY]
+
+    def reset(self, position: Array, where: Mask | None = None) -> None:
+        """Put the arms at servo angles ``position`` (B, n) [rad], at rest, in balance, held there.
+
+        The firmware's reference leads by what its gain needs against gravity, so nothing moves until
+        a command arrives. Clocks and temperatures go on; commands on their way are dropped.
+        """
+        position = self._checked(position)
+        load = gravity_torque(self.arm, position)
+        for _ in range(5):  # the flex moves the arm by a degree, which hardly changes the load
+            gear = -load / self._joints["link_stiffness"] - 0.5 * self._joints["play"] * np.sign(load)
+            load = gravity_torque(self.arm, position + gear)
+        held = self._selected(where)
+        self._qpos[held, 0::2], self._qpos[held, 1::2] = position[held], gear[held]
+        self._qvel[held], self._applied[held] = 0.0, 0.0
+        self._due[held] = servo.NEVER
+        limit = self._joints["torque_limit"]
+        lead = np.clip(load, -limit, limit) / self._joints["position_gain"]
+        fresh = {"goal": position + lead, "reference": position + lead, "bristle": 0.0, "measured_speed": 0.0}
+        for name, value in fresh.items():
+            self._servos[name][held] = np.broadcast_to(value, position.shape)[held]
+        self._servos["powered"][held] = True
+        self._servos["torque"][held] = np.clip(load, -limit, limit)[held]
+        step = self.arm.encoder_step
+        seen = position + np.where(self._joints["play_in_loop"], np.clip(gear, *self._half_play()), 0.0)
+        self._servos["measured"][held] = (np.rint(seen / step) * step)[held]
+        self._history[held] = self._servos["measured"][held][:, None]
+
+    def command(self, position: Array, delay: Array | float | None = None, where: Mask | None = None) -> None:
+        """Send ``position`` (B, n) [rad]; it reaches the firmware after ``delay`` (B,) [s], never earlier."""
+        position = self._checked(position)
+        wait = np.broadcast_to(0.0 if delay is None else delay, self.count)
+        if not (np.isfinite(wait).all() and (wait >= 0).all()):
+            raise InputError(f"a command needs a delay of at least 0 s, got {delay}")
+        due = self._tick + np.ceil(wait / servo.STEP - 1e-9).astype(np.int64)
+        for i in self._selected(where):
+            slot = int(np.argmax(self._due[i]))
+            if self._due[i, slot] != servo.NEVER:
+                raise InputError(f"arm {i}: more than {servo.QUEUE} commands on their way")
+            self._due[i, slot], self._queue[i, slot] = due[i], position[i]
+
+    def advance(self, duration: Array | float, where: Mask | None = None) -> None:
+        """Let ``duration`` (B,) [s] pass, rounded to whole milliseconds per arm."""
+        wanted = np.broadcast_to(duration, self.count)
+        if not (np.isfinite(wanted).all() and (wanted >= 0).all()):
+            raise InputError(f"an arm advances by at least 0 s, got {duration}")
+        steps = np.zeros(self.count, np.int64)
+        chosen = self._selected(where)
+        steps[chosen] = np.rint(wanted[chosen] / servo.STEP).astype(np.int64)
+        done = 0
+        for until in np.unique(steps[steps > 0]):  # arms with longer durations go on without the others
+            self._run(np.flatnonzero(steps >= until), int(until) - done)
+            done = int(until)
+
+    def set_power(self, on: Mask) -> None:
+        """Switch the servos of each arm (B,). Off: limp, only friction remains. On: hold where it is."""
+        rising = np.flatnonzero(on & ~self.power)
+        self._servos["powered"] = np.asarray(on)[:, None]
+        self._hold(rising, self.encoder())
+
+    def halt(self, where: Mask | None = None) -> None:
+        """Freeze the firmware's reference where its ramp is now and drop commands on their way."""
+        self._hold(self._selected(where), self._servos["reference"])
+
+    def set_speed_limit(self, speed: Array | float) -> None:
+        """Limit the speed of the reference: (B,), (B, n) or a number, [rad/s], above 0."""
+        speed = np.asarray(speed, dtype=float)
+        if not (np.isfinite(speed).all() and (speed > 0).all()):
+            raise InputError(f"a speed limit must be above 0 rad/s, got {speed.tolist()}")
+        self._servos["speed_limit"] = speed[:, None] if speed.ndim == 1 else speed
+
+    def _hold(self, ids: Ids, position: Array) -> None:
+        self._due[ids] = servo.NEVER
+        self._servos["goal"][ids] = self._servos["reference"][ids] = position[ids]
+
+    def _run(self, ids: Ids, steps: int) -> None:
+        stepped = None if len(ids) == self.count else ids
+        for _ in range(steps):
+            servo.drive(
+                ids, self._tick, self._key, self._joints, self._servos, self._due, self._queue,
+                self._qpos, self._qvel, self._applied,
+            )  # fmt: skip
+            self._batch.step(stepped)
+            servo.record(ids, self._tick, self._joints, self._qpos, self._history)
+
+    def _half_play(self) -> tuple[Array, Array]:
+        half = 0.5 * self._joints["play"]
+        return -half, half
+
+    def _selected(self, where: Mask | None) -> Ids:
+        return np.arange(self.count) if where is None else np.flatnonzero(where)
+
+    def _checked(self, position: Array) -> Array:
+        position = np.asarray(position, dtype=float)
+        if position.shape != (self.count, self.arm.joints) or not np.isfinite(position).all():
+            raise InputError(
+                f"expected finite joint positions of shape {(self.count, self.arm.joints)} [rad], got {position!r}"
+            )
+        return position
+
+
+def _joint_records(arm: Arm, wear: Wear) -> NDArray[np.void]:
+    if wear.position_gain.shape != (arm.joints,):
+        raise InputError(f"wear {wear.name} is for {len(wear.position_gain)} joints, arm {arm.name} has {arm.joints}")
+    records = np.zeros(arm.joints, servo.JOINT)
+    for name in PARAMETERS:
+        records[name] = getattr(wear, name)
+    records["play_in_loop"], records["encoder_step"] = wear.play_in_loop, arm.encoder_step
+    records["lower"], records["upper"] = arm.lower, arm.upper
+    return records

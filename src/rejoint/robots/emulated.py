@@ -1,0 +1,103 @@
+"""Worn arms in this process, in virtual time: the plant behind a channel with latency and jitter."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from rejoint.arms import Arm, Array
+from rejoint.control.robot import JointState, Mask
+from rejoint.errors import InputError
+from rejoint.plant.channel import Channel, Interval
+from rejoint.plant.plant import Plant
+from rejoint.plant.streams import stream_keys
+from rejoint.plant.wear import Wear
+
+_CHANNEL_PURPOSE = 1
+
+
+class EmulatedRobot:
+    """B emulated arms, one per wear; no time passes but in `step`.
+
+    Arm i draws all its noise from the streams ``first + i`` of ``seed`` and so moves bit for bit as it
+    would alone, at any number of threads and whatever the other arms do.
+    """
+
+    def __init__(
+        self,
+        arm: Arm,
+        wears: Sequence[Wear],
+        *,
+        address: str = "emulated:worn",
+        seed: int = 0,
+        period: Interval = (0.020, 0.030),
+        command_latency: Interval = (0.008, 0.013),
+        readback_age: Interval = (0.006, 0.013),
+        threads: int = 1,
+        start: Array | None = None,
+        first: int = 0,
+    ) -> None:
+        """Put the arms at rest at ``start`` (B, n) or (n,) [rad], by default in the rest posture."""
+        self._address = address
+        self._channel = Channel(latency=command_latency, age=readback_age, period=period)
+        self.plant = Plant(arm, wears, seed=seed, threads=threads, first=first)
+        self._keys = stream_keys(seed, len(wears), first=first, purpose=_CHANNEL_PURPOSE)
+        self._cycle = np.zeros(len(wears), np.int64)
+        self._position = np.zeros((len(wears), arm.joints))
+        self.restart(arm.rest if start is None else start)
+
+    @property
+    def arm(self) -> Arm:
+        """The arm's kinematics, limits and masses."""
+        return self.plant.arm
+
+    @property
+    def address(self) -> str:
+        """Where the robot is, as the user wrote it."""
+        return self._address
+
+    @property
+    def count(self) -> int:
+        """Number B of arms."""
+        return self.plant.count
+
+    def restart(self, start: Array, where: Mask | None = None) -> None:
+        """Put arms at rest at ``start`` (B, n) or (n,) [rad], as nobody can do with a real one."""
+        shape = (self.count, self.arm.joints)
+        if np.shape(start) not in (shape, shape[1:]):
+            raise InputError(f"expected a start of shape {shape} or {shape[1:]} [rad], got {np.shape(start)}")
+        self.plant.reset(np.broadcast_to(start, shape), where)
+        self._position = self._merge(self.plant.encoder(), where)
+
+    def read(self) -> JointState:
+        """Return the newest joint state; reading takes no virtual time."""
+        return JointState(
+            time=self.plant.time,
+            position=self._position.copy(),
+            age=np.zeros(self.count),
+            temperature=self.plant.temperature,
+        )
+
+    def step(self, command: Array, active: Mask | None = None) -> JointState:
+        """Send ``command`` (B, n) [rad], let one period pass, read; arms not ``active`` stand still in time."""
+        delays = self._channel.draw(self._keys, self._cycle)
+        self.plant.command(command, delays.latency, active)
+        self.plant.advance(delays.period, active)
+        self._position = self._merge(self.plant.encoder(delays.age), active)
+        self._cycle += 1 if active is None else active
+        return self.read()
+
+    def true_tcp(self) -> Array:
+        """(B, 3) [m] where the tools really are."""
+        return self.plant.true_tcp()
+
+    def stop(self) -> None:
+        """Make the arms hold: the firmware's reference stays where its ramp is."""
+        self.plant.halt()
+
+    def close(self) -> None:
+        """Nothing to release."""
+
+    def _merge(self, position: Array, where: Mask | None) -> Array:
+        return position if where is None else np.where(where[:, None], position, self._position)
