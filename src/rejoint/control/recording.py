@@ -1,0 +1,131 @@
+"""What the control loop saw and sent: one row per control cycle, for a whole batch of arms."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, fields
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rejoint.arms import Array
+from rejoint.control.guard import Reasons
+from rejoint.control.robot import Mask, Robot
+from rejoint.runs import RunLog
+
+
+class Cycle(NamedTuple):
+    """One control cycle of B arms."""
+
+    time: Array
+    """(B,) [s] robot clock at which the state was read"""
+    position: Array
+    """(B, n) [rad] measured"""
+    command: Array
+    """(B, n) [rad] sent right after; repeats the last one where an arm was done or stopped"""
+    target: Array
+    """(B, 3) [m] target in force when the state was read; NaN where there is none"""
+    target_index: NDArray[np.intp]
+    """(B,) its index"""
+    since_target: Array
+    """(B,) [s] time since it was set"""
+    true_tcp: Array
+    """(B, 3) [m], NaN where nobody knows"""
+    active: Mask
+    """(B,) whether the state is news: False once an arm is done or stopped"""
+    reasons: Reasons
+    """(B,) flags of the guard"""
+
+
+OnCycle = Callable[[Cycle], object]
+"""Called after every cycle with its row; what it raises ends the run."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Recording:
+    """T cycles of B arms; every field of `Cycle` with a leading axis T."""
+
+    arm: str
+    joint_names: tuple[str, ...]
+    robot: str
+    """address of the robot"""
+    controller: str
+    time: Array
+    """(T, B) [s]"""
+    position: Array
+    """(T, B, n) [rad]"""
+    command: Array
+    """(T, B, n) [rad]"""
+    target: Array
+    """(T, B, 3) [m]"""
+    target_index: NDArray[np.intp]
+    """(T, B)"""
+    since_target: Array
+    """(T, B) [s]"""
+    true_tcp: Array
+    """(T, B, 3) [m]"""
+    active: NDArray[np.bool_]
+    """(T, B)"""
+    reasons: Reasons
+    """(T, B)"""
+    tripped: Reasons
+    """(B,) flags with which the guard stopped an arm, 0 where it did not"""
+
+    def __post_init__(self) -> None:
+        for item in fields(self):
+            value = getattr(self, item.name)
+            if isinstance(value, np.ndarray):
+                value.setflags(write=False)
+
+    def log(self, b: int, label: str, extra: Mapping[str, str] | None = None) -> RunLog:
+        """Return the run log of arm ``b``: the rows with news, on a clock that increases."""
+        rows = np.flatnonzero(self.active[:, b])
+        times = self.time[rows, b]
+        earlier = np.concatenate([[-np.inf], np.maximum.accumulate(times)[:-1]])
+        rows = rows[times > earlier]
+        return RunLog(
+            arm=self.arm, joint_names=self.joint_names, robot=self.robot, label=label,
+            time=self.time[rows, b], position=self.position[rows, b], command=self.command[rows, b],
+            target=self.target[rows, b], true_tcp=self.true_tcp[rows, b],
+            extra={"controller": self.controller, **(extra or {})},
+        )  # fmt: skip
+
+
+@dataclass(kw_only=True, eq=False)
+class Recorder:
+    """Collects cycles while they happen; `recording` can be asked for at any moment."""
+
+    robot: Robot
+    controller: str
+    cycles: list[Cycle] = field(default_factory=list)
+
+    def recording(self, tripped: Reasons) -> Recording:
+        """Return everything so far as arrays; ``tripped`` (B,) as in `Recording`."""
+        robot, columns = self.robot, self._columns()
+        return Recording(
+            arm=robot.arm.name, joint_names=robot.arm.joint_names, robot=robot.address, controller=self.controller,
+            tripped=np.array(tripped), **columns,
+        )  # fmt: skip
+
+    def _columns(self) -> dict[str, NDArray[Any]]:
+        count, n = self.robot.count, self.robot.arm.joints
+        if self.cycles:
+            return {name: np.stack([getattr(c, name) for c in self.cycles]) for name in Cycle._fields}
+        vector, point, number = np.zeros((0, count, n)), np.zeros((0, count, 3)), np.zeros((0, count))
+        empty = Cycle(
+            number, vector, vector, point, number.astype(np.intp), number, point, number.astype(bool),
+            number.astype(np.uint16),
+        )  # fmt: skip
+        return {name: column.copy() for name, column in empty._asdict().items()}
+
+
+def attach(error: BaseException, recording: Recording) -> None:
+    """Tie the recording so far to the error that ended it."""
+    error.recording = recording  # type: ignore[attr-defined]
+
+
+def recording_of(error: BaseException) -> Recording | None:
+    """Return the recording that a failed run left behind, None if it failed before the first state was read."""
+    found = getattr(error, "recording", None)
+    return found if isinstance(found, Recording) else None
