@@ -1,0 +1,263 @@
+"""Figures as pure functions from arrays to a matplotlib `Figure`.
+
+Nothing here knows where the numbers come from. Figures are made without pyplot, hence without
+global state. Each keeps to a size that stays readable on a phone: wide matter is split into
+several figures, which the page places side by side.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.axis import Axis
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, MultipleLocator, NullFormatter
+from numpy.typing import NDArray
+
+from rejoint.arms import Array
+from rejoint.report.palette import INK, Look
+
+FONT = 8.5
+"""[pt] chosen: 11 px on the page, about the size of its small print"""
+REACHED_MM = 10.0
+"""[mm] radius within which a target counts as reached; Park et al. 2024, section IV.A"""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Series:
+    """One group of values with its name and look."""
+
+    label: str
+    look: Look
+    value: Array
+    """(K,) centre; NaN is left out"""
+    low: Array | None = None
+    """(K,) lower end of the interval or spread"""
+    high: Array | None = None
+    """(K,) upper end"""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Path3:
+    """The way of a TCP through a sequence of targets."""
+
+    label: str
+    look: Look
+    tcp: Array
+    """(T, 3) [m]"""
+    targets: Array
+    """(K, 3) [m] in the order of the visit"""
+    radius: float = REACHED_MM / 1e3
+    """[m] drawn around each target"""
+
+
+def canvas(
+    size: tuple[float, float], rows: int = 1, columns: int = 1, widths: Sequence[float] | None = None
+) -> tuple[Figure, NDArray[Any]]:
+    """Make an empty figure of ``size`` [inch] with a grid of styled axes (rows, columns) that share x by column."""
+    figure = Figure(figsize=size, layout="constrained", facecolor="none")
+    grid = figure.subplots(rows, columns, squeeze=False, sharex="col", width_ratios=widths)
+    for axes in grid.flat:
+        _style(axes)
+    return figure, grid
+
+
+def _style(axes: Axes) -> None:
+    axes.set_facecolor("none")
+    axes.set_axisbelow(True)
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)
+    for side in ("left", "bottom"):
+        axes.spines[side].set(color=INK, alpha=0.45, linewidth=0.8)
+    axes.tick_params(which="both", colors=INK, labelsize=FONT, length=3, width=0.7)
+    axes.grid(visible=True, color=INK, alpha=0.12, linewidth=0.6)
+    for text in (axes.xaxis.label, axes.yaxis.label, axes.title):
+        text.set(color=INK, fontsize=FONT)
+
+
+def _title(axes: Axes, text: str) -> None:
+    axes.set_title(text, loc="left", fontsize=FONT + 0.5, color=INK, fontweight="bold")
+
+
+def _legend(figure: Figure, axes: Axes, columns: int) -> None:
+    handles, labels = axes.get_legend_handles_labels()
+    figure.legend(
+        handles, labels, loc="outside upper left", ncols=columns, frameon=False, fontsize=FONT, labelcolor=INK,
+        handlelength=2.6, columnspacing=1.4, borderpad=0.1,
+    )  # fmt: skip
+
+
+def _plain_log(axis: Axis) -> None:
+    axis.set_major_locator(LogLocator(base=10, subs=(1.0, 2.0, 5.0)))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_formatter(NullFormatter())
+
+
+def error_per_target(series: Sequence[Series]) -> Figure:
+    """Draw the TCP error [mm] at each of K targets as grouped bars, with the success radius."""
+    figure, grid = canvas((7.2, 3.1))
+    axes, count = grid[0, 0], len(series[0].value)
+    width = 0.8 / len(series)
+    for i, one in enumerate(series):
+        at = np.arange(1, count + 1) + (i - (len(series) - 1) / 2) * width
+        axes.bar(
+            at, one.value, width * 0.92, label=one.label, color=one.look.colour, hatch=one.look.hatch,
+            edgecolor="white", linewidth=0.0, yerr=_whiskers(one), ecolor=INK, error_kw={"elinewidth": 0.7},
+        )  # fmt: skip
+    axes.axhline(REACHED_MM, color=INK, linewidth=0.9, linestyle=(0, (4, 3)))
+    axes.annotate(
+        f"counts as reached: {REACHED_MM:g} mm", (1, REACHED_MM), xycoords=("axes fraction", "data"),
+        xytext=(0, 2), textcoords="offset points", ha="right", fontsize=FONT - 1, color=INK,
+    )  # fmt: skip
+    axes.set(xlabel="target", ylabel="error [mm]", xlim=(0.4, count + 0.6), ylim=(0, None))
+    axes.set_xticks(np.arange(1, count + 1))
+    axes.grid(visible=False, axis="x")
+    _legend(figure, axes, min(len(series), 4))
+    return figure
+
+
+def _whiskers(one: Series) -> Array | None:
+    if one.low is None or one.high is None:
+        return None
+    return np.clip(np.stack([one.value - one.low, one.high - one.value]), 0, None)
+
+
+def intervals(rows: Sequence[Series], xlabel: str, *, log: bool = False) -> Figure:
+    """Draw one row per series: its first value with its interval, on a common axis.
+
+    A second value of a series, where there is one, is drawn hollow in the same row.
+    """
+    figure, grid = canvas((5.2, 0.75 + 0.3 * len(rows)))
+    axes = grid[0, 0]
+    for y, one in enumerate(rows):
+        bars = _whiskers(one)
+        for k, value in enumerate(one.value):
+            axes.errorbar(
+                value, y, xerr=None if bars is None else bars[:, k : k + 1], fmt=one.look.marker, markersize=6,
+                color=one.look.colour, markerfacecolor=one.look.colour if k == 0 else "none", capsize=2.5,
+                linewidth=1.6,
+            )  # fmt: skip
+    if log:
+        axes.set_xscale("log")
+        _plain_log(axes.xaxis)
+    else:
+        axes.set_xlim(left=0)
+    axes.set_yticks(range(len(rows)), [one.label for one in rows])
+    axes.set(xlabel=xlabel, ylim=(len(rows) - 0.5, -0.5))
+    return figure
+
+
+def trajectory(path: Path3, limits: Array) -> Figure:
+    """Draw one path from above (x up, y to the left, as one sees it over the base) and from the side (x, z).
+
+    ``limits`` (3, 2) [m] are the same for every path that is to be compared.
+    """
+    low, high = limits[:, 0] * 1e3, limits[:, 1] * 1e3
+    spans = high - low
+    width = 5.4
+    scale = (width - 1.5) / (spans[1] + spans[0])
+    figure, grid = canvas((width, 1.0 + scale * max(spans[0], spans[2])), 1, 2, (spans[1], spans[0]))
+    views = (("from above", 1, 0), ("from the side", 0, 2))
+    for axes, (name, across, up) in zip(grid[0], views, strict=True):
+        _path(axes, path, across, up)
+        axes.set(xlim=(low[across], high[across]), ylim=(low[up], high[up]), aspect="equal", anchor="N")
+        axes.set(xlabel="xyz"[across] + " [mm]", ylabel="xyz"[up] + " [mm]")
+        for axis, span in ((axes.xaxis, spans[across]), (axes.yaxis, spans[up])):
+            axis.set_major_locator(MultipleLocator(50 if span < 400 else 100))
+        _title(axes, name)
+    grid[0, 0].invert_xaxis()
+    return figure
+
+
+def _path(axes: Axes, path: Path3, across: int, up: int) -> None:
+    points, goals = path.tcp * 1e3, path.targets * 1e3
+    axes.plot(points[:, across], points[:, up], color=path.look.colour, linewidth=1.1, label=path.label)
+    axes.plot(points[0, across], points[0, up], "s", markersize=4.5, color=path.look.colour)
+    angle = np.linspace(0, 2 * np.pi, 41)
+    for number, goal in enumerate(goals, start=1):
+        axes.plot(
+            goal[across] + path.radius * 1e3 * np.cos(angle), goal[up] + path.radius * 1e3 * np.sin(angle),
+            color=INK, linewidth=0.7, alpha=0.7,
+        )  # fmt: skip
+        axes.plot(goal[across], goal[up], "+", markersize=4, color=INK, markeredgewidth=0.8)
+        axes.annotate(
+            str(number), (goal[across], goal[up]), xytext=(5, 5), textcoords="offset points", fontsize=FONT - 1.5,
+            color=INK,
+        )  # fmt: skip
+
+
+def error_over_time(time: Array, series: Sequence[Series], ylabel: str = "encoder error [mm]") -> Figure:
+    """Draw error [mm] over ``time`` (K,) [s] since the target was set, log axis, with its spread."""
+    figure, grid = canvas((7.2, 3.6))
+    axes = grid[0, 0]
+    for one in series:
+        axes.plot(time, one.value, color=one.look.colour, linestyle=one.look.dash, linewidth=1.7, label=one.label)
+        if one.low is not None and one.high is not None:
+            axes.fill_between(time, one.low, one.high, color=one.look.colour, alpha=0.16, linewidth=0)
+    axes.set_yscale("log")
+    _plain_log(axes.yaxis)
+    for level in (10.0, 5.0, 2.0):
+        axes.axhline(level, color=INK, linewidth=0.6, alpha=0.5, linestyle=(0, (4, 3)))
+    axes.set(xlabel="time since the target was set [s]", ylabel=ylabel, xlim=(time[0], time[-1]))
+    _legend(figure, axes, min(len(series), 4))
+    return figure
+
+
+def by_joint(title: str, joints: Sequence[str], measured: Series, reference: Series | None = None) -> Figure:
+    """Draw one quantity per joint with its interval over a reference value or range.
+
+    ``reference`` gives a value per joint (a line), a range (a pale bar), or both; NaN is left out.
+    """
+    figure, grid = canvas((3.1, 2.3))
+    axes, at = grid[0, 0], np.arange(len(joints))
+    if reference is not None and reference.low is not None and reference.high is not None:
+        axes.bar(
+            at, reference.high - reference.low, bottom=reference.low, width=0.62, color=reference.look.colour,
+            alpha=0.25, linewidth=0, label=reference.label,
+        )  # fmt: skip
+    if reference is not None and np.isfinite(reference.value).any():
+        axes.hlines(
+            reference.value, at - 0.31, at + 0.31, color=reference.look.colour, linewidth=2.2, label=reference.label
+        )
+    axes.errorbar(
+        at, measured.value, yerr=_whiskers(measured), fmt=measured.look.marker, color=measured.look.colour,
+        markersize=5, capsize=2.5, linewidth=1.4, label=measured.label,
+    )  # fmt: skip
+    axes.set_xticks(at, list(joints))
+    axes.set_xlim(-0.6, len(joints) - 0.4)
+    axes.yaxis.set_major_locator(MaxNLocator(5))
+    axes.grid(visible=False, axis="x")
+    _title(axes, title)
+    return figure
+
+
+def ranked_bars(labels: Sequence[str], values: Array, looks: Sequence[Look], xlabel: str) -> Figure:
+    """Draw horizontal bars with their values (K,) written at the end."""
+    figure, grid = canvas((5.2, 0.6 + 0.34 * len(labels)))
+    axes = grid[0, 0]
+    for y, (value, look) in enumerate(zip(values, looks, strict=True)):
+        axes.barh(y, value, height=0.62, color=look.colour, hatch=look.hatch, edgecolor="white", linewidth=0)
+        if np.isfinite(value):
+            axes.annotate(
+                f"{value:.3g}", (value, y), xytext=(4, 0), textcoords="offset points", va="center", fontsize=FONT,
+                color=INK,
+            )  # fmt: skip
+    axes.set_yticks(range(len(labels)), list(labels))
+    axes.set(xlabel=xlabel, ylim=(len(labels) - 0.5, -0.5), xlim=(0, 1.15 * np.nanmax(values)))
+    axes.grid(visible=False, axis="y")
+    return figure
+
+
+def training_curves(steps: Array, curves: Sequence[tuple[str, Array]], look: Look) -> Figure:
+    """Draw each named curve (K,) over environment ``steps`` (K,), one panel above the other."""
+    figure, grid = canvas((7.2, 0.5 + 1.35 * len(curves)), len(curves))
+    for axes, (name, values) in zip(grid[:, 0], curves, strict=True):
+        axes.plot(steps / 1e6, values, color=look.colour, linewidth=1.5)
+        axes.yaxis.set_major_locator(MaxNLocator(4))
+        _title(axes, name)
+    grid[-1, 0].set(xlabel="environment steps [million]", xlim=(steps[0] / 1e6, steps[-1] / 1e6))
+    return figure

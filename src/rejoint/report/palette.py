@@ -1,0 +1,51 @@
+"""One look per controller, the same in every figure, table and theme.
+
+Colours are the colour-blind-safe set of Okabe and Ito, "Color Universal Design" (2008), on a light
+ground; the dark variants are lightened by eye to keep a contrast of at least 4.5 : 1. No figure
+relies on colour alone: marker, dash and hatch differ as well.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+INK = "#1b1f24"
+"""Text and axes; becomes the text colour of the page."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Look:
+    """How one series is drawn."""
+
+    colour: str
+    """on a light ground"""
+    dark: str
+    """on a dark ground"""
+    marker: str
+    dash: str | tuple[float, tuple[float, ...]]
+    hatch: str
+
+
+GREY = Look(colour="#6b7280", dark="#a3abb8", marker="o", dash=(0, (1, 1.4)), hatch="")
+ORANGE = Look(colour="#c47a00", dark="#f0ad33", marker="s", dash=(0, (5, 1.5)), hatch="///")
+RED = Look(colour="#c44e00", dark="#f57c3a", marker="D", dash=(0, (4, 1.2, 1, 1.2)), hatch="xxx")
+GREEN = Look(colour="#00815f", dark="#2cc79b", marker="^", dash=(0, (7, 1.5)), hatch="...")
+PURPLE = Look(colour="#a8487c", dark="#df8fbb", marker="v", dash=(0, (3, 1, 1, 1, 1, 1)), hatch="\\\\\\")
+BLUE = Look(colour="#0069a8", dark="#56b4e9", marker="P", dash="-", hatch="")
+BROWN = Look(colour="#7a5c2e", dark="#c9a56b", marker="X", dash=(0, (2, 1)), hatch="+++")
+
+LOOKS = (GREY, ORANGE, RED, GREEN, PURPLE, BLUE, BROWN)
+
+CONTROLLERS = {
+    "default": GREY,
+    "pid-sum": ORANGE,
+    "pid-literal": RED,
+    "integrator": GREEN,
+    "feedforward": PURPLE,
+    "policy": BLUE,
+}
+
+
+def look_of(controller: str) -> Look:
+    """Return the look of a controller; one that is not in `CONTROLLERS` is brown."""
+    return CONTROLLERS.get(controller, BROWN)
