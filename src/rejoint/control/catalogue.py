@@ -1,0 +1,47 @@
+"""Controllers by name, as the command line and the comparison ask for them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from rejoint.arms import Arm, Array
+from rejoint.control.controller import Controller
+from rejoint.control.default import DefaultController
+from rejoint.control.feedforward import NOMINAL_STIFFNESS, FeedforwardController
+from rejoint.control.integrator import IntegratorController
+from rejoint.control.pid import PidController, PidGains
+from rejoint.errors import InputError
+
+BASELINES: dict[str, Callable[[Arm], Controller]] = {
+    "default": DefaultController,
+    "pid-sum": lambda arm: PidController(arm, PidGains(integral_times_period=False)),
+    "pid-literal": lambda arm: PidController(arm, PidGains(integral_times_period=True)),
+    "integrator": IntegratorController,
+    "feedforward": FeedforwardController,
+}
+"""Everything but the policy, from the simplest to the most demanding."""
+
+CONTROLLERS = (*BASELINES, "policy")
+"""Names that `make_controller` knows."""
+
+
+def make_controller(
+    name: str, arm: Arm, *, stiffness: Array | float = NOMINAL_STIFFNESS, policy: Path | None = None
+) -> Controller:
+    """Build the controller called ``name``.
+
+    ``stiffness`` (n,) [N m/rad] is what the feed-forward believes of the servos; ``policy`` is the
+    file that the name ``policy`` needs. InputError names the alternatives.
+    """
+    if name == "policy":
+        if policy is None:
+            raise InputError("the controller 'policy' needs a policy file; train one or name its path")
+        from rejoint.control.policy import load_policy  # ONNX Runtime is slow to import and not needed elsewhere
+
+        return load_policy(policy, arm)
+    if name == "feedforward":
+        return FeedforwardController(arm, stiffness)
+    if name not in BASELINES:
+        raise InputError(f"no controller is called {name!r}; known controllers: {', '.join(CONTROLLERS)}")
+    return BASELINES[name](arm)

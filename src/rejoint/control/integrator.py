@@ -1,0 +1,52 @@
+"""The integrator: damped least squares on the last command, with anti-windup.
+
+Each cycle the command moves by a fraction of the joint step that would bring the measured TCP to
+the target. A soft servo needs its command ahead of the position; since the steps are added to the
+last command, that lead builds up by itself until the TCP error is gone. The simplest law that a
+learned policy has to beat.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rejoint.arms import Arm, Array, clip_norm
+from rejoint.control.controller import Situation
+from rejoint.control.law import GAIN, dls_step, limit_lead, limit_position, null_space
+from rejoint.control.robot import Mask
+
+
+@dataclass(frozen=True, kw_only=True)
+class IntegratorGains:
+    """Settings of the integrator; all chosen on simulated worn arms."""
+
+    gain: float = GAIN
+    """fraction of the step per cycle; twice as much oscillates where gears have play"""
+    lead: float = np.radians(15.0)
+    """[rad] anti-windup: largest distance of the command from the measured position"""
+    rest_gain: float = 0.01
+    """fraction of the way back to the rest posture per cycle, in the null space"""
+    rest_step: float = np.radians(0.1)
+    """[rad] largest step of that pull: about one encoder count, so that it never disturbs the TCP"""
+
+
+class IntegratorController:
+    """Integrates the TCP error into the command."""
+
+    name = "integrator"
+
+    def __init__(self, arm: Arm, gains: IntegratorGains = IntegratorGains()) -> None:
+        self._arm, self._gains = arm, gains
+
+    def reset(self, situation: Situation, where: Mask) -> None:
+        """Do nothing: the memory is the last command, and it carries over."""
+
+    def command(self, situation: Situation) -> Array:
+        """Return the last command, moved towards the target, (B, n) [rad]."""
+        arm, gains, measured = self._arm, self._gains, situation.state.position
+        seen = dls_step(arm, measured, situation.target)
+        pull = clip_norm(null_space(seen.jacobian, gains.rest_gain * (arm.rest - situation.sent)), gains.rest_step)
+        command = situation.sent + gains.gain * seen.step + pull
+        return limit_position(arm, limit_lead(command, measured, gains.lead))
