@@ -1,0 +1,63 @@
+"""A worn arm for anyone to connect to: plant, firmware and server put together."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import cast
+
+from rejoint.arms import Arm
+from rejoint.emulator.firmware import Firmware, PlantLike
+from rejoint.emulator.servers import serve_pty, serve_tcp
+from rejoint.emulator.session import TruthLog
+from rejoint.errors import FileError
+
+
+def build_firmware(arm: Arm, wear_name: str, *, seed: int = 0) -> Firmware:
+    """Put an arm with the wear profile ``wear_name``, at rest in its rest posture, behind firmware."""
+    from rejoint.plant.plant import Plant
+    from rejoint.plant.wear import load_wear
+
+    plant = Plant(arm, [load_wear(wear_name, arm)], seed=seed)
+    firmware = Firmware(cast(PlantLike, plant), arm, seed=seed)
+    firmware.advance(0.01)  # compiles the plant now instead of during the first request
+    return firmware
+
+
+def emulate(
+    arm: Arm,
+    wear_name: str,
+    *,
+    host: str = "127.0.0.1",
+    port: int = 9000,
+    pty: bool = False,
+    seed: int = 0,
+    announce: Callable[[str], None],
+    log: Path | None = None,
+) -> None:
+    """Serve a worn arm until interrupted (Ctrl-C); ``announce`` gets its address once it can be reached.
+
+    With ``log`` the true tool position is written there as CSV. Raises InputError if the port cannot
+    be used, ProfileError for a wear profile that does not exist, FileError if the log cannot be written.
+    """
+    firmware = build_firmware(arm, wear_name, seed=seed)
+    truth = None
+    if log is not None:
+        try:
+            truth = TruthLog.open(log, arm.joints)
+        except OSError as error:
+            raise FileError(log, f"cannot be written ({error.strerror})", "choose another path") from error
+    server = None
+    try:
+        server = serve_pty(firmware, seed=seed, log=truth) if pty else serve_tcp(
+            firmware, host, port, seed=seed, log=truth
+        )  # fmt: skip
+        announce(server.address)
+        server.run()
+    except KeyboardInterrupt:
+        return
+    finally:
+        if server is not None:
+            server.stop()
+        if truth is not None:
+            truth.close()

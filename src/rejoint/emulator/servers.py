@@ -1,0 +1,179 @@
+"""The emulated robot where a client finds it: a TCP port, or a pseudo-terminal in place of a serial port.
+
+Like the vendor's server on the robot, the TCP server speaks to one client at a time; others wait in
+the backlog. No client can end a server: garbage is skipped, a broken connection makes room for the
+next one.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import pty
+import socket
+import threading
+import tty
+from abc import ABC, abstractmethod
+from types import TracebackType
+from typing import Self
+
+from rejoint.emulator.firmware import Firmware
+from rejoint.emulator.session import Session, Timing, TruthLog
+from rejoint.errors import InputError
+
+BACKLOG = 1
+"""Clients that may wait, as in the vendor's server."""
+SEND_PATIENCE = 1.0
+"""[s] before a client that takes no answers counts as gone (chosen)"""
+_CHUNK = 1024
+
+
+class Server(ABC):
+    """Serves in the calling thread (`run`) or in one of its own (as a context manager)."""
+
+    def __init__(self, session: Session, address: str) -> None:
+        self.address = address
+        """where a robot driver finds it, such as ``tcp://127.0.0.1:9000``"""
+        self._session = session
+        self._thread: threading.Thread | None = None
+
+    @abstractmethod
+    def run(self) -> None:
+        """Serve until `stop` is called from another thread or a signal ends it."""
+
+    def start(self) -> None:
+        """Serve in a thread."""
+        self._thread = threading.Thread(target=self.run, name=f"emulator {self.address}", daemon=True)
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End serving and release the port."""
+        self._session.end()
+        if self._thread is not None:
+            self._thread.join()
+        self._close()
+
+    @abstractmethod
+    def _close(self) -> None:
+        """Release the port."""
+
+    def __enter__(self) -> Self:
+        self.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.stop()
+
+
+class _SocketChannel:
+    """One accepted connection."""
+
+    def __init__(self, connection: socket.socket) -> None:
+        self._connection = connection
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        connection.settimeout(SEND_PATIENCE)
+
+    def fileno(self) -> int:
+        return self._connection.fileno()
+
+    def receive(self) -> bytes:
+        return self._connection.recv(_CHUNK)
+
+    def send(self, data: bytes) -> None:
+        self._connection.sendall(data)
+
+
+class _TcpServer(Server):
+    """Listens from its construction by `serve_tcp` on."""
+
+    def __init__(self, session: Session, listener: socket.socket) -> None:
+        host, port = listener.getsockname()[:2]
+        super().__init__(session, f"tcp://{host}:{port}")
+        self._listener = listener
+
+    def run(self) -> None:
+        while not self._session.stopping:
+            if not self._session.wait(self._listener.fileno(), float("inf")):
+                continue
+            try:
+                connection, _ = self._listener.accept()
+            except OSError:
+                continue  # the client left before it was its turn
+            with connection:
+                self._session.converse(_SocketChannel(connection))
+
+    def _close(self) -> None:
+        self._listener.close()
+
+
+class _TerminalChannel:
+    """The robot's end of a pseudo-terminal; it never ends, whoever opens and closes the other end."""
+
+    def __init__(self, descriptor: int) -> None:
+        self._descriptor = descriptor
+
+    def fileno(self) -> int:
+        return self._descriptor
+
+    def receive(self) -> bytes:
+        return os.read(self._descriptor, _CHUNK)
+
+    def send(self, data: bytes) -> None:
+        with contextlib.suppress(BlockingIOError):  # nobody reads: lost, as on a wire
+            os.write(self._descriptor, data)
+
+
+class _TerminalServer(Server):
+    def __init__(self, session: Session, own: int, client: int) -> None:
+        super().__init__(session, f"serial://{os.ttyname(client)}?baud=1000000")
+        self._own, self._client = own, client
+
+    def run(self) -> None:
+        while not self._session.stopping:
+            self._session.converse(_TerminalChannel(self._own))
+
+    def _close(self) -> None:
+        os.close(self._own)
+        os.close(self._client)
+
+
+def serve_tcp(
+    firmware: Firmware,
+    host: str = "127.0.0.1",
+    port: int = 9000,
+    *,
+    timing: Timing | None = None,
+    seed: int = 0,
+    log: TruthLog | None = None,
+) -> Server:
+    """Listen on a TCP port (0: any free one); InputError if that is not possible. Run it to serve."""
+    try:
+        family, _, _, _, place = socket.getaddrinfo(host, port, socket.AF_INET, socket.SOCK_STREAM)[0]
+        listener = socket.socket(family, socket.SOCK_STREAM)
+    except (OSError, OverflowError) as error:
+        raise InputError(f"cannot listen on {host}:{port} ({error}); choose another host or port") from error
+    try:
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listener.bind(place)
+        listener.listen(BACKLOG)
+        listener.setblocking(False)
+    except (OSError, OverflowError) as error:
+        listener.close()
+        raise InputError(f"cannot listen on {host}:{port} ({error}); choose another host or port") from error
+    return _TcpServer(Session(firmware, timing=timing or Timing(), seed=seed, log=log), listener)
+
+
+def serve_pty(
+    firmware: Firmware, *, timing: Timing | None = None, seed: int = 0, log: TruthLog | None = None
+) -> Server:
+    """Open a pseudo-terminal that a driver can open like a serial port. Run the server to serve.
+
+    The client's end is put into raw mode and kept open here: otherwise the terminal would echo
+    before the first client opens it, and fail when the last one closes it.
+    """
+    own, client = pty.openpty()
+    tty.setraw(client)
+    os.set_blocking(own, False)
+    return _TerminalServer(Session(firmware, timing=timing or Timing(), seed=seed, log=log), own, client)
