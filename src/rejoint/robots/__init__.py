@@ -1,1 +1,65 @@
 """Arms one can drive: emulated in process, or a myCobot through its vendor's client."""
+
+from __future__ import annotations
+
+import importlib.util
+
+from rejoint.arms import Arm, mycobot280
+from rejoint.control.robot import Robot
+from rejoint.errors import AddressError, InputError
+from rejoint.robots.address import EmulatedAddress, parse_address
+
+_EMULATED_PERIOD = (0.020, 0.030)
+"""[s] Park et al. 2024 name 20 ms; the wire adds up to half of it (chosen)"""
+
+
+def open_robot(
+    address: str,
+    *,
+    arm: Arm | None = None,
+    seed: int = 0,
+    count: int = 1,
+    period: tuple[float, float] | None = None,
+    threads: int = 1,
+) -> Robot:
+    """Connect to the robot at ``address``: ``emulated:PROFILE``, ``tcp://HOST:PORT``, ``serial:///dev/DEVICE``.
+
+    ``count`` emulated arms of one profile form a batch. ``period`` [s] is the interval from which the
+    length of every control cycle is drawn; by default the robot's own. A myCobot is powered on if it
+    is off and put into fresh mode; nothing moves. Raises AddressError if nothing usable is there.
+    """
+    place = parse_address(address)
+    arm = arm or mycobot280()
+    if count < 1:
+        raise InputError(f"a robot needs at least one arm, got count {count}")
+    if isinstance(place, EmulatedAddress):
+        return _open_emulated(address, place.profile, arm, seed, count, period or _EMULATED_PERIOD, threads)
+    if count != 1:
+        raise InputError(f"{address} is one arm; only emulated robots come in batches, got count {count}")
+    from rejoint.robots.link import VendorLink
+    from rejoint.robots.mycobot import DEFAULT_PERIOD, DriverSettings, MyCobotRobot
+
+    settings = DriverSettings(period=period or DEFAULT_PERIOD, seed=seed)
+    link = VendorLink(place)
+    robot = MyCobotRobot(link, arm, settings)
+    link.open()
+    return robot
+
+
+def _open_emulated(
+    address: str, profile: str, arm: Arm, seed: int, count: int, period: tuple[float, float], threads: int
+) -> Robot:
+    missing = [name for name in ("mujoco", "numba") if importlib.util.find_spec(name) is None]
+    if missing:
+        raise AddressError(
+            f"{address} needs {' and '.join(missing)}, which are not installed; "
+            "install the extra with: pip install 'rejoint[train]'"
+        )
+    from rejoint.plant.wear import load_wear
+    from rejoint.robots.emulated import EmulatedRobot
+
+    wear = load_wear(profile, arm)
+    return EmulatedRobot(arm, [wear] * count, address=address, seed=seed, period=period, threads=threads)
+
+
+__all__ = ["open_robot"]

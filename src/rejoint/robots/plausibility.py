@@ -1,0 +1,101 @@
+"""What a myCobot can possibly answer: the judge between the wire and everything that computes with it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rejoint.arms import Arm, Array
+from rejoint.errors import ImpossibleReplyError, StaleReplyError
+
+UNREADABLE_DEG = 180.08
+"""[deg] what a joint shows whose servo cannot be read (elephantrobotics/pymycobot, issue 43)"""
+RANGE_MARGIN = np.radians(5.0)
+"""[rad] a joint can be beyond its limit by sag and by the stops (chosen)"""
+MAX_SPEED_FACTOR = 2.0
+"""Times the arm's speed limit: 300 deg/s, just above the no-load speed of the servos (chosen)."""
+JUMP_SLACK = np.radians(5.0)
+"""[rad] covers that answers are sampled up to 30 ms away from their arrival (chosen)"""
+COMMAND_TRAVEL = np.radians(10.0)
+"""[rad] a command that went this far moves at least one joint by an encoder step (chosen)"""
+REPEAT_GRACE = 0.3
+"""[s] of identical answers that latency and acceleration explain (chosen)"""
+REPEAT_LIMIT = 1.5
+"""[s] of identical answers under a changed command that nothing explains (chosen)"""
+
+
+def read_angles(reply: object, arm: Arm) -> Array:
+    """Joint positions (n,) [rad] from the client's answer in degrees; ImpossibleReplyError otherwise."""
+    if not isinstance(reply, list) or len(reply) != arm.joints or not all(_is_number(value) for value in reply):
+        raise ImpossibleReplyError(f"expected {arm.joints} joint angles, got {reply!r}")
+    degrees = np.array(reply, dtype=float)
+    unreadable = np.abs(np.abs(degrees) - UNREADABLE_DEG) < 0.005
+    if unreadable.any():
+        names = ", ".join(name for name, bad in zip(arm.joint_names, unreadable, strict=True) if bad)
+        raise ImpossibleReplyError(f"the servos of {names} cannot be read (they show {UNREADABLE_DEG} deg)")
+    position = np.radians(degrees)
+    beyond = (position < arm.lower - RANGE_MARGIN) | (position > arm.upper + RANGE_MARGIN)
+    if not np.isfinite(degrees).all() or beyond.any():
+        raise ImpossibleReplyError(f"joint angles {reply} deg are outside the arm's range")
+    return position
+
+
+def read_bytes(reply: object, count: int) -> Array:
+    """One number per joint, such as temperatures; ImpossibleReplyError otherwise."""
+    if not isinstance(reply, list) or len(reply) != count or not all(_is_number(value) for value in reply):
+        raise ImpossibleReplyError(f"expected {count} numbers, got {reply!r}")
+    return np.array(reply, dtype=float)
+
+
+class Continuity:
+    """Compares every answer with the one before it and with what was commanded."""
+
+    def __init__(self, arm: Arm) -> None:
+        self._max_speed = MAX_SPEED_FACTOR * arm.max_speed
+        self._last: tuple[float, Array] | None = None
+        self._command_then: Array | None = None
+        self._waiting_since: float | None = None
+
+    def check(self, time: float, position: Array) -> None:
+        """ImpossibleReplyError if no servo gets from the last answer to ``position`` (n,) [rad] by ``time`` [s]."""
+        if self._last is None:
+            return
+        then, before = self._last
+        reach = self._max_speed * max(time - then, 0.0) + JUMP_SLACK
+        jumped = np.abs(position - before) > reach
+        if jumped.any():
+            i = int(np.argmax(jumped))
+            raise ImpossibleReplyError(
+                f"joint {i + 1} cannot have jumped from {np.degrees(before[i]):.1f} to "
+                f"{np.degrees(position[i]):.1f} deg in {time - then:.3f} s"
+            )
+
+    def accept(self, time: float, position: Array, command: Array | None) -> float:
+        """Take over an answer; return its age [s]: how long it should have changed and did not.
+
+        Standing still is no offence, and a stuck joint neither: only when the command in force has
+        moved by more than 10 deg since the last change, and not one of the encoders by one step.
+        Raises StaleReplyError when that lasts.
+        """
+        if self._last is None or np.any(position != self._last[1]):
+            self._command_then = command
+            self._waiting_since = None
+        elif command is not None and self._command_then is None:
+            self._command_then = self._last[1]
+        self._last = (time, position)
+        if command is None or self._command_then is None:
+            return 0.0
+        if self._waiting_since is None:
+            if np.abs(command - self._command_then).max() > COMMAND_TRAVEL:
+                self._waiting_since = time
+            return 0.0
+        age = time - self._waiting_since
+        if age > REPEAT_LIMIT:
+            raise StaleReplyError(
+                f"the same joint angles for {age:.1f} s although the command moved by more than "
+                f"{np.degrees(COMMAND_TRAVEL):.0f} deg: the answers are old, or the arm is blocked or switched off"
+            )
+        return age if age > REPEAT_GRACE else 0.0
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
