@@ -2,7 +2,8 @@
 
 A servo of stiffness k sags by gravity torque / k, so the command is raised by that much beforehand.
 What the model gets wrong the integrator removes and remembers: its correction carries over to the
-next target.
+next target. Only joints that are not on their way already are corrected; a joint that moves towards
+its goal needs no push, one that is stuck does.
 """
 
 from __future__ import annotations
@@ -13,12 +14,17 @@ from rejoint.arms import Arm, Array, gravity_torque
 from rejoint.control.controller import Situation
 from rejoint.control.goal import Goal
 from rejoint.control.integrator import IntegratorGains
-from rejoint.control.law import dls_step, limit_position
+from rejoint.control.law import dls_step, fade, limit_position
 from rejoint.control.robot import Mask
 from rejoint.errors import InputError
 
 NOMINAL_STIFFNESS = 6.0
 """[N m/rad] assumed where nothing is known of a worn servo (chosen: middle of the 3 to 12 of the twins trained on)."""
+
+MOVING = 0.1
+"""[rad/s] a joint faster than this is on its way (chosen: two encoder counts per period of 30 ms)."""
+
+_SMOOTHING = 0.5  # share of the newest difference in the speed estimate (chosen)
 
 
 class FeedforwardController:
@@ -27,28 +33,38 @@ class FeedforwardController:
     name = "feedforward"
 
     def __init__(
-        self,
-        arm: Arm,
-        stiffness: Array | float = NOMINAL_STIFFNESS,
-        gains: IntegratorGains = IntegratorGains(),  # noqa: B008
+        self, arm: Arm, stiffness: Array | float = NOMINAL_STIFFNESS, gains: IntegratorGains | None = None
     ) -> None:
-        self._arm, self._gains, self._goal = arm, gains, Goal(arm)
+        self._arm, self._gains, self._goal = arm, gains or IntegratorGains(), Goal(arm)
         self._stiffness = np.broadcast_to(np.asarray(stiffness, dtype=float), (arm.joints,)).copy()
         if not (self._stiffness > 0.0).all():
             raise InputError(f"feedforward: stiffness must be positive in N m/rad, got {self._stiffness.tolist()}")
-        self._correction: Array = np.zeros((0, arm.joints))
+        self._raised = self._correction = self._speed = self._position = np.zeros((0, arm.joints))
+        self._time = np.zeros(0)
 
     def reset(self, situation: Situation, where: Mask) -> None:
         """Solve for the new targets of the arms in ``where`` (B,); what was learned carries over."""
+        if len(self._time) != len(situation.sent):
+            self._correction, self._speed = np.zeros_like(situation.sent), np.zeros_like(situation.sent)
+            self._time, self._position = situation.state.time, situation.state.position
         self._goal.reset(situation, where)
-        if len(self._correction) != len(situation.sent):
-            self._correction = np.zeros_like(situation.sent)
+        self._raised = self._goal.position + gravity_torque(self._arm, self._goal.position) / self._stiffness
 
     def command(self, situation: Situation) -> Array:
         """Return the raised goal postures plus the correction, (B, n) [rad]."""
-        arm, gains, goal = self._arm, self._gains, self._goal.position
-        raised = goal + gravity_torque(arm, goal) / self._stiffness
+        arm, gains = self._arm, self._gains
+        self._observe_speed(situation)
         seen = dls_step(arm, situation.state.position, situation.target)
-        # Bounded by itself: on the way to the goal the command leads by the whole distance.
-        self._correction = np.clip(self._correction + gains.gain * seen.step, -gains.lead, gains.lead)
-        return limit_position(arm, raised + self._correction)
+        step = gains.gain * fade(seen.error, gains.fade) * seen.step
+        on_its_way = (np.abs(self._speed) > MOVING) & (self._speed * step > 0.0)
+        # Bounded by itself, not by the measured position: on the way the command leads by the whole distance.
+        self._correction = np.clip(self._correction + np.where(on_its_way, 0.0, step), -gains.lead, gains.lead)
+        return limit_position(arm, self._raised + self._correction)
+
+    def _observe_speed(self, situation: Situation) -> None:
+        state = situation.state
+        elapsed = (state.time - self._time)[:, None]
+        difference = (state.position - self._position) / np.where(elapsed > 0.0, elapsed, np.inf)
+        newest = _SMOOTHING * difference + (1.0 - _SMOOTHING) * self._speed
+        self._speed = np.where(elapsed > 0.0, newest, self._speed)
+        self._time, self._position = state.time, state.position

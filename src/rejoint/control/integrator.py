@@ -14,7 +14,7 @@ import numpy as np
 
 from rejoint.arms import Arm, Array, clip_norm
 from rejoint.control.controller import Situation
-from rejoint.control.law import GAIN, dls_step, limit_lead, limit_position, null_space
+from rejoint.control.law import GAIN, dls_step, fade, limit_lead, limit_position, null_space
 from rejoint.control.robot import Mask
 
 
@@ -26,10 +26,14 @@ class IntegratorGains:
     """fraction of the step per cycle; twice as much oscillates where gears have play"""
     lead: float = np.radians(15.0)
     """[rad] anti-windup: largest distance of the command from the measured position"""
+    fade: float = 4e-3
+    """[m] distance at which the steps have faded to half; at 1 mm worn arms hunt, above 5 mm all arms are slow"""
     rest_gain: float = 0.01
     """fraction of the way back to the rest posture per cycle, in the null space"""
     rest_step: float = np.radians(0.1)
     """[rad] largest step of that pull: about one encoder count, so that it never disturbs the TCP"""
+    rest_distance: float = 0.01
+    """[m] closer to the target nothing pulls, so that the arm comes to rest"""
 
 
 class IntegratorController:
@@ -37,8 +41,8 @@ class IntegratorController:
 
     name = "integrator"
 
-    def __init__(self, arm: Arm, gains: IntegratorGains = IntegratorGains()) -> None:
-        self._arm, self._gains = arm, gains
+    def __init__(self, arm: Arm, gains: IntegratorGains | None = None) -> None:
+        self._arm, self._gains = arm, gains or IntegratorGains()
 
     def reset(self, situation: Situation, where: Mask) -> None:
         """Do nothing: the memory is the last command, and it carries over."""
@@ -47,6 +51,7 @@ class IntegratorController:
         """Return the last command, moved towards the target, (B, n) [rad]."""
         arm, gains, measured = self._arm, self._gains, situation.state.position
         seen = dls_step(arm, measured, situation.target)
+        step = gains.gain * fade(seen.error, gains.fade) * seen.step
         pull = clip_norm(null_space(seen.jacobian, gains.rest_gain * (arm.rest - situation.sent)), gains.rest_step)
-        command = situation.sent + gains.gain * seen.step + pull
-        return limit_position(arm, limit_lead(command, measured, gains.lead))
+        far = np.linalg.norm(seen.error, axis=-1, keepdims=True) > gains.rest_distance
+        return limit_position(arm, limit_lead(situation.sent + step + far * pull, measured, gains.lead))

@@ -43,6 +43,17 @@ def dls_step(arm: Arm, measured: Array, target: Array) -> DlsStep:
     return DlsStep(clip_norm(dls(jacobian, error), STEP_LIMIT), error, jacobian)
 
 
+def fade(error: Array, distance: float) -> Array:
+    """Factor |e| / (|e| + distance) in [0, 1), shape (..., 1), for TCP errors (..., 3) [m].
+
+    An integrator hunts against stiction: the command creeps until the joint breaks loose and jumps
+    over the target. Steps that fade near the target make the jumps rare and small, and unlike a
+    dead zone they leave no lasting error.
+    """
+    size = np.linalg.norm(error, axis=-1, keepdims=True)
+    return size / (size + distance)
+
+
 def limit_lead(command: Array, measured: Array, lead: float | Array) -> Array:
     """Keep ``command`` (..., n) [rad] within ``lead`` [rad] of the measured position, joint by joint (anti-windup)."""
     return np.clip(command, measured - lead, measured + lead)
