@@ -72,6 +72,25 @@ class TwinBatch:
             self._batch.expand(name)[chosen] = value
         self._batch.set_const(chosen.astype(np.int32))
 
+    def set_timestep(self, timestep: float | Array) -> None:
+        """Change the time step [s] of every simulation, a number or (nsim,), and what depends on it."""
+        self._timestep[:] = timestep
+        self._batch.expand("opt.timestep")[:] = self._timestep
+        self._batch.expand("dof_solref")[..., 0] = 2.0 * self._timestep[:, None]
+
+    def set_friction(self, friction: Array) -> None:
+        """Change the dry friction (nsim, n) [N m] of every simulation, for friction that depends on the speed."""
+        self._batch.expand("dof_frictionloss")[:] = friction
+
+    def state(self) -> dict[str, Array]:
+        """Everything that a checkpoint must keep, as live arrays: states, parameters, constants."""
+        fields = ("actuator_gainprm", "actuator_biasprm", "actuator_forcerange", "actuator_acc0", "dof_damping",
+                  "dof_frictionloss", "dof_armature", "dof_solref", "dof_invweight0", "dof_M0", "body_invweight0",
+                  "opt.timestep", "opt.gravity")  # fmt: skip
+        return {name: self._batch.expand(name) for name in fields} | {
+            "timestep": self._timestep, "integration": self._batch.state
+        }  # fmt: skip
+
     def step(self, substeps: int = 1, ids: Ids = None) -> None:
         """Advance the simulations in ``ids`` (all by default) under the present ``ctrl``."""
         self._batch.step(ids, nstep=substeps)

@@ -16,6 +16,7 @@ Coulomb friction 0.25-0.8 N m, viscous friction 0.8-1.6 N m s/rad on an SO-101),
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -230,6 +231,7 @@ def healthy_parameters(arm: Arm) -> TwinParameters:
     )
 
 
+@lru_cache(maxsize=32)
 def largest_gravity_torque(arm: Arm) -> float:
     """[N m] largest gravity torque about any joint, over postures spread between the limits."""
     postures = np.random.default_rng(0).uniform(arm.lower, arm.upper, (4096, arm.joints))

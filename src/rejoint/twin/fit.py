@@ -1,0 +1,280 @@
+"""Maximum a posteriori fit of a twin's parameters to windows of motion, by block Gauss-Newton.
+
+In encoder space the joints of a geared arm are nearly decoupled: a joint's own parameters decide its
+motion. So one simulation perturbs one parameter of every joint at once, a Jacobian costs as many
+simulations as a joint has parameters (plus one for each parameter of the whole arm), and each joint
+picks the best of several damping values from the same batch.
+
+Method: Gauss-Newton with Levenberg-Marquardt damping (Nocedal and Wright, Numerical Optimization,
+chapter 10) on a pseudo-Huber loss (Charbonnier et al. 1997), with a Gaussian prior over the parameter
+vector. Residuals of one motion are not independent: the data's weight is divided by their integrated
+autocorrelation time, so that prior and data are weighed fairly.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rejoint.arms import Array
+from rejoint.twin.parameters import ARM_PARAMETERS, JOINT_PARAMETERS, Prior, unpack
+from rejoint.twin.replay import Replay
+
+HUBER = np.radians(1.7)
+"""[rad] where the loss turns from square to absolute; measured on logs of a real low-cost arm"""
+
+DIFFERENCE = {"offset": 0.005, "delay": 0.004}
+"""Finite-difference steps [rad], [s] of the parameters that are not logarithms (chosen)"""
+LOG_DIFFERENCE = 0.045
+"""Finite-difference step of logarithms: smaller ones drown in stick-slip (measured)"""
+
+STIFFNESS = 0
+"""Place of the stiffness among a joint's parameters"""
+
+DAMPINGS = (1e-3, 1e-2, 1e-1, 1.0, 10.0)
+"""Levenberg-Marquardt damping values tried in one batch, relative to the curvature's diagonal (chosen)"""
+
+LEAST_GAIN = 0.5
+"""A descent ends when a step gains less than this of the negative log posterior: half of one sigma^2 (chosen)"""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Weights:
+    """How much a residual of each joint counts."""
+
+    scale: Array
+    """(n,) [rad] typical size of a residual"""
+    correlation: Array
+    """(n,) [rows] integrated autocorrelation time of the residuals"""
+
+    @property
+    def precision(self) -> Array:
+        """(n,) [1/rad^2] weight of one squared residual."""
+        return 1.0 / (self.scale**2 * self.correlation)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Fit:
+    """Result of a fit, over the parameter vector of length k."""
+
+    vector: Array
+    """(k,) estimate"""
+    cost: float
+    iterations: int
+    converged: bool
+    at_bound: NDArray[np.bool_]
+    """(k,) elements held at a physical bound"""
+    weights: Weights
+
+
+class Problem:
+    """Residuals, costs and Jacobians of one set of windows under one prior."""
+
+    def __init__(self, replay: Replay, prior: Prior) -> None:
+        self.replay, self.prior = replay, prior
+        self.joints = replay.arm.joints
+        self.measured = np.concatenate(replay.measured())
+        lengths = [len(part) for part in replay.measured()]
+        self.window = np.repeat(np.arange(len(lengths)), lengths)
+        self.floor = replay.arm.encoder_step / np.sqrt(12.0)
+        n, split = self.joints, len(JOINT_PARAMETERS) * self.joints
+        self.owner = np.concatenate([np.tile(np.arange(n), len(JOINT_PARAMETERS)), np.full(len(ARM_PARAMETERS), -1)])
+        self.steps = np.full(len(prior.mean), LOG_DIFFERENCE)
+        for index, p in enumerate((*JOINT_PARAMETERS, *ARM_PARAMETERS)):
+            if not p.log:
+                place = slice(index * n, (index + 1) * n) if p.per_joint else split + index - len(JOINT_PARAMETERS)
+                self.steps[place] = DIFFERENCE[p.name]
+
+    def residuals(self, vectors: Array) -> Array:
+        """Predicted minus measured positions (m, rows, n) [rad] for parameter vectors (m, k)."""
+        return np.concatenate(self.replay.predict(unpack(vectors, self.joints)), axis=1) - self.measured
+
+    def weights(self, residual: Array) -> Weights:
+        """Estimate size and correlation of residuals (rows, n)."""
+        scale = np.maximum(np.sqrt(np.mean(2.0 * loss(residual), axis=0)), self.floor)
+        return Weights(scale=scale, correlation=correlation_time(residual, self.window))
+
+    def costs(self, vectors: Array, residuals: Array, weights: Weights) -> tuple[Array, Array]:
+        """Costs by joint (m, n) with the prior of its parameters, and in total (m,)."""
+        pull = 0.5 * ((vectors - self.prior.mean) / self.prior.sigma) ** 2
+        split = len(JOINT_PARAMETERS) * self.joints
+        by_joint = pull[:, :split].reshape(len(vectors), -1, self.joints).sum(axis=1)
+        by_joint += loss(residuals).sum(axis=1) * weights.precision
+        return by_joint, by_joint.sum(axis=1) + pull[:, split:].sum(axis=1)
+
+    def perturbations(self, vector: Array, signs: Array) -> Array:
+        """Parameter vectors (p, k): in each, one parameter of every joint, or one of the arm, is moved.
+
+        In place of the stiffness alone, all torques and the inertia of a joint are scaled together. Only
+        gravity and link inertia fix that scale; as a sum of single differences, their errors would
+        pass for knowledge of it.
+        """
+        groups = self._groups()
+        moved = np.tile(vector, (len(groups), 1))
+        for row, group in enumerate(groups):
+            moved[row, group] += (signs * self.steps)[group]
+        for row in range(len(JOINT_PARAMETERS)):
+            if row != STIFFNESS and JOINT_PARAMETERS[row].log:  # the first direction scales all torques
+                moved[STIFFNESS, groups[row]] += (signs * self.steps)[groups[STIFFNESS]]
+        return np.clip(moved, self.prior.lower, self.prior.upper)
+
+    def inward(self, vector: Array, signs: Array) -> Array:
+        """Turn those ``signs`` (k,) round whose step would leave the bounds."""
+        moved = vector + signs * self.steps
+        return np.where((moved > self.prior.upper) | (moved < self.prior.lower), -signs, signs)
+
+    def jacobian(self, base: Array, moved: Array, signs: Array) -> Array:
+        """Sensitivities (rows, n, q) of each joint to its own parameters and, last, the arm's.
+
+        ``base`` (rows, n) and ``moved`` (q, rows, n) are residuals at the point and at `perturbations`.
+        """
+        steps = np.empty((len(moved), self.joints))
+        for row, group in enumerate(self._groups()):
+            steps[row] = (signs * self.steps)[group]
+        slopes = (moved - base) / steps[:, None]
+        for row in range(len(JOINT_PARAMETERS)):
+            if row != STIFFNESS and JOINT_PARAMETERS[row].log:
+                slopes[STIFFNESS] -= slopes[row]
+        return np.moveaxis(slopes, 0, -1)
+
+    def system(self, jacobian: Array, residual: Array, weights: Weights) -> tuple[Array, Array]:
+        """Curvature (k, k) and gradient (k,) of the data's cost."""
+        k = len(self.prior.mean)
+        curvature, gradient = np.zeros((k, k)), np.zeros(k)
+        for joint in range(self.joints):
+            place = self.columns(joint)
+            weight = weights.precision[joint] * influence(residual[:, joint])
+            scaled = jacobian[:, joint] * weight[:, None]
+            curvature[np.ix_(place, place)] += jacobian[:, joint].T @ scaled
+            gradient[place] += scaled.T @ residual[:, joint]
+        return curvature, gradient
+
+    def columns(self, joint: int) -> NDArray[np.integer]:
+        """Places in the parameter vector of one joint's parameters and, last, the arm's."""
+        return np.concatenate([np.flatnonzero(self.owner == joint), np.flatnonzero(self.owner == -1)])
+
+    def clusters(self, length: float) -> NDArray[np.integer]:
+        """(rows,) numbers of the stretches of about ``length`` [s] that the windows fall into."""
+        time = np.concatenate([self.replay.times(i) for i in range(len(self.replay.windows))])
+        keys = np.stack([self.window, (time // length).astype(int)], axis=1)
+        return np.unique(keys, axis=0, return_inverse=True)[1].ravel()
+
+    def _groups(self) -> list[NDArray[np.integer]]:
+        n, split = self.joints, len(JOINT_PARAMETERS) * self.joints
+        joint_groups = [np.arange(i * n, (i + 1) * n) for i in range(len(JOINT_PARAMETERS))]
+        return joint_groups + [np.array([split + i]) for i in range(len(ARM_PARAMETERS))]
+
+
+def fit(problem: Problem, start: Array, iterations: int) -> Fit:
+    """Descend from ``start`` (k,) until a step gains almost nothing."""
+    x = np.clip(start, problem.prior.lower, problem.prior.upper)
+    fixed = np.zeros(len(x), dtype=bool)
+    converged, iteration = False, 0
+    while not converged and iteration < iterations:
+        iteration += 1
+        signs = problem.inward(x, _alternating(problem, iteration))
+        residuals = problem.residuals(np.vstack([x, problem.perturbations(x, signs)]))
+        weights = problem.weights(residuals[0])
+        jacobian = problem.jacobian(residuals[0], residuals[1:], signs)
+        curvature, gradient = problem.system(jacobian, residuals[0], weights)
+        curvature += np.diag(problem.prior.sigma**-2)
+        gradient += (x - problem.prior.mean) / problem.prior.sigma**2
+        fixed = _pressed(problem.prior, x, gradient)
+        trials = _steps(problem, x, curvature, gradient, fixed)
+        x, gained = line_up(problem, np.vstack([x, trials]), residuals[:1], weights)
+        converged = gained < LEAST_GAIN
+    residual = problem.residuals(x[None])
+    weights = problem.weights(residual[0])
+    final = float(problem.costs(x[None], residual, weights)[1][0])
+    return Fit(vector=x, cost=final, iterations=iteration, converged=converged, at_bound=fixed, weights=weights)
+
+
+def search(problem: Problem, starts: Array, rng: np.random.Generator, rounds: int = 3) -> Array:
+    """Random search before the descent: each joint keeps its best of the candidates, then draws around it.
+
+    Joints decouple, so ``starts`` (s, k) hold s independent tries for every joint at once. Needed where
+    the cost is flat: a joint whose force saturates shows no trace of its stiffness.
+    """
+    prior, candidates, known = problem.prior, starts, np.empty((0, *problem.measured.shape))
+    for i in range(rounds):
+        tried = problem.residuals(candidates[len(known) :])
+        residuals = np.concatenate([known, tried])
+        best = int(np.argmin(loss(residuals).sum(axis=(1, 2))))
+        weights = problem.weights(residuals[best])
+        x, _ = line_up(problem, candidates, residuals, weights)
+        spread = prior.sigma * 0.5**i * rng.choice([0.0, 1.0], size=(len(starts) - 1, len(x)))
+        around = x + spread * rng.standard_normal(spread.shape)
+        candidates = np.clip(np.vstack([x, around]), prior.lower, prior.upper)
+        known = problem.residuals(x[None])
+    return x
+
+
+def _alternating(problem: Problem, iteration: int) -> Array:
+    parity = iteration + np.arange(len(problem.owner)) // problem.joints + np.maximum(problem.owner, 0)
+    return np.where(parity % 2 == 0, 1.0, -1.0)
+
+
+def _pressed(prior: Prior, x: Array, gradient: Array) -> NDArray[np.bool_]:
+    """Tell which parameters stand at a bound that the cost pushes against: they stall their neighbours."""
+    edge = 1e-9 * (prior.upper - prior.lower)
+    return ((x <= prior.lower + edge) & (gradient > 0)) | ((x >= prior.upper - edge) & (gradient < 0))
+
+
+def _steps(problem: Problem, x: Array, curvature: Array, gradient: Array, fixed: NDArray[np.bool_]) -> Array:
+    """Return new vectors (d, k), one for each damping value, within the bounds and a prior sigma of ``x``."""
+    free = np.flatnonzero(~fixed)
+    block = curvature[np.ix_(free, free)]
+    trial = np.tile(x, (len(DAMPINGS), 1))
+    for row, damping in enumerate(DAMPINGS):
+        step = -np.linalg.solve(block + damping * np.diag(np.diag(block)), gradient[free])
+        trial[row, free] += np.clip(step, -problem.prior.sigma[free], problem.prior.sigma[free])
+    return np.clip(trial, problem.prior.lower, problem.prior.upper)
+
+
+def line_up(problem: Problem, candidates: Array, residuals: Array, weights: Weights) -> tuple[Array, float]:
+    """Let each joint pick its best candidate (s, k); return the mixture and what it gained on the first.
+
+    ``residuals`` (r, rows, n) are those of the first candidates that are known already. The mixture is
+    simulated as well; where the joints' choices do not fit together, the best single candidate wins.
+    """
+    if len(residuals) < len(candidates):
+        residuals = np.concatenate([residuals, problem.residuals(candidates[len(residuals) :])])
+    by_joint, total = problem.costs(candidates, residuals, weights)
+    best = int(np.argmin(total))
+    mixed = candidates[best].copy()
+    for joint, choice in enumerate(np.argmin(by_joint, axis=0)):
+        own = problem.owner == joint
+        mixed[own] = candidates[choice, own]
+    cost = float(problem.costs(mixed[None], problem.residuals(mixed[None]), weights)[1][0])
+    if cost < total[best]:
+        return mixed, float(total[0] - cost)
+    return candidates[best], float(total[0] - total[best])
+
+
+def loss(residual: Array) -> Array:
+    """Pseudo-Huber loss: r^2/2 for small residuals [rad], linear beyond `HUBER`."""
+    return HUBER**2 * (np.sqrt(1.0 + (residual / HUBER) ** 2) - 1.0)
+
+
+def influence(residual: Array) -> Array:
+    """Weight of a residual in the linearised problem, loss'(r) / r."""
+    return 1.0 / np.sqrt(1.0 + (residual / HUBER) ** 2)
+
+
+def correlation_time(residual: Array, window: NDArray[np.integer], longest: int = 200) -> Array:
+    """(n,) [rows] integrated autocorrelation time 1 + 2 sum rho of residuals (rows, n) within windows.
+
+    Summed to the first lag at which the correlation falls below 0.05 (a common truncation).
+    """
+    power = np.maximum(np.mean(residual**2, axis=0), 1e-18)
+    total, alive = np.ones(residual.shape[1]), np.ones(residual.shape[1], dtype=bool)
+    for lag in range(1, min(longest, len(residual) - 1)):
+        same = window[lag:] == window[:-lag]
+        if not same.any() or not alive.any():
+            break
+        rho = np.mean(residual[lag:][same] * residual[:-lag][same], axis=0) / power
+        alive &= rho > 0.05
+        total += np.where(alive, 2.0 * rho, 0.0)
+    return total

@@ -1,0 +1,180 @@
+"""Identification: from run logs of an excitation to a twin with intervals, judged on motion it was not fitted to.
+
+The logs are cut into windows; every fourth is held out. The others are fitted coarsely from many starts
+(`rejoint.twin.fit`), then at the twin's own time step, and asked what they know (`rejoint.twin.uncertainty`).
+The held-out windows decide between the fit and the prior, and give the errors that are reported.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rejoint.arms import Arm, Array, gravity_torque
+from rejoint.errors import InputError
+from rejoint.runs import RunLog
+from rejoint.twin.fit import Fit, Problem, fit, search
+from rejoint.twin.model import TIMESTEP
+from rejoint.twin.parameters import (
+    JOINT_PARAMETERS,
+    Prior,
+    TwinParameters,
+    healthy_parameters,
+    pack,
+    prior,
+    unpack,
+    vector_names,
+)
+from rejoint.twin.replay import PredictionError, Replay, cut, divide, measured_velocity, prediction_error
+from rejoint.twin.twin import HeldOut, Twin
+from rejoint.twin.uncertainty import uncertainty
+
+
+@dataclass(frozen=True, kw_only=True)
+class IdentifySettings:
+    """How to identify; the defaults take about 15 s on two cores for 130 s of motion (measured)."""
+
+    window: float = 6.0
+    """[s] between restarts from the measured state; 1 to 50 s make no difference (measured on a real arm)"""
+    coarse_window: float = 2.0
+    """[s] the same for the search: over a few oscillations the phase does not yet run away from the data's"""
+    hold_out: int = 4
+    """every hold_out-th window is kept from the fit"""
+    starts: int = 24
+    """candidates of each round of the random search"""
+    timestep: float = TIMESTEP
+    """[s] of the final fit; the search and the first descent take twice that"""
+    iterations: int = 15
+    threads: int = 2
+    seed: int = 0
+
+
+DEFAULT_SETTINGS = IdentifySettings()
+
+STILL_SPEED = 0.03
+"""[rad/s] below which a joint counts as still: an encoder step in 50 ms (chosen)"""
+
+SHORTEST = 20.0
+"""[s] of motion below which an identification is refused (chosen: five windows)"""
+
+
+def identify(
+    arm: Arm,
+    logs: Sequence[RunLog],
+    settings: IdentifySettings = DEFAULT_SETTINGS,
+    on_progress: Callable[[str, float], None] = lambda _stage, _fraction: None,
+) -> Twin:
+    """Fit a twin to the logs of an excitation.
+
+    ``on_progress`` is called with the stage and the fraction done. InputError if the logs are of
+    another arm or too short.
+    """
+    seconds = sum(float(log.time[-1] - log.time[0]) for log in logs)
+    if seconds < SHORTEST:
+        raise InputError(f"identification: {seconds:.0f} s of motion, expected at least {SHORTEST:.0f} s")
+    windows = cut(logs, settings.window)
+    seen = [w for i, w in enumerate(windows) if i % settings.hold_out != settings.hold_out - 1]
+    unseen = [w for i, w in enumerate(windows) if i % settings.hold_out == settings.hold_out - 1]
+    belief = prior(arm)
+
+    period = seconds / sum(len(log) - 1 for log in logs)
+    pieces = divide(seen, round(settings.coarse_window / period))
+    coarse = Problem(Replay(arm, logs, pieces, 2 * settings.timestep, settings.threads), belief)
+    fine = Problem(Replay(arm, logs, seen, settings.timestep, settings.threads), belief)
+    rng = np.random.default_rng(settings.seed)
+    on_progress("search", 0.0)
+    x = search(coarse, _starts(arm, belief, settings.starts, rng), rng)
+    on_progress("descent", 0.3)
+    x = fit(coarse, x, settings.iterations).vector
+    x = search(coarse, np.tile(x, (settings.starts, 1)), rng, rounds=2)
+    on_progress("refinement", 0.6)
+    found = fit(fine, x, settings.iterations)
+    on_progress("intervals", 0.9)
+    knowledge = uncertainty(fine, found)
+    held_out = _held_out(arm, Replay(arm, logs, unseen, settings.timestep, settings.threads), found.vector)
+    lower, limits_seen = _raise_torque_limit(arm, logs, belief, found)
+    on_progress("done", 1.0)
+    return Twin(
+        arm=arm.name,
+        joint_names=arm.joint_names,
+        parameters=unpack(found.vector, arm.joints),
+        covariance=knowledge.covariance,
+        lower=lower,
+        upper=belief.upper,
+        narrowing=knowledge.narrowing,
+        identified=knowledge.identified,
+        held_out=held_out,
+        fit_seconds=sum(float(fine.replay.times(i)[-1]) for i in range(len(seen))),
+        notes=tuple(_notes(arm, found, held_out, limits_seen)),
+    )
+
+
+def _starts(arm: Arm, belief: Prior, count: int, rng: np.random.Generator) -> Array:
+    drawn = belief.mean + belief.sigma * rng.standard_normal((max(count - 2, 1), len(belief.mean)))
+    starts = np.vstack([belief.mean, pack(healthy_parameters(arm)), drawn])
+    starts[2:, len(JOINT_PARAMETERS) * arm.joints :] = belief.mean[len(JOINT_PARAMETERS) * arm.joints :]
+    return np.clip(starts, belief.lower, belief.upper)
+
+
+def _held_out(arm: Arm, replay: Replay, vector: Array) -> HeldOut:
+    measured = np.concatenate(replay.measured())
+    both = np.vstack([vector, pack(healthy_parameters(arm))])
+    twin, healthy = np.concatenate(replay.predict(unpack(both, arm.joints)), axis=1)
+
+    def error(predicted: Array) -> PredictionError:
+        return prediction_error(arm, predicted, measured)
+
+    return HeldOut(
+        seconds=sum(float(replay.times(i)[-1]) for i in range(len(replay.windows))),
+        no_twin=error(np.concatenate(replay.commands())),
+        healthy_twin=error(healthy),
+        twin=error(twin),
+    )
+
+
+def largest_static_torque(arm: Arm, logs: Sequence[RunLog], coulomb: Array) -> Array:
+    """(n,) [N m] largest gravity torque that each motor was seen to hold still, friction's help taken off.
+
+    A lower bound of the torque limit, which logs without saturation say nothing else about.
+    """
+    largest = np.zeros(arm.joints)
+    for log in logs:
+        still = np.abs(measured_velocity(log)) < STILL_SPEED
+        held = np.where(still, np.abs(gravity_torque(arm, log.position)) - coulomb, 0.0)
+        largest = np.maximum(largest, held.max(axis=0))
+    return largest
+
+
+def _raise_torque_limit(arm: Arm, logs: Sequence[RunLog], belief: Prior, found: Fit) -> tuple[Array, Array]:
+    """Lower bounds (k,) with that of the torque limit raised to what was seen, and what was seen (n,)."""
+    parameters = unpack(found.vector, arm.joints)
+    seen = largest_static_torque(arm, logs, parameters.coulomb)
+    lower = unpack(belief.lower, arm.joints)
+    raised = np.clip(seen, lower.torque_limit, 0.99 * parameters.torque_limit)
+    return pack(replace(lower, torque_limit=raised)), seen
+
+
+def _notes(arm: Arm, found: Fit, held_out: HeldOut, limits_seen: Array) -> list[str]:
+    notes = []
+    if not found.converged:
+        notes.append(f"the fit still improved after {found.iterations} steps; more iterations may help")
+    pressed = [name for name, at in zip(vector_names(arm.joint_names), found.at_bound, strict=True) if at]
+    if pressed:
+        notes.append(f"held at a physical bound: {', '.join(pressed)}")
+    if held_out.twin.joint > min(held_out.healthy_twin.joint, held_out.no_twin.joint):
+        notes.append(
+            "on motion it has not seen the twin predicts worse than a healthy twin or none: do not train in it"
+        )
+    weak = unpack(found.vector, arm.joints).torque_limit < 1.1 * limits_seen
+    if weak.any():
+        names = ", ".join(name for name, is_weak in zip(arm.joint_names, weak, strict=True) if is_weak)
+        notes.append(f"torque limit close to the gravity torque held in the log: {names}")
+    return notes
+
+
+def simulate(twin: TwinParameters, arm: Arm, log: RunLog, timestep: float = TIMESTEP) -> PredictionError:
+    """Error of a twin's open-loop prediction of a whole log, from its first measured state."""
+    replay = Replay(arm, [log], cut([log], np.inf), timestep)
+    return prediction_error(arm, replay.predict(twin.repeat(1))[0][0], log.position)

@@ -1,0 +1,171 @@
+"""Open-loop replay: what a twin would have done under the commands of a run log.
+
+A log is cut into windows; each starts from the measured state, so that all windows of all candidate
+twins run as one batch. A window is simulated on an even grid and read at the times of its answers.
+
+The twin's position at time t stands for the answer read at t: the delay of the parameters contains
+the age of the answer, which a log alone cannot tell from the latency of the command.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from rejoint.arms import Arm, Array, tcp_position
+from rejoint.errors import InputError
+from rejoint.runs import RunLog
+from rejoint.twin.batch import TwinBatch
+from rejoint.twin.model import TIMESTEP
+from rejoint.twin.parameters import TwinParameters
+from rejoint.twin.reference import Reference
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Window:
+    """Rows ``first`` to ``last`` (exclusive) of one log, replayed from the state at ``first``."""
+
+    log: int
+    first: int
+    last: int
+
+
+def cut(logs: Sequence[RunLog], length: float) -> list[Window]:
+    """Cut logs into windows of about ``length`` [s]; shorter logs are one window each."""
+    windows: list[Window] = []
+    for index, log in enumerate(logs):
+        duration = float(log.time[-1] - log.time[0])
+        count = max(1, round(duration / length))
+        edges = np.searchsorted(log.time, log.time[0] + duration * np.arange(1, count) / count)
+        bounds = [0, *edges.tolist(), len(log)]
+        windows += [Window(log=index, first=a, last=b) for a, b in pairwise(bounds) if b - a > 2]
+    return windows
+
+
+def divide(windows: Sequence[Window], rows: int) -> list[Window]:
+    """Divide windows into pieces of about ``rows`` rows."""
+    pieces: list[Window] = []
+    for w in windows:
+        edges = np.linspace(w.first, w.last, max(1, round((w.last - w.first) / rows)) + 1).astype(int).tolist()
+        pieces += [Window(log=w.log, first=a, last=b) for a, b in pairwise(edges) if b - a > 2]
+    return pieces
+
+
+class Replay:
+    """Replays windows of logs for many candidate twins at once; its simulation batches are kept between calls."""
+
+    def __init__(
+        self,
+        arm: Arm,
+        logs: Sequence[RunLog],
+        windows: Sequence[Window],
+        timestep: float = TIMESTEP,
+        threads: int = 1,
+    ) -> None:
+        for log in logs:
+            if log.arm != arm.name or log.position.shape[1] != arm.joints:
+                raise InputError(f"run log {log.label}: of arm {log.arm!r}, expected {arm.name!r}")
+        if not windows:
+            raise InputError("replay: no windows; a run log needs at least three rows")
+        self.arm, self.logs, self.windows = arm, list(logs), list(windows)
+        self.timestep, self.threads = timestep, threads
+        self._velocity = [measured_velocity(log) for log in self.logs]
+        spans = [self._log(w).time[w.last - 1] - self._log(w).time[w.first] for w in self.windows]
+        self.steps = int(np.ceil(max(spans) / timestep)) + 1
+        self._batches: dict[int, TwinBatch] = {}
+
+    def predict(self, parameters: TwinParameters) -> list[Array]:
+        """Positions (m, rows, n) [rad] for each window, for twins of leading shape (m,)."""
+        m, count = parameters.shape[0], len(self.windows)
+        batch = self._simulations(m * count)
+        which = np.tile(np.arange(m), count)  # simulation = window * m + twin
+        batch.write(parameters[which])
+        start = np.stack([self._log(w).position[w.first] for w in self.windows])
+        velocity = np.stack([self._velocity[w.log][w.first] for w in self.windows])
+        batch.restart(np.repeat(start, m, axis=0), np.repeat(velocity, m, axis=0))
+        recorded = batch.rollout(self._control(parameters))
+        path = np.concatenate([np.repeat(start, m, axis=0)[:, None], recorded], axis=1)
+        return [
+            _interpolate(path[i * m : (i + 1) * m], self.timestep, self._log(w).time[w.first : w.last])
+            for i, w in enumerate(self.windows)
+        ]
+
+    def measured(self) -> list[Array]:
+        """Positions (rows, n) [rad] of each window as they were read."""
+        return [self._log(w).position[w.first : w.last] for w in self.windows]
+
+    def commands(self) -> list[Array]:
+        """Commands (rows, n) [rad] in force when each window's answers were read."""
+        return [
+            self._log(w).command[np.maximum(np.arange(w.first, w.last) - 1, 0)]  # row k is sent after its answer
+            for w in self.windows
+        ]
+
+    def times(self, window: int) -> Array:
+        """Return times (rows,) [s] since the start of a window."""
+        w = self.windows[window]
+        return self._log(w).time[w.first : w.last] - self._log(w).time[w.first]
+
+    def _log(self, window: Window) -> RunLog:
+        return self.logs[window.log]
+
+    def _simulations(self, count: int) -> TwinBatch:
+        if count not in self._batches:
+            self._batches[count] = TwinBatch(self.arm, count, self.timestep, self.threads)
+        return self._batches[count]
+
+    def _control(self, parameters: TwinParameters) -> Array:
+        """Compute references (windows * m, steps, n) at the start of each simulation step.
+
+        MuJoCo moves positions by the new velocity, which leads the motion by half a step; a command held from
+        the start of a step lags by as much. The two cancel, and the delay does not depend on the time step.
+        """
+        references = [Reference(log.time, log.command, parameters.ramp_speed, log.command[0]) for log in self.logs]
+        grid = np.arange(self.steps) * self.timestep
+        parts = [references[w.log].sample(self._log(w).time[w.first] + grid, parameters.delay) for w in self.windows]
+        return np.concatenate(parts)
+
+
+def predict(arm: Arm, parameters: TwinParameters, log: RunLog, timestep: float = TIMESTEP) -> Array:
+    """Positions (T, n) [rad] that the twin would have shown, from the first measured state on, open loop."""
+    whole = Window(log=0, first=0, last=len(log))
+    return Replay(arm, [log], [whole], timestep).predict(parameters.repeat(1))[0][0]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PredictionError:
+    """Distance between predicted and measured motion, root mean square over time."""
+
+    joints: Array
+    """(n,) [rad]"""
+    joint: float
+    """[rad] over all joints"""
+    tcp: float
+    """[m] of the TCP by forward kinematics of the encoders"""
+
+
+def prediction_error(arm: Arm, predicted: Array, measured: Array) -> PredictionError:
+    """Compare positions (T, n) [rad]; the error of "no twin" is that of the command as the prediction."""
+    difference = predicted - measured
+    joints = np.sqrt(np.mean(difference**2, axis=0))
+    gap = tcp_position(arm, predicted) - tcp_position(arm, measured)
+    tcp = np.sqrt(np.mean(np.sum(gap**2, axis=-1)))
+    return PredictionError(joints=joints, joint=float(np.sqrt(np.mean(difference**2))), tcp=float(tcp))
+
+
+def measured_velocity(log: RunLog) -> Array:
+    """(T, n) [rad/s] by central differences over two rows to either side, which average encoder steps."""
+    rows = np.arange(len(log))
+    before, after = np.maximum(rows - 2, 0), np.minimum(rows + 2, len(log) - 1)
+    return (log.position[after] - log.position[before]) / (log.time[after] - log.time[before])[:, None]
+
+
+def _interpolate(path: Array, timestep: float, time: Array) -> Array:
+    """Read paths (m, s, n) on an even grid from ``time[0]`` on at ``time`` (rows,)."""
+    place = (time - time[0]) / timestep
+    index = np.minimum(place.astype(int), path.shape[1] - 2)
+    part = (place - index)[:, None]
+    return path[:, index] * (1 - part) + path[:, index + 1] * part

@@ -1,0 +1,138 @@
+"""The fitted twin and its file, ``twin.toml``: values, intervals, what is not known, how well it predicts."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rejoint.arms import Arm, Array
+from rejoint.errors import ContractError, InputError
+from rejoint.twin.parameters import PARAMETERS, TwinParameters, pack, unpack, vector_is_log, vector_names
+from rejoint.twin.replay import PredictionError
+from rejoint.twin.uncertainty import strong_correlations
+
+WIDEN = 1.5
+"""Inflation of the identified standard deviations when twins are drawn: 1.5 to 2 on a real arm (measured)"""
+
+LEAST_SPREAD = 0.05
+"""Extra spread of the logarithms when twins are drawn: no twin has the structure of the real arm (chosen)"""
+
+Z95 = 1.96
+"""Normal quantile of a two-sided 95 % interval"""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class HeldOut:
+    """Errors on motion that the fit has not seen."""
+
+    seconds: float
+    """[s] length of that motion"""
+    no_twin: PredictionError
+    """the command taken as the prediction"""
+    healthy_twin: PredictionError
+    """an arm of this build that shows no wear"""
+    twin: PredictionError
+    """the fitted twin"""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Twin:
+    """Parameters of one arm with their covariance, over a parameter vector of length k."""
+
+    arm: str
+    joint_names: tuple[str, ...]
+    parameters: TwinParameters
+    covariance: Array
+    """(k, k) of the vector that `pack` makes: logarithms of the positive quantities"""
+    lower: Array
+    """(k,) physical bounds of the vector"""
+    upper: Array
+    narrowing: Array
+    """(k,) standard deviation by the data over that of the prior"""
+    identified: NDArray[np.bool_]
+    """(k,) whether the data say more than the prior did"""
+    held_out: HeldOut
+    fit_seconds: float
+    """[s] length of the motion that the fit has seen"""
+    notes: tuple[str, ...] = field(default=())
+    """what a user of the twin should know, in words"""
+
+    def __post_init__(self) -> None:
+        k = len(self.names)
+        if self.parameters.shape or self.parameters.joints != len(self.joint_names):
+            expected = (len(self.joint_names),)
+            raise InputError(f"twin: parameters of shape {self.parameters.stiffness_shape}, expected {expected}")
+        shapes = {"covariance": (k, k), "lower": (k,), "upper": (k,), "narrowing": (k,), "identified": (k,)}
+        for name, shape in shapes.items():
+            array = np.array(getattr(self, name))
+            if array.shape != shape or not np.isfinite(array).all():
+                raise InputError(f"twin: {name} must be finite and of shape {shape}, got {array.shape}")
+            array.setflags(write=False)
+            object.__setattr__(self, name, array)
+        if not np.isfinite(pack(self.parameters)).all():
+            raise InputError("twin: parameters must be finite, and positive where a quantity is")
+        if not np.allclose(self.covariance, self.covariance.T, rtol=1e-6, atol=1e-12):
+            raise InputError("twin: the covariance must be symmetric")
+        values = np.linalg.eigvalsh(self.covariance)
+        if values.min() < -1e-6 * max(values.max(), 1e-12):
+            raise InputError(f"twin: the covariance must not have negative eigenvalues, found {values.min():.3g}")
+        if (self.lower >= self.upper).any():
+            raise InputError("twin: every lower bound must be below the upper one")
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names (k,) of the parameter vector's elements."""
+        return vector_names(self.joint_names)
+
+    @property
+    def interval(self) -> tuple[TwinParameters, TwinParameters]:
+        """Lower and upper ends of the 95 % intervals, within the bounds."""
+        mean, sigma = pack(self.parameters), np.sqrt(np.diag(self.covariance))
+        n = len(self.joint_names)
+        low, high = np.maximum(mean - Z95 * sigma, self.lower), np.minimum(mean + Z95 * sigma, self.upper)
+        return unpack(low, n), unpack(high, n)
+
+    @property
+    def correlations(self) -> tuple[tuple[str, str, float], ...]:
+        """Pairs of parameters that the data can hardly tell apart, strongest first."""
+        return tuple((self.names[i], self.names[j], value) for i, j, value in strong_correlations(self.covariance))
+
+    @property
+    def unknown(self) -> tuple[str, ...]:
+        """Names of the parameters that keep their prior range."""
+        return tuple(name for name, known in zip(self.names, self.identified, strict=True) if not known)
+
+    def sample(
+        self, rng: np.random.Generator, count: int, widen: float = WIDEN, least_spread: float = LEAST_SPREAD
+    ) -> TwinParameters:
+        """Draw ``count`` twins from the correlated covariance, within the physical bounds.
+
+        Standard deviations of identified parameters are multiplied by ``widen``, and their logarithms
+        spread by ``least_spread`` on top; the others keep their prior range.
+        """
+        scale = np.where(self.identified, widen, 1.0)
+        covariance = self.covariance * np.outer(scale, scale)
+        covariance = covariance + np.diag(np.where(vector_is_log(len(self.joint_names)), least_spread**2, 0.0))
+        values, vectors = np.linalg.eigh(covariance)
+        root = vectors * np.sqrt(np.maximum(values, 0.0))
+        drawn = pack(self.parameters) + rng.standard_normal((count, len(self.names))) @ root.T
+        return unpack(np.clip(drawn, self.lower, self.upper), len(self.joint_names))
+
+    def require(self, arm: Arm) -> None:
+        """Refuse with a ContractError if this twin is of another arm."""
+        if self.arm != arm.name or self.joint_names != arm.joint_names:
+            raise ContractError(
+                f"twin of arm {self.arm!r} with joints {', '.join(self.joint_names)}; expected {arm.name!r} with "
+                f"{', '.join(arm.joint_names)}; identify this arm"
+            )
+
+    def digest(self) -> str:
+        """Fingerprint of everything that decides the twins drawn from this one."""
+        h = hashlib.sha256("\n".join([self.arm, *self.names]).encode())
+        values = [getattr(self.parameters, p.name) for p in PARAMETERS]
+        for array in (*values, self.covariance, self.lower, self.upper, self.identified.astype(float)):
+            h.update(np.ascontiguousarray(array, dtype="<f8").tobytes())
+        return h.hexdigest()[:16]

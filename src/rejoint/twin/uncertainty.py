@@ -1,0 +1,85 @@
+"""How well a fit knows its parameters.
+
+Method: the sandwich covariance of an M-estimator with clustered scores (Huber 1967; Liang and Zeger
+1986), clusters being stretches of motion longer than the memory of the residuals. The plain inverse
+curvature is 3 to 20 times too narrow on a real arm's logs (measured there). Few clusters make the
+scores' covariance noisy, so it is averaged with the curvature, which it equals in expectation when
+the model is right.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rejoint.arms import Array
+from rejoint.twin.fit import Fit, Problem, influence
+
+CLUSTER = 3.0
+"""[s] longer than a stick-slip cycle and than the slowest oscillation of a worn arm (chosen)"""
+
+IDENTIFIED = 0.5
+"""A parameter counts as identified when the data at least halve its prior standard deviation (chosen)"""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Uncertainty:
+    """Covariance of an estimate over the parameter vector of length k."""
+
+    covariance: Array
+    """(k, k); parameters that are not identified have their prior variance and no correlation"""
+    narrowing: Array
+    """(k,) standard deviation by the data over that of the prior"""
+    identified: NDArray[np.bool_]
+    """(k,)"""
+
+
+def uncertainty(problem: Problem, fit: Fit) -> Uncertainty:
+    """Estimate the covariance of a fit from central differences and clustered scores."""
+    prior, k = problem.prior, len(fit.vector)
+    residual, jacobian = _central_differences(problem, fit.vector)
+    curvature, _ = problem.system(jacobian, residual, fit.weights)
+    scores, clusters = np.zeros((k, k)), problem.clusters(CLUSTER)
+    count = int(clusters.max()) + 1
+    for joint in range(problem.joints):
+        place = problem.columns(joint)
+        pull = fit.weights.precision[joint] * influence(residual[:, joint]) * residual[:, joint]
+        summed = np.zeros((count, len(place)))
+        np.add.at(summed, clusters, jacobian[:, joint] * pull[:, None])
+        scores[np.ix_(place, place)] += summed.T @ summed * count / max(count - 1, 1)
+    precision = np.diag(prior.sigma**-2)
+    inverse = np.linalg.inv(curvature + precision)
+    covariance = inverse @ (0.5 * (scores + curvature) + precision) @ inverse
+    narrowing = np.sqrt(np.diag(covariance)) / prior.sigma
+    identified = (narrowing < IDENTIFIED) & ~fit.at_bound
+    return Uncertainty(
+        covariance=keep_prior(covariance, prior.sigma, identified), narrowing=narrowing, identified=identified
+    )
+
+
+def keep_prior(covariance: Array, sigma: Array, identified: NDArray[np.bool_]) -> Array:
+    """Give what is not identified its prior variance and no correlation."""
+    kept = np.where(identified[:, None] & identified, covariance, 0.0)
+    kept[np.diag_indices_from(kept)] = np.where(identified, np.diag(covariance), sigma**2)
+    return kept
+
+
+def strong_correlations(covariance: Array, threshold: float = 0.9) -> list[tuple[int, int, float]]:
+    """Pairs (i, j, correlation) of parameters that the data can hardly tell apart, strongest first."""
+    sigma = np.sqrt(np.diag(covariance))
+    correlation = covariance / np.outer(sigma, sigma)
+    pairs = [(int(i), int(j), float(correlation[i, j])) for i, j in zip(*np.triu_indices(len(sigma), 1), strict=True)]
+    return sorted((pair for pair in pairs if abs(pair[2]) > threshold), key=lambda pair: -abs(pair[2]))
+
+
+def _central_differences(problem: Problem, x: Array) -> tuple[Array, Array]:
+    """Residual (rows, n) at ``x`` and sensitivities (rows, n, q), one-sided where a bound is near."""
+    ones = np.ones(len(x))
+    up, down = problem.inward(x, ones), problem.inward(x, -ones)
+    residuals = problem.residuals(np.vstack([x, problem.perturbations(x, up), problem.perturbations(x, down)]))
+    base, count = residuals[0], (len(residuals) - 1) // 2
+    forward = problem.jacobian(base, residuals[1 : 1 + count], up)
+    backward = problem.jacobian(base, residuals[1 + count :], down)
+    return base, 0.5 * (forward + backward)
