@@ -1,0 +1,148 @@
+"""What fast motions say about a joint: inertia over stiffness, damping, delay, and the torque it really has.
+
+All of it rests on the law of `rejoint.diagnosis.metrics`. Slow motions cannot tell a delay from a lag,
+nor, on a stiff joint, from inertia over stiffness; the first moments of a step can, since a delayed
+joint does not move at all. So every delay gets its own fit of the multisine, and the one whose fit
+also starts the steps on time is taken.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rejoint.arms import Array
+from rejoint.diagnosis.metrics import nuisance, sweep_fit
+from rejoint.diagnosis.modulation import Averages, window_averages
+from rejoint.diagnosis.regression import Estimate, Fit, fit_trimmed, mean_of
+from rejoint.diagnosis.segments import ExcitationLog
+
+DELAYS = np.arange(0.005, 0.0801, 0.0025)
+"""[s] delays that are tried: from an idle wire to two periods of a slow one."""
+
+_WINDOW = 0.4
+"""[s] a period of the highest line of the multisine (chosen)."""
+
+_TORQUE_WINDOW = 0.2
+"""[s] (chosen: half of the shortest time that a weak joint stays at its limit)"""
+
+_ONSET = 0.12
+"""[s] of a step that decide about the delay (chosen: until a 0.2 rad step has been sent)."""
+
+_STEP = 0.0025
+"""[s] of the simulation of a step's beginning (chosen: a tenth of a usual period)."""
+
+_NOMINAL_DELAY = 0.02
+"""[s] with which friction is measured before the delay is known; it hardly matters there (chosen)."""
+
+_MIN_RATIO = 5e-5
+"""[s^2] J/k below which a fit is not believed: an oscillation at 22 Hz, stiffer than such a servo is (chosen)."""
+
+
+def multisine_averages(data: ExcitationLog, joint: int) -> Averages:
+    """Window averages of the multisine, for all `DELAYS`."""
+    averages = window_averages(
+        data, data.of_kind("multisine", joint), joint, length=_WINDOW, delays=DELAYS, cut=float(DELAYS[-1])
+    )
+    data.require(len(averages.speed) >= 40, "seconds of multisine", joint)
+    return averages
+
+
+def fit_dynamics(averages: Averages, delay: int) -> Fit:
+    """Fit the law with delay number ``delay``: coefficients (J/k [s^2], d/k [s], F/k [rad], 1/k, offset)."""
+    design = np.stack(
+        [averages.acceleration, averages.speed, averages.direction, *nuisance(averages)], axis=1
+    )
+    return fit_trimmed(design, averages.error[delay], averages.cluster)
+
+
+def delay_index(data: ExcitationLog, multisine: list[Averages]) -> int:
+    """Which of `DELAYS` commands and answers need on their way: the lower quartile over the joints.
+
+    Joints with much friction or play start late for reasons of their own, never early.
+    """
+    found = []
+    for joint, averages in enumerate(multisine):
+        half_width = max(float(sweep_fit(data, joint, _NOMINAL_DELAY).coefficients[1]), 0.0)
+        fits = np.array([fit_dynamics(averages, d).coefficients[:2] for d in range(len(DELAYS))])
+        found.append(int(np.argmin(_onset_costs(data, joint, fits, half_width))))
+    return int(np.quantile(found, 0.25, method="lower"))
+
+
+def _onset_costs(data: ExcitationLog, joint: int, fits: Array, half_width: float) -> Array:
+    """Sum of squared errors (D,) of simulated step beginnings, one simulation per delay and step."""
+    log, steps = data.log, data.of_kind("step", joint)
+    data.require(len(steps) >= 2, "steps", joint)
+    offsets = np.arange(0.0, _ONSET, _STEP)
+    time = np.array([s.start for s in steps])[:, None] + offsets  # (S, K)
+    held = np.searchsorted(log.time, time - DELAYS[:, None, None], side="right") - 1
+    before = np.maximum(np.searchsorted(log.time, time[:, 0]) - 1, 0)
+    start = log.position[before, joint]
+    drive = log.command[np.maximum(held, 0), joint] - log.command[before, joint][:, None]  # (D, S, K)
+    ratio, lag = np.maximum(fits[:, :1], _MIN_RATIO), np.maximum(fits[:, 1:], 0.0)
+    way, speed = np.zeros(drive.shape[:2]), np.zeros(drive.shape[:2])
+    cost = np.zeros(len(DELAYS))
+    answers = [np.interp(t, log.time, log.position[:, joint]) for t in time]
+    moved = np.array(answers) - start[:, None]
+    for k in range(len(offsets)):
+        push = drive[..., k] - way
+        sticks = (np.abs(speed) < 1e-3) & (np.abs(push) < half_width)
+        against = np.where(np.abs(speed) < 1e-3, np.sign(push), np.sign(speed))
+        # implicit in the lag term: a stiff joint's lag is shorter than the step
+        speed = (speed + _STEP * (push - half_width * against) / ratio) / (1 + _STEP * lag / ratio)
+        speed = np.where(sticks, 0.0, speed)
+        way = way + _STEP * speed
+        cost += ((way - moved[:, k]) ** 2).sum(axis=1)
+    return np.where(fits[:, 0] > _MIN_RATIO, cost, np.inf)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Law:
+    """Coefficients of the law of one joint, as `rejoint.diagnosis.metrics` writes it."""
+
+    stiffness: float
+    """k [N m/rad]"""
+    lag: float
+    """d/k [s]"""
+    half_width: float
+    """F/k [rad]"""
+    ratio: float
+    """J/k [s^2]"""
+    delay: float
+    """[s]"""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Torque:
+    """How much torque a joint was asked for and gave."""
+
+    limit: Estimate | None
+    """[N m] where it stayed behind what was asked for; None where it never did"""
+    seen: float
+    """[N m] largest that it gave: the limit is not lower than this"""
+    saturated_share: float
+    """share of the excitation's time that the joint spent at its limit"""
+
+
+def torque_given(data: ExcitationLog, joint: int, law: Law) -> Torque:
+    """Compare what a joint's law asks for with what its motion and its load show that it gave.
+
+    A joint counts as saturated where the demand is more than twice what it gave, and exceeds it by more
+    than twice its friction, 0.15 N m, and what 10 ms of wrong timing make of a moving command (chosen:
+    healthy and worn arms without saturation stay below half of it), in two motions at least.
+    """
+    segments = [s for s in data.segments if s.kind in ("sweep", "step", "multisine", "hold")]
+    averages = window_averages(data, segments, joint, length=_TORQUE_WINDOW, delays=np.array([law.delay]))
+    demand = law.stiffness * (averages.error[0] - law.lag * averages.speed)
+    given = averages.gravity + law.stiffness * (law.ratio * averages.acceleration + law.half_width * averages.direction)
+    margin = 2 * law.half_width + 0.010 * np.abs(averages.command_speed)
+    excess = np.abs(demand) - np.abs(given)
+    behind = (excess > np.abs(given)) & (demand * given > 0) & (excess > law.stiffness * margin + 0.15)
+    clusters = np.unique(averages.cluster[behind])
+    seen = float(np.quantile(np.abs(given), 0.995))
+    share = float(behind.mean())
+    if len(clusters) < 2:
+        return Torque(limit=None, seen=seen, saturated_share=0.0)
+    limits = [float(np.median(np.abs(given[behind & (averages.cluster == c)]))) for c in clusters]
+    return Torque(limit=mean_of(np.array(limits)), seen=seen, saturated_share=share)

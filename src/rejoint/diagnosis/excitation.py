@@ -1,0 +1,248 @@
+"""The motion that makes an arm show what is wrong with it: a seeded plan, checked before it is driven.
+
+Segments, in this order:
+
+* ``approach``: from where the arm is to its rest posture, slowly.
+* ``still``: nothing is asked for (noise, self-excited oscillation).
+* ``sweep``: every joint slowly up and down at two speeds (friction and hysteresis apart from lag).
+* ``step``: every joint alone, as fast as the servo's own ramp (lag, overshoot, oscillation).
+* ``multisine``: all joints at once, band-limited (dynamics, for identification as well).
+* ``hold``: postures with different gravity torques, each approached from below and from above
+  (stiffness: the sag's slope over gravity torque, with friction cancelled).
+
+The plan is piecewise linear in time, so that its speeds are exact, and every posture of it is
+checked by forward kinematics: joints away from their limits, frames above the floor, TCP away from
+the arm's own column.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rejoint.arms import Arm, Array, frames, gravity_torque, tcp_position
+from rejoint.diagnosis.path import Path, smooth_ramp
+from rejoint.diagnosis.segments import Segment
+from rejoint.errors import InputError
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plan:
+    """Amplitudes, speeds and durations of an excitation; every default is chosen, the reason beside it."""
+
+    still: float = 3.0
+    """[s] a hundred readings at the slowest usual period"""
+    sweep_amplitude: float = 0.18
+    """[rad] several times a worn joint's hysteresis (about 0.04 rad)"""
+    sweep_speeds: tuple[float, ...] = (0.12, 0.5)
+    """[rad/s] slow: twice the usual Stribeck velocity; fast: where viscous lag outweighs friction"""
+    sweep_cycles: tuple[int, ...] = (2, 4)
+    """up-and-down cycles at each speed; half cycles are the clusters of the intervals"""
+    step_size: float = 0.2
+    """[rad] 11 deg: half of the guard's lead limit"""
+    step_dwell: float = 1.0
+    """[s] several periods of the slowest oscillation seen in worn arms (2 Hz)"""
+    step_speed: float = 2.0
+    """[rad/s] just below the 120 deg/s ramp of small servos, so that the command is what the servo follows"""
+    multisine_period: float = 15.0
+    """[s] one period; lines are 1/15 Hz apart"""
+    multisine_periods: int = 2
+    multisine_band: float = 2.5
+    """[Hz] highest line: a quarter of the sampling rate of a slow wire"""
+    multisine_amplitude: float = 0.25
+    """[rad] largest excursion of a joint"""
+    multisine_speed: float = 1.5
+    """[rad/s] largest speed of a joint"""
+    postures: int = 8
+    """postures of the holds"""
+    hold_offset: float = 0.15
+    """[rad] distance from which a posture is approached"""
+    hold_speed: float = 0.3
+    """[rad/s] of the last part of the approach: slow, so that nothing overshoots"""
+    hold_dwell: float = 1.0
+    """[s]"""
+    travel_speed: float = 0.8
+    """[rad/s] between postures"""
+    posture_spread: float = 0.7
+    """[rad] how far hold postures may lie from the rest posture"""
+
+
+FULL = Plan()
+"""About 130 s."""
+
+SHORT = Plan(sweep_cycles=(1, 2), multisine_periods=1, postures=5, step_dwell=0.8, still=2.0)
+"""About 75 s: a quick look, with wider intervals."""
+
+LIMIT_MARGIN = np.radians(10.0)
+"""[rad] commands stay this far inside the joint limits (chosen: a worn arm overshoots a 0.2 rad step by half)."""
+
+CLEARANCE = 0.05
+"""[m] of joint frames and TCP above the floor (chosen: a worn arm sags up to 40 mm)."""
+
+COLUMN = 0.4
+"""Share of the rest posture's reach that the TCP keeps from the vertical base axis (chosen; the arm must
+not hit its own column)."""
+
+_SETTLE = 0.3
+"""[s] pause at the turning points between segments (chosen)."""
+
+_CANDIDATES = 400
+"""Postures drawn for the holds (chosen)."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Excitation:
+    """A joint trajectory by the clock, in named segments."""
+
+    arm: Arm
+    segments: tuple[Segment, ...]
+    time: Array
+    """(K,) [s] knots, from 0"""
+    position: Array
+    """(K, n) [rad] at the knots, linear between them"""
+
+    @property
+    def duration(self) -> float:
+        """[s]"""
+        return float(self.time[-1])
+
+    def command(self, time: float | Array) -> Array:
+        """Joint positions (..., n) [rad] at ``time`` (...) [s] since the start; held before and after."""
+        t = np.asarray(time, dtype=float)
+        return np.stack([np.interp(t, self.time, column) for column in self.position.T], axis=-1)
+
+
+def plan_excitation(arm: Arm, *, seed: int, start: Array | None = None, plan: Plan = FULL) -> Excitation:
+    """Plan the excitation of an arm that stands at ``start`` (n,) [rad] (default: its rest posture).
+
+    Raises InputError if a posture of the plan would leave the safe space.
+    """
+    rng = np.random.default_rng(seed)
+    path = Path(arm.rest if start is None else np.asarray(start, dtype=float))
+    with path.segment("approach", "approach"):
+        path.travel(arm.rest, plan.travel_speed / 2)
+        path.wait(0.5)
+    with path.segment("still", "still"):
+        path.wait(plan.still)
+    _add_sweeps(path, arm, plan)
+    _add_steps(path, arm, plan)
+    _add_multisine(path, arm, plan, rng)
+    _add_holds(path, arm, plan, rng)
+    with path.segment("return", "approach"):
+        path.travel(arm.rest, plan.travel_speed / 2)
+    time, position = path.knots()
+    _check(arm, time, position)
+    return Excitation(arm=arm, segments=path.segments, time=time, position=position)
+
+
+def is_safe(arm: Arm, q: Array) -> NDArray[np.bool_]:
+    """Tell for postures (..., n) [rad] whether the excitation may go there; returns (...)."""
+    f = frames(arm, q)
+    # The first joint frame never moves; it may lie in the base plane.
+    lowest = np.minimum(f.position[..., 1:, 2].min(axis=-1), f.tcp_position[..., 2])
+    reach = np.linalg.norm(f.tcp_position[..., :2], axis=-1)
+    rest_reach = np.linalg.norm(tcp_position(arm, arm.rest)[:2])
+    inside = ((q >= arm.lower + LIMIT_MARGIN) & (q <= arm.upper - LIMIT_MARGIN)).all(axis=-1)
+    return inside & (lowest >= arm.floor + CLEARANCE) & (reach >= COLUMN * rest_reach)
+
+
+def _add_sweeps(path: Path, arm: Arm, plan: Plan) -> None:
+    """Sweep every other joint at once: neighbours disturb each other, the rest hardly."""
+    for group in (range(0, arm.joints, 2), range(1, arm.joints, 2)):
+        joints = tuple(group)
+        sign = np.zeros(arm.joints)
+        sign[list(joints)] = np.where(np.arange(len(joints)) % 2, -1.0, 1.0)
+        for index, (speed, cycles) in enumerate(zip(plan.sweep_speeds, plan.sweep_cycles, strict=True)):
+            path.travel(arm.rest - plan.sweep_amplitude * sign, plan.travel_speed / 2)
+            path.wait(_SETTLE)
+            for half in range(2 * cycles):
+                side = 1.0 if half % 2 == 0 else -1.0
+                with path.segment(f"sweep/{'-'.join(map(str, joints))}/{index}/{half}", "sweep", joints):
+                    path.travel(arm.rest + side * plan.sweep_amplitude * sign, speed)
+        path.travel(arm.rest, plan.travel_speed / 2)
+        path.wait(_SETTLE)
+
+
+def _add_steps(path: Path, arm: Arm, plan: Plan) -> None:
+    for joint in range(arm.joints):
+        for index, side in enumerate((1.0, 0.0, -1.0, 0.0)):
+            goal = arm.rest.copy()
+            goal[joint] += side * plan.step_size
+            with path.segment(f"step/{joint}/{index}", "step", (joint,)):
+                path.travel(goal, plan.step_speed)
+                path.wait(plan.step_dwell)
+
+
+def _add_multisine(path: Path, arm: Arm, plan: Plan, rng: np.random.Generator) -> None:
+    """All joints at once on interleaved lines, faded in and out over a second."""
+    duration = plan.multisine_period * plan.multisine_periods
+    time = np.arange(0.0, duration + 1e-9, 0.01)
+    lines = np.arange(1, int(plan.multisine_band * plan.multisine_period) + 1)
+    motion = np.zeros((len(time), arm.joints))
+    for joint in range(arm.joints):
+        own = lines[lines % arm.joints == joint % arm.joints]
+        phase = rng.uniform(0.0, 2 * np.pi, len(own))
+        angle = 2 * np.pi * np.outer(time, own) / plan.multisine_period + phase
+        wave = (np.cos(angle) / np.sqrt(own)).sum(axis=1)  # 1/sqrt(f): between equal position and equal speed
+        speed = np.abs(np.gradient(wave, time)).max()
+        motion[:, joint] = wave * min(plan.multisine_amplitude / np.abs(wave).max(), plan.multisine_speed / speed)
+    fade = smooth_ramp(time) * smooth_ramp(duration - time)
+    with path.segment("multisine", "multisine", tuple(range(arm.joints))):
+        path.follow(time, arm.rest + fade[:, None] * motion)
+        path.wait(_SETTLE)
+
+
+def _add_holds(path: Path, arm: Arm, plan: Plan, rng: np.random.Generator) -> None:
+    for index, posture in enumerate(hold_postures(arm, plan, rng)):
+        for side, name in ((-1.0, "below"), (1.0, "above")):
+            begin = posture + side * plan.hold_offset
+            if not _line_is_safe(arm, path.end, begin):
+                path.travel(arm.rest, plan.travel_speed)
+            path.travel(begin, plan.travel_speed)
+            path.wait(_SETTLE)
+            path.travel(posture, plan.hold_speed)
+            with path.segment(f"hold/{index}/{name}", "hold", tuple(range(arm.joints))):
+                path.wait(plan.hold_dwell)
+
+
+def hold_postures(arm: Arm, plan: Plan, rng: np.random.Generator) -> Array:
+    """Postures (P, n) [rad] whose gravity torques lie far apart: farthest-point sampling of safe candidates.
+
+    Torques are scaled per joint by their largest value, so that weakly loaded joints count as well,
+    and cut at 0.02 N m from below: what friction hides altogether is not worth a posture.
+    """
+    q = arm.rest + plan.posture_spread * rng.uniform(-1.0, 1.0, (_CANDIDATES, arm.joints))
+    for side in (-plan.hold_offset, plan.hold_offset):
+        q = q[_line_is_safe(arm, arm.rest, q + side) & _line_is_safe(arm, q, q + side)]
+    if len(q) < plan.postures:
+        raise InputError(f"arm {arm.name}: only {len(q)} of {_CANDIDATES} postures around its rest posture are safe")
+    torque = gravity_torque(arm, q)
+    torque = torque / np.maximum(np.abs(torque).max(axis=0), 0.02)
+    chosen = [int(np.argmax(np.linalg.norm(torque - torque.mean(axis=0), axis=1)))]
+    distance = np.full(len(q), np.inf)
+    while len(chosen) < plan.postures:
+        distance = np.minimum(distance, np.linalg.norm(torque - torque[chosen[-1]], axis=1))
+        chosen.append(int(np.argmax(distance)))
+    return q[chosen]
+
+
+def _line_is_safe(arm: Arm, start: Array, goal: Array) -> NDArray[np.bool_]:
+    """Tell whether the straight joint motions (..., n) from ``start`` to ``goal`` stay safe; returns (...)."""
+    share = np.linspace(0.0, 1.0, 12)[:, None]
+    return is_safe(arm, start[..., None, :] + share * (goal - start)[..., None, :]).all(axis=-1)
+
+
+def _check(arm: Arm, time: Array, position: Array) -> None:
+    """Raise InputError if a posture on the way is not safe, or a joint would have to be too fast."""
+    fine = np.union1d(time, np.arange(0.0, time[-1], 0.05))
+    q = np.stack([np.interp(fine, time, column) for column in position.T], axis=-1)
+    safe = is_safe(arm, q)
+    approach = fine <= time[np.argmax((position == arm.rest).all(axis=1))]  # where the arm came from is not ours
+    if not (safe | approach).all():
+        worst = fine[np.argmin(safe | approach)]
+        raise InputError(f"arm {arm.name}: the excitation is not safe at {worst:.2f} s; plan smaller amplitudes")
+    speed = np.abs(np.diff(position, axis=0)) / np.diff(time)[:, None]
+    if (speed > arm.max_speed + 1e-9).any():
+        raise InputError(f"arm {arm.name}: the excitation is faster than the joints may move")

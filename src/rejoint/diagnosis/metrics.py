@@ -1,0 +1,135 @@
+"""What slow motions and rest say about a joint: friction, sag, overshoot, hunting, noise.
+
+The following error e = command - measured position is all that encoders offer. A position servo of
+stiffness k and damping d that turns an inertia J against gravity torque tau and Coulomb friction F
+leaves
+
+    e = (d/k) q' + (F/k) sign(q') + (J/k) q'' + tau/k + offset,
+
+linear in d/k (lag), F/k (half the hysteresis), J/k and 1/k. Each is taken from the motion that shows it
+best: lag and hysteresis from slow sweeps, J/k from the multisine (`rejoint.diagnosis.dynamics`), and
+1/k from postures held after an approach from both sides, whose mean is free of friction.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rejoint.arms import Array
+from rejoint.diagnosis.modulation import Averages, window_averages
+from rejoint.diagnosis.regression import Estimate, Fit, fit_line, fit_trimmed, mean_of
+from rejoint.diagnosis.segments import ExcitationLog
+
+SETTLED_LAST = 0.4
+"""[s] of a hold or a step that counts as settled (chosen: the last sixteen readings at 25 ms)."""
+
+_SWEEP_WINDOW = 0.2
+"""[s] as long as half sweeps allow (chosen)."""
+
+_MOVING = 0.7
+"""Size of the averaged direction above which a window counts as moving: about 0.04 rad/s (chosen)."""
+
+_MIN_TORQUE_RANGE = 2e-3
+"""[N m] variation of gravity torque below which it is not fitted: the column would only add noise (chosen)."""
+
+_MIN_STEP = 0.02
+"""[rad] motion below which an overshoot is not expressed as a fraction of it (chosen)."""
+
+
+def sweep_fit(data: ExcitationLog, joint: int, delay: float) -> Fit:
+    """Fit the sweeps of a joint: coefficients (d/k [s], F/k [rad], 1/k [rad/(N m)], offset [rad]).
+
+    Windows in which the joint sticks are left out: friction is then whatever it needs to be. 1/k is a
+    nuisance here; holds measure it far better.
+    """
+    segments = data.of_kind("sweep", joint)
+    averages = window_averages(data, segments, joint, length=_SWEEP_WINDOW, delays=np.array([delay]), cut=0.1)
+    moving = np.abs(averages.direction) > _MOVING
+    data.require(len(np.unique(averages.cluster[moving])) >= 6, "sweeps", joint)
+    design = np.stack([averages.speed, np.sign(averages.direction), *nuisance(averages)], axis=1)
+    return fit_trimmed(design[moving], averages.error[0, moving], averages.cluster[moving])
+
+
+def nuisance(averages: Averages) -> tuple[Array, Array]:
+    """Columns (N,) of gravity torque and offset that every fit needs beside its own."""
+    loaded = len(averages.gravity) > 0 and np.ptp(averages.gravity) > _MIN_TORQUE_RANGE
+    return averages.gravity * loaded, np.ones(len(averages.gravity))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Holds:
+    """Settled following errors of one joint in postures held after an approach from both sides; P postures."""
+
+    torque: Array
+    """(P, 2) [N m] gravity torque at the measured postures; approached from below, from above"""
+    error: Array
+    """(P, 2) [rad] command minus measured position"""
+
+    def sag(self) -> tuple[Fit, NDArray[np.bool_]]:
+        """Line of the mean of both sides over gravity torque, and the postures (P,) it was fitted on.
+
+        Coefficients (offset [rad], 1/k [rad/(N m)]). Postures far off the line that the others make
+        (more than 6 median absolute deviations and 10 mrad, chosen) are left out: there the servo is
+        at its torque limit or something is in the way, and no stiffness shows.
+        """
+        x, y = self.torque.mean(axis=1), self.error.mean(axis=1)
+        i, j = np.triu_indices(len(x), 1)
+        apart = np.abs(x[i] - x[j]) > 0.1 * np.ptp(x)
+        slope = float(np.median((y[j] - y[i])[apart] / (x[j] - x[i])[apart])) if apart.any() else 0.0  # Theil-Sen
+        residual = y - slope * x - np.median(y - slope * x)
+        kept = np.abs(residual) <= max(6 * float(np.median(np.abs(residual))), 0.010)
+        return fit_line(x[kept], y[kept]), kept
+
+
+def holds(data: ExcitationLog, joint: int) -> Holds:
+    """Collect the holds of a joint."""
+    found: dict[str, dict[str, tuple[float, float]]] = {}
+    for segment in data.of_kind("hold", joint):
+        rows = data.rows(segment, last=SETTLED_LAST)
+        if len(rows):
+            _, posture, side = segment.name.split("/")
+            error = float((data.log.command[rows, joint] - data.log.position[rows, joint]).mean())
+            found.setdefault(posture, {})[side] = (float(data.gravity[rows, joint].mean()), error)
+    pairs = np.array([[both["below"], both["above"]] for both in found.values() if len(both) == 2])
+    data.require(len(pairs) >= 3, "holds", joint)
+    return Holds(torque=pairs[:, :, 0], error=pairs[:, :, 1])
+
+
+def overshoot(data: ExcitationLog, joint: int) -> Estimate:
+    """How far a joint shoots beyond where it settles after a step, as a fraction of its motion."""
+    shares = []
+    for segment in data.of_kind("step", joint):
+        rows, end = data.rows(segment), data.rows(segment, last=SETTLED_LAST)
+        if not len(end):
+            continue
+        position, final = data.log.position[rows, joint], float(data.log.position[end, joint].mean())
+        moved = final - position[0]
+        if abs(moved) > _MIN_STEP:
+            shares.append(max(float((np.sign(moved) * (position - final)).max() / abs(moved)), 0.0))
+    return mean_of(np.array(shares)) if shares else Estimate(0.0, 0.0, None)
+
+
+def hunting(data: ExcitationLog, joint: int) -> Estimate:
+    """Rms [rad] of the motion that is left at the end of holds, when all commands have long stood still."""
+    spans = [data.rows(segment, last=SETTLED_LAST) for segment in data.of_kind("hold")]
+    spans = [rows for rows in spans if len(rows) >= 4]
+    data.require(len(spans) >= 3, "holds", joint)
+    rest = [_without_drift(data.log.time[rows], data.log.position[rows, joint]) for rows in spans]
+    return mean_of(np.array([float(np.sqrt((r**2).mean())) for r in rest]))
+
+
+def noise(data: ExcitationLog, joint: int) -> Estimate:
+    """Rms [rad] of a single reading while nothing is asked for, from differences of neighbours."""
+    rows = [data.rows(segment, skip=0.5) for segment in data.of_kind("still")]
+    data.require(sum(map(len, rows)) >= 12, "readings at rest", joint)
+    blocks = np.array_split(np.diff(data.log.position[np.concatenate(rows), joint]), 6)
+    power = mean_of(np.array([float((block**2).mean()) / 2 for block in blocks]))
+    low, high = max(power.low or 0.0, 0.0), max(power.high or 0.0, 0.0)
+    return Estimate(power.value**0.5, low**0.5, high**0.5)
+
+
+def _without_drift(time: Array, value: Array) -> Array:
+    return value - np.polyval(np.polyfit(time - time[0], value, 1), time - time[0])

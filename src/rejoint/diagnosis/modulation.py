@@ -1,0 +1,106 @@
+"""Speeds and accelerations without differentiating noise: averages under smooth windows.
+
+A window w(t) that is zero with its first derivatives at both ends turns integrals of q'' and q' into
+integrals of q itself (modulating functions, Shinbrot 1957): int q'' w = int q w''. Every quantity is
+such an average, divided by int w, so that linear relations between the signals hold between the
+averages as well, whatever the times of the readings.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+
+from rejoint.arms import Array
+from rejoint.diagnosis.segments import ExcitationLog, Segment
+
+_GRID = 0.005
+"""[s] readings are interpolated linearly to this grid (chosen: a fifth of a usual period)."""
+
+_STILL_SPEED = 0.05
+"""[rad/s] below which a joint counts less and less as moving (chosen: one encoder count in 30 ms)."""
+
+_LONG = 4.0
+"""[s] segments longer than this are cut into several clusters (chosen: several times the slowest oscillation)."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Averages:
+    """Window averages of one joint's signals, N windows, D delays."""
+
+    error: Array
+    """(D, N) [rad] command, delayed, minus measured position"""
+    command_speed: Array
+    """(N,) [rad/s] of the command, without delay"""
+    speed: Array
+    """(N,) [rad/s] measured"""
+    acceleration: Array
+    """(N,) [rad/s^2] measured"""
+    direction: Array
+    """(N,) sign of the speed, -1 to 1"""
+    gravity: Array
+    """(N,) [N m] torque that holds the arm against gravity at the measured posture"""
+    cluster: NDArray[np.intp]
+    """(N,) number of the motion that the window belongs to"""
+
+
+def window_averages(
+    data: ExcitationLog, segments: list[Segment], joint: int, *, length: float, delays: Array, cut: float = 0.0
+) -> Averages:
+    """Average a joint's signals under windows of ``length`` [s] that overlap by three quarters.
+
+    ``delays`` (D,) [s] are the times that a command and the answer may need on their way; the first
+    ``cut`` [s] of each segment is left out.
+    """
+    parts = []
+    for index, segment in enumerate(segments):
+        time = np.arange(segment.start + cut, segment.stop, _GRID)
+        if len(time) * _GRID > length:
+            parts.append(_averages(data, time, joint, length, delays, 1000 * index))
+    if not parts:
+        empty = np.zeros(0)
+        return Averages(
+            error=np.zeros((len(delays), 0)), command_speed=empty, speed=empty, acceleration=empty, direction=empty, gravity=empty,
+            cluster=empty.astype(np.intp),
+        )  # fmt: skip
+    names = ("error", "command_speed", "speed", "acceleration", "direction", "gravity", "cluster")
+    return Averages(**{name: np.concatenate([getattr(part, name) for part in parts], axis=-1) for name in names})
+
+
+def _averages(
+    data: ExcitationLog, time: Array, joint: int, length: float, delays: Array, first_cluster: int
+) -> Averages:
+    log = data.log
+    position = np.interp(time, log.time, log.position[:, joint])
+    held = np.searchsorted(log.time, time - delays[:, None], side="right") - 1
+    count = round(length / _GRID)
+    window, first, second = _window(count)
+    hop = max(count // 4, 1)
+
+    def average(signal: Array, weight: Array) -> Array:
+        return sliding_window_view(signal, count, axis=-1)[..., ::hop, :] @ weight / window.sum()
+
+    smooth = np.convolve(np.pad(np.gradient(position, _GRID), 10, mode="edge"), np.full(21, 1 / 21), mode="valid")
+    speed = -average(position, first)
+    begins = hop * _GRID * np.arange(len(speed))
+    duration = _LONG / 2 if time[-1] - time[0] > _LONG else np.inf
+    return Averages(
+        error=average(log.command[np.maximum(held, 0), joint] - position, window),
+        command_speed=-average(np.interp(time, log.time, log.command[:, joint]), first),
+        speed=speed,
+        acceleration=average(position, second),
+        direction=average(np.tanh(smooth / _STILL_SPEED), window),
+        gravity=average(np.interp(time, log.time, data.gravity[:, joint]), window),
+        cluster=first_cluster + (begins / duration).astype(np.intp),
+    )
+
+
+def _window(count: int) -> tuple[Array, Array, Array]:
+    """sin^4 on ``count`` grid points, and its first two derivatives by time."""
+    x = (np.arange(count) + 0.5) / count
+    rate = np.pi / (count * _GRID)
+    sine, cosine = np.sin(np.pi * x), np.cos(np.pi * x)
+    return sine**4, 4 * rate * sine**3 * cosine, 4 * rate**2 * (3 * sine**2 * cosine**2 - sine**4)

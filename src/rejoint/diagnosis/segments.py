@@ -1,0 +1,79 @@
+"""Named spans of an excitation, and how a run log carries them, so that logs alone suffice later."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from rejoint.arms import Arm, Array, gravity_torque
+from rejoint.errors import InputError
+from rejoint.runs import RunLog
+
+_KEY = "segments"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Segment:
+    """A named span of an excitation."""
+
+    name: str
+    """unique, such as ``step/2/0``"""
+    kind: str
+    """approach, still, sweep, step, multisine or hold"""
+    start: float
+    """[s] since the excitation began; in a run log on the robot's clock"""
+    stop: float
+    """[s]"""
+    joints: tuple[int, ...] = ()
+    """indices of the joints that it judges"""
+
+
+def attach_segments(log: RunLog, segments: tuple[Segment, ...]) -> RunLog:
+    """Return the log with the segments of its excitation in it; the excitation began with the first row."""
+    begin = float(log.time[0])
+    shifted = [dataclasses.replace(s, start=begin + s.start, stop=begin + s.stop) for s in segments]
+    return dataclasses.replace(log, extra={**log.extra, _KEY: msgspec.json.encode(shifted).decode()})
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ExcitationLog:
+    """A run log of an excitation with what every measurement needs of it."""
+
+    arm: Arm
+    log: RunLog
+    segments: tuple[Segment, ...]
+    gravity: Array
+    """(T, n) [N m] torque that holds the arm against gravity at the measured postures"""
+
+    @classmethod
+    def of(cls, arm: Arm, log: RunLog) -> ExcitationLog:
+        """Read the segments that a log carries; InputError if it is of another arm or carries none."""
+        if log.arm != arm.name or len(log.joint_names) != arm.joints:
+            raise InputError(f"run log {log.label} is of arm {log.arm}, expected {arm.name}")
+        if _KEY not in log.extra:
+            raise InputError(f"run log {log.label} holds no excitation; record one with `rejoint diagnose`")
+        try:
+            segments = msgspec.json.decode(log.extra[_KEY], type=tuple[Segment, ...])
+        except msgspec.MsgspecError as error:
+            raise InputError(f"run log {log.label}: its segments are damaged ({error}); record it again") from error
+        return cls(arm=arm, log=log, segments=segments, gravity=gravity_torque(arm, log.position))
+
+    def of_kind(self, kind: str, joint: int | None = None) -> list[Segment]:
+        """Segments of a kind; with ``joint``, only those that judge it."""
+        return [s for s in self.segments if s.kind == kind and (joint is None or joint in s.joints)]
+
+    def rows(self, segment: Segment, *, skip: float = 0.0, last: float = np.inf) -> NDArray[np.intp]:
+        """Rows of a segment without its first ``skip`` [s], and of those only the ``last`` [s]."""
+        begin = max(segment.start + skip, segment.stop - last)
+        return np.arange(*np.searchsorted(self.log.time, [begin, segment.stop]))
+
+    def require(self, enough: bool, what: str, joint: int) -> None:
+        """Raise InputError unless there is ``enough`` of something to judge a joint by."""
+        if not enough:
+            raise InputError(
+                f"run log {self.log.label} holds too few {what} of joint {joint + 1}; record the excitation again"
+            )
