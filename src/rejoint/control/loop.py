@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -68,7 +68,7 @@ def run(
     )
     progress: _Progress | None = None
     try:
-        progress = _Progress.begin(robot.read(), targets)
+        progress = _Progress.begin(_own(robot.read()), targets)
         controller.reset(progress.situation(), np.ones(robot.count, dtype=bool))
         while loop.cycle(progress):
             pass
@@ -105,7 +105,7 @@ def move(robot: Robot, posture: Array, *, speed: float = 0.5, settle: float = 1.
 
     The default speed is chosen: a fifth of what the joints can do.
     """
-    start = robot.read().position
+    start = robot.read().position.copy()
     way = posture - start
     duration = max(float(np.abs(way).max()) / speed, 1e-3)
 
@@ -200,7 +200,7 @@ class _Loop:
         renewed = progress.advance(fresh & self._finished(before))
         command, reasons = self._decide(progress, renewed)
         cycle = Cycle(
-            time=before.state.time.copy(), position=before.state.position.copy(), command=command, target=before.target,
+            time=before.state.time, position=before.state.position, command=command, target=before.target,
             target_index=index, since_target=before.since_target, true_tcp=self.robot.true_tcp().copy(), active=fresh,
             reasons=reasons,
         )  # fmt: skip
@@ -209,7 +209,7 @@ class _Loop:
         if self.on_cycle is not None:
             self.on_cycle(cycle)
         if progress.active.any():
-            progress.stepped(self.robot.step(command, progress.active), command)
+            progress.stepped(_own(self.robot.step(command, progress.active)), command)
         return bool(progress.active.any())
 
     def _finished(self, situation: Situation) -> Mask:
@@ -240,6 +240,11 @@ class _Loop:
         if not self.schedule.keep_going:
             raise _trip_error(int(np.flatnonzero(trips)[0]), progress, self.limits)
         progress.active = progress.active & (trips == 0)
+
+
+def _own(state: JointState) -> JointState:
+    """Copy what is kept beyond this cycle: a robot may reuse its arrays."""
+    return replace(state, time=state.time.copy(), position=state.position.copy())
 
 
 def _trip_error(b: int, progress: _Progress, limits: GuardLimits) -> GuardTripError:

@@ -1,0 +1,215 @@
+"""Laws of the classical controllers: hand-worked commands, and what integral action must achieve."""
+
+import numpy as np
+import pytest
+
+from rejoint.arms import gravity_torque, mycobot280, position_jacobian, solve_position, tcp_position
+from rejoint.arms.kinematics import frames
+from rejoint.control.catalogue import BASELINES, CONTROLLERS, make_controller
+from rejoint.control.controller import Situation
+from rejoint.control.feedforward import FeedforwardController
+from rejoint.control.integrator import IntegratorController, IntegratorGains
+from rejoint.control.law import STEP_LIMIT, dls_step, fade, limit_lead, null_space
+from rejoint.control.loop import Schedule, run
+from rejoint.control.pid import PidController, PidGains
+from rejoint.control.robot import JointState
+from rejoint.errors import FileError, InputError
+
+ARM = mycobot280()
+TARGETS = ARM.targets.sample(np.random.default_rng(8), (3, 2))
+ALL = np.ones(3, dtype=bool)
+
+
+def situation(position, *, sent=None, target=TARGETS[:, 0], time=0.0):
+    position = np.array(position, dtype=float)
+    state = JointState(time=np.full(3, time), position=position, age=np.zeros(3))
+    return Situation(
+        state=state,
+        target=target,
+        sent=position if sent is None else sent,
+        since_target=np.full(3, time),
+    )
+
+
+REST = np.tile(ARM.rest, (3, 1))
+
+
+class SaggingRobot:
+    """Servos that follow with a lag and sag by gravity torque over a stiffness; the encoder sees it."""
+
+    arm, address = ARM, "test:sagging"
+
+    def __init__(self, stiffness, count=3):
+        self.count, self.stiffness = count, stiffness
+        self.position, self.time = np.tile(ARM.rest, (count, 1)), np.zeros(count)
+
+    def read(self):
+        return JointState(time=self.time, position=self.position, age=np.zeros(self.count))
+
+    def step(self, command, active=None):
+        goal = command - gravity_torque(ARM, self.position) / self.stiffness
+        moved = self.position + 0.25 * (goal - self.position)
+        self.position = np.where(active[:, None], moved, self.position)
+        self.time = self.time + 0.025 * active
+        return self.read()
+
+    def true_tcp(self):
+        return np.full((self.count, 3), np.nan)
+
+    def stop(self):
+        pass
+
+    def close(self):
+        pass
+
+
+def final_error(controller, stiffness=6.0, dwell=4.0):
+    rec = run(SaggingRobot(stiffness), controller, TARGETS, Schedule(dwell=dwell))
+    error = np.linalg.norm(tcp_position(ARM, rec.position) - rec.target, axis=-1)
+    last = [np.flatnonzero(rec.target_index[:, 0] == k)[-1] for k in range(2)]
+    return error[last]
+
+
+def test_default_sends_one_posture_per_target_whose_tcp_is_the_target():
+    controller = make_controller("default", ARM)
+    controller.reset(situation(REST), ALL)
+    first = controller.command(situation(REST))
+    np.testing.assert_allclose(tcp_position(ARM, first), TARGETS[:, 0], atol=2e-5)
+    later = controller.command(situation(REST + 0.2, sent=first, time=5.0))
+    assert (later == first).all()
+    only = np.array([False, True, False])
+    controller.reset(situation(REST, sent=first, target=TARGETS[:, 1]), only)
+    second = controller.command(situation(REST))
+    assert (second[~only] == first[~only]).all()
+    np.testing.assert_allclose(tcp_position(ARM, second[1]), TARGETS[1, 1], atol=2e-5)
+
+
+def test_goal_starts_at_the_last_command():
+    start = REST + 0.3
+    controller = make_controller("default", ARM)
+    now = situation(REST, sent=start)
+    controller.reset(now, ALL)
+    assert (controller.command(now) == solve_position(ARM, TARGETS[:, 0], start).q).all()
+
+
+@pytest.mark.parametrize("literal", [False, True])
+def test_pid_by_hand(literal):
+    """Two cycles of equation 27 worked out from its text: Kp .4, Ki .01, Kd .005, dt .02."""
+    controller = PidController(ARM, PidGains(integral_times_period=literal))
+    controller.reset(situation(REST), ALL)
+    goal = solve_position(ARM, TARGETS[:, 0], REST).q
+    e0, e1 = goal - REST, goal - (REST + 0.01)
+    dt = 0.02 if literal else 1.0
+    first = controller.command(situation(REST))
+    np.testing.assert_allclose(first, REST + 0.4 * e0 + 0.01 * e0 * dt, atol=1e-12)
+    second = controller.command(situation(REST + 0.01))
+    expected = REST + 0.01 + 0.4 * e1 + 0.01 * (e0 + e1) * dt + 0.005 * (e1 - e0) / 0.02
+    np.testing.assert_allclose(second, expected, atol=1e-12)
+    assert controller.name == ("pid-literal" if literal else "pid-sum")
+
+
+def test_pid_forgets_its_integral_only_where_it_is_reset():
+    controller = PidController(ARM, PidGains(integral_times_period=False))
+    controller.reset(situation(REST), ALL)
+    for _ in range(5):
+        controller.command(situation(REST))
+    some = np.array([True, False, False])
+    controller.reset(situation(REST), some)
+    fresh = PidController(ARM, PidGains(integral_times_period=False))
+    fresh.reset(situation(REST), ALL)
+    ours, new = controller.command(situation(REST)), fresh.command(situation(REST))
+    np.testing.assert_allclose(ours[0], new[0], atol=1e-12)
+    assert np.abs(ours[1:] - new[1:]).max() > 1e-4
+
+
+def test_integrator_by_hand():
+    gains = IntegratorGains(rest_gain=0.0)
+    sent = REST + 0.05
+    command = IntegratorController(ARM, gains).command(situation(REST, sent=sent))
+    f = frames(ARM, REST)
+    jacobian, error = position_jacobian(ARM, f), TARGETS[:, 0] - f.tcp_position
+    for b in range(3):
+        j = jacobian[b]
+        step = np.linalg.solve(j.T @ j + 0.05**2 * np.eye(6), j.T @ error[b])  # the n x n form of equation 11
+        step *= min(1.0, np.radians(5.0) / np.abs(step).max())
+        distance = np.linalg.norm(error[b])
+        np.testing.assert_allclose(command[b], sent[b] + 0.1 * distance / (distance + 0.004) * step, atol=1e-12)
+
+
+def test_integrator_never_leads_by_more_than_its_anti_windup():
+    controller = IntegratorController(ARM)
+    sent = REST.copy()
+    for _ in range(400):  # an arm that does not move at all
+        sent = controller.command(situation(REST, sent=sent))
+    assert np.abs(sent - REST).max() == pytest.approx(np.radians(15.0))
+
+
+def test_the_pull_to_rest_leaves_the_tcp_alone():
+    q = REST + np.random.default_rng(0).normal(0.0, 0.3, REST.shape)
+    seen = dls_step(ARM, q, TARGETS[:, 0])
+    motion = null_space(seen.jacobian, ARM.rest - q)
+    assert np.abs(motion).max() > 0.05
+    np.testing.assert_allclose((seen.jacobian @ motion[..., None])[..., 0], 0.0, atol=1e-6)
+    np.testing.assert_allclose(null_space(seen.jacobian, motion), motion, atol=1e-5)
+
+
+def test_pieces_of_the_law():
+    seen = dls_step(ARM, REST, REST[:, :3] * 0.0 + [0.0, 0.0, 2.0])
+    np.testing.assert_allclose(np.abs(seen.step).max(axis=-1), STEP_LIMIT)
+    np.testing.assert_allclose(fade(np.array([[0.003, 0.004, 0.0], [0.0, 0.0, 0.0]]), 0.005), [[0.5], [0.0]])
+    np.testing.assert_allclose(limit_lead(np.array([2.0, -2.0, 0.1]), np.zeros(3), 0.5), [0.5, -0.5, 0.1])
+
+
+def test_default_misses_by_the_sag_and_integral_action_removes_it():
+    default = final_error(make_controller("default", ARM))
+    assert (default > 0.01).all()
+    for name in ("integrator", "feedforward"):
+        assert (final_error(make_controller(name, ARM, stiffness=9.0)) < 5e-4).all(), name
+    sum_error = final_error(make_controller("pid-sum", ARM), dwell=12.0)
+    literal_error = final_error(make_controller("pid-literal", ARM), dwell=12.0)
+    assert (sum_error < 0.1 * default).all()
+    assert (literal_error > default).all()  # it commands less lead than the default does
+
+
+def test_exact_feedforward_leaves_nothing_to_integrate():
+    """Where the model is exact the arm settles at the target although nothing is integrated."""
+    no_feedback = IntegratorGains(gain=0.0)
+    exact = FeedforwardController(ARM, 6.0, no_feedback)
+    assert (final_error(exact) < 2e-4).all()
+    assert (final_error(FeedforwardController(ARM, 12.0, no_feedback)) > 5e-3).all()
+
+
+def test_feedforward_does_not_push_a_joint_on_its_way():
+    controller = FeedforwardController(ARM)
+    controller.reset(situation(REST), ALL)
+    still = controller.command(situation(REST, time=0.0))
+    pushed = controller.command(situation(REST, time=0.02)) - still
+    assert np.abs(pushed).max() > 1e-3
+    way = dls_step(ARM, REST, TARGETS[:, 0]).step
+    moving = REST + 0.05 * np.sign(way)  # 2.5 rad/s towards the target
+    before = controller.command(situation(REST, time=0.04))
+    after = controller.command(situation(moving, time=0.06))
+    same_way = np.sign(dls_step(ARM, moving, TARGETS[:, 0]).step) == np.sign(way)
+    assert same_way.any()
+    np.testing.assert_allclose(after[same_way], before[same_way], atol=1e-12)
+
+
+@pytest.mark.parametrize("name", BASELINES)
+def test_catalogue_names_and_a_batch_of_any_size(name):
+    controller = make_controller(name, ARM)
+    assert controller.name == name
+    rec = run(SaggingRobot(6.0), controller, TARGETS, Schedule(dwell=0.5))
+    again = run(SaggingRobot(6.0, count=1), controller, TARGETS[:1], Schedule(dwell=0.5))
+    assert np.isfinite(rec.command).all()
+    assert again.command.shape[1] == 1
+
+
+def test_unknown_names_list_the_alternatives(tmp_path):
+    with pytest.raises(InputError, match=f"'pdi'; known controllers: {', '.join(CONTROLLERS)}"):
+        make_controller("pdi", ARM)
+    with pytest.raises(InputError, match="needs a policy file"):
+        make_controller("policy", ARM)
+    with pytest.raises(FileError, match="no such file"):
+        make_controller("policy", ARM, policy=tmp_path / "nothing.onnx")
+    with pytest.raises(InputError, match="stiffness must be positive"):
+        make_controller("feedforward", ARM, stiffness=np.array([1.0, 1.0, 0.0, 1.0, 1.0, 1.0]))

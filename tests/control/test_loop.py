@@ -1,0 +1,265 @@
+"""Laws of the control loop: order of events, independence of arms, and nothing lost when it ends early."""
+
+import numpy as np
+import pytest
+
+from rejoint.arms import mycobot280, tcp_position
+from rejoint.control.guard import GuardLimits, Reason
+from rejoint.control.integrator import IntegratorController
+from rejoint.control.loop import Schedule, move, play, run
+from rejoint.control.recording import recording_of
+from rejoint.control.robot import JointState, Robot
+from rejoint.errors import GuardTripError, InputError, NoReplyError
+
+ARM = mycobot280()
+TARGETS = ARM.targets.sample(np.random.default_rng(3), (4, 2))
+
+
+class LaggingRobot:
+    """Arms that go a fixed share of the way to the command in each period and sag by a constant."""
+
+    arm, address = ARM, "test:lagging"
+
+    def __init__(self, periods, *, share=0.3, sag=0.0, start=ARM.rest):
+        self.periods = np.asarray(periods, dtype=float)
+        self.count = len(self.periods)
+        self.share, self.sag = share, sag
+        self.position = np.tile(start, (self.count, 1)).astype(float)
+        self.time = np.arange(self.count, dtype=float)  # clocks do not agree
+        self.temperature = np.full((self.count, ARM.joints), 30.0)
+        self.steps, self.stops = np.zeros(self.count, int), 0
+        self.fail_at, self.heat_at, self.received = None, {}, []
+
+    def read(self):
+        return JointState(
+            time=self.time, position=self.position, age=np.zeros(self.count), temperature=self.temperature
+        )
+
+    def step(self, command, active=None):
+        active = np.ones(self.count, bool) if active is None else active
+        self.received.append((command.copy(), active.copy()))
+        self.steps += active
+        if self.fail_at is not None and self.steps.max() >= self.fail_at:
+            raise NoReplyError("the arm did not answer within 0.3 s, check the cable")
+        for b, at in self.heat_at.items():
+            if self.steps[b] >= at:
+                self.temperature[b, 2] = 90.0
+        # In place: the loop must not keep views of the robot's own arrays.
+        self.position += np.where(active[:, None], self.share * (command - self.sag - self.position), 0.0)
+        self.time = self.time + np.where(active, self.periods, 0.0)
+        return self.read()
+
+    def true_tcp(self):
+        return tcp_position(ARM, self.position)
+
+    def stop(self):
+        self.stops += 1
+
+    def close(self):
+        pass
+
+
+class Straight:
+    """Commands the measured position and remembers when it was asked what."""
+
+    name = "straight"
+
+    def __init__(self):
+        self.resets, self.since = [], []
+
+    def reset(self, situation, where):
+        self.resets.append((where.copy(), situation.target.copy(), situation.since_target.copy()))
+
+    def command(self, situation):
+        self.since.append(situation.since_target.copy())
+        return situation.state.position.copy()
+
+
+def test_the_test_robot_is_a_robot():
+    assert isinstance(LaggingRobot([0.02]), Robot)
+
+
+def test_every_arm_keeps_its_own_time_and_number_of_cycles():
+    robot = LaggingRobot([0.02, 0.04])
+    rec = run(robot, Straight(), TARGETS[:2], Schedule(dwell=0.39))
+    assert rec.active.sum(axis=0).tolist() == [41, 21]  # 2 targets x 20 or 10 periods, and the first reading
+    for b, period in enumerate([0.02, 0.04]):
+        rows = rec.active[:, b]
+        np.testing.assert_allclose(np.diff(rec.time[rows, b]), period)
+        assert (np.bincount(rec.target_index[rows, b]) == [rows.sum() // 2 + 1, rows.sum() // 2]).all()
+    assert (robot.steps == [40, 20]).all()
+
+
+def test_a_batch_is_many_single_runs():
+    periods, schedule = [0.02, 0.025, 0.03], Schedule(dwell=3.0, stop_below=0.01)
+    batch = run(LaggingRobot(periods, sag=0.05), IntegratorController(ARM), TARGETS[:3], schedule)
+    for b, period in enumerate(periods):
+        alone = run(LaggingRobot([period], sag=0.05), IntegratorController(ARM), TARGETS[b : b + 1], schedule)
+        ours, theirs = batch.log(b, "x"), alone.log(0, "x")
+        np.testing.assert_allclose(ours.position, theirs.position, atol=1e-12)
+        np.testing.assert_allclose(ours.command, theirs.command, atol=1e-12)
+        assert (ours.target == theirs.target).all()
+
+
+def test_the_next_target_comes_at_the_first_crossing():
+    rec = run(LaggingRobot([0.025]), IntegratorController(ARM), TARGETS[:1], Schedule(dwell=20.0, stop_below=0.01))
+    error = np.linalg.norm(tcp_position(ARM, rec.position[:, 0]) - rec.target[:, 0], axis=-1)
+    for k in range(2):
+        segment = error[rec.target_index[:, 0] == k]
+        assert (segment[:-1] >= 0.01).all()
+        assert segment[-1] < 0.01
+    second = np.flatnonzero(rec.target_index[:, 0] == 1)[0]
+    np.testing.assert_allclose(rec.since_target[second, 0], 0.025)  # set when the first was crossed
+
+
+def test_resets_come_with_the_new_target_and_a_fresh_clock():
+    controller = Straight()
+    run(LaggingRobot([0.02, 0.04]), controller, TARGETS[:2], Schedule(dwell=0.1))
+    where, target, since = zip(*controller.resets, strict=True)
+    assert where[0].all()
+    assert (target[0] == TARGETS[:2, 0]).all()
+    for w, t, s in zip(where[1:], target[1:], since[1:], strict=True):
+        assert (t[w] == TARGETS[:2, 1][w]).all()
+        assert (s[w] == 0.0).all()
+    assert np.sum(where[1:]) == 2
+
+
+def test_row_k_holds_the_state_and_the_command_sent_right_after():
+    robot = LaggingRobot([0.02])
+    rec = run(robot, IntegratorController(ARM), TARGETS[:1], Schedule(dwell=0.5))
+    sent = np.array([command[0] for command, _ in robot.received])
+    assert (rec.command[:-1, 0] == sent).all()
+    assert (rec.command[-1, 0] == sent[-1]).all()
+    np.testing.assert_allclose(np.diff(rec.position[:, 0], axis=0), 0.3 * (sent - rec.position[:-1, 0]), atol=1e-12)
+    assert (np.abs(rec.command[0] - rec.position[0]) <= ARM.max_speed * 0.02 + 1e-12).all()
+
+
+def test_commands_keep_the_guards_limits_through_the_loop():
+    class Wild(Straight):
+        def command(self, situation):
+            return np.full_like(situation.sent, 1e6)
+
+    rec = run(LaggingRobot([0.02]), Wild(), TARGETS[:1], Schedule(dwell=2.0))
+    limits = GuardLimits.of(ARM)
+    assert (np.abs(np.diff(rec.command[:, 0], axis=0)) <= ARM.max_speed * 0.02 + 1e-9).all()
+    assert (rec.command <= limits.upper).all()
+    assert (rec.reasons[:-1, 0] & Reason.STEP).any()
+
+
+def test_a_trip_stops_the_robot_and_keeps_the_recording():
+    robot = LaggingRobot([0.02])
+    robot.heat_at = {0: 5}
+    with pytest.raises(GuardTripError, match=r"temperature.*joint3 is at 90 deg C, limit 65; let it cool") as caught:
+        run(robot, Straight(), TARGETS[:1], Schedule(dwell=1.0))
+    rec = recording_of(caught.value)
+    assert robot.stops == 1
+    assert robot.steps[0] == 5
+    assert len(rec.time) == 6
+    assert rec.tripped[0] == Reason.TEMPERATURE
+    assert (rec.command[-1] == rec.command[-2]).all()
+    assert caught.value.exit_code == 3
+
+
+def test_a_trip_of_one_arm_can_leave_the_others_running():
+    robot = LaggingRobot([0.02, 0.02])
+    robot.heat_at = {1: 5}
+    rec = run(robot, Straight(), TARGETS[:2], Schedule(dwell=0.5, keep_going=True))
+    assert robot.steps[1] == 5
+    assert robot.steps[0] > 40
+    assert rec.tripped.tolist() == [0, Reason.TEMPERATURE]
+    assert len(rec.log(1, "hot")) == 6
+
+
+def test_nan_from_a_controller_is_a_trip():
+    class Broken(Straight):
+        def command(self, situation):
+            return situation.sent * np.nan
+
+    robot = LaggingRobot([0.02])
+    with pytest.raises(GuardTripError, match="not finite"):
+        run(robot, Broken(), TARGETS[:1], Schedule(dwell=1.0))
+    assert robot.steps[0] == 0
+
+
+@pytest.mark.parametrize("stop_fails", [False, True])
+def test_an_error_of_the_robot_loses_nothing(stop_fails):
+    robot = LaggingRobot([0.02])
+    robot.fail_at = 7
+    if stop_fails:
+        robot.stop = lambda: (_ for _ in ()).throw(NoReplyError("still nothing"))
+    with pytest.raises(NoReplyError, match="did not answer") as caught:
+        run(robot, Straight(), TARGETS[:1], Schedule(dwell=1.0))
+    assert len(recording_of(caught.value).log(0, "part")) == 7
+    assert stop_fails or robot.stops == 1
+
+
+def test_ctrl_c_stops_the_robot():
+    robot, seen = LaggingRobot([0.02]), []
+
+    def interrupt(cycle):
+        seen.append(cycle)
+        if len(seen) == 4:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt) as caught:
+        run(robot, Straight(), TARGETS[:1], Schedule(dwell=1.0), on_cycle=interrupt)
+    assert robot.stops == 1
+    assert len(recording_of(caught.value).time) == 4
+
+
+def test_an_error_before_the_first_state_leaves_no_recording():
+    robot = LaggingRobot([0.02])
+    robot.read = lambda: (_ for _ in ()).throw(NoReplyError("nothing there"))
+    with pytest.raises(NoReplyError) as caught:
+        run(robot, Straight(), TARGETS[:1], Schedule(dwell=1.0))
+    assert recording_of(caught.value) is None
+    assert robot.stops == 1
+
+
+def test_play_follows_the_clock_and_has_no_target():
+    def wave(time):
+        return ARM.rest + 0.1 * np.sin(time)[:, None] * np.ones(ARM.joints)
+
+    rec = play(LaggingRobot([0.02, 0.03]), wave, 1.0)
+    assert np.isnan(rec.target).all()
+    for b in range(2):
+        log = rec.log(b, "excitation")
+        elapsed = log.time - log.time[0]
+        np.testing.assert_allclose(log.command[:-1], wave(elapsed[:-1]), atol=1e-12)
+        assert log.extra["controller"] == "playback"
+
+
+def test_move_arrives_slowly():
+    away = ARM.rest + np.radians(30.0)
+    robot = LaggingRobot([0.02, 0.04], start=away)
+    rec = move(robot, ARM.rest)
+    np.testing.assert_allclose(robot.position, np.tile(ARM.rest, (2, 1)), atol=1e-3)
+    steps = np.diff(rec.command, axis=0) / np.array([0.02, 0.04])[:, None]
+    assert np.abs(steps).max() < 0.5 + 1e-9
+    assert (rec.reasons == 0).all()
+
+
+def test_log_drops_repeated_answers():
+    robot = LaggingRobot([0.02])
+    step, calls = robot.step, []
+
+    def stutter(command, active=None):
+        calls.append(0)
+        return robot.read() if len(calls) % 3 == 0 else step(command, active)
+
+    robot.step = stutter
+    log = run(robot, Straight(), TARGETS[:1], Schedule(dwell=0.2)).log(0, "stutter")
+    assert (np.diff(log.time) > 0).all()
+    assert len(log) == robot.steps[0] + 1
+
+
+@pytest.mark.parametrize("shape", [(2, 3), (3, 2, 3), (2, 0, 3), (2, 2, 2)])
+def test_targets_of_a_wrong_shape_are_named(shape):
+    with pytest.raises(InputError, match=r"expected \(2, K, 3\)"):
+        run(LaggingRobot([0.02, 0.02]), Straight(), np.zeros(shape), Schedule(dwell=1.0))
+
+
+@pytest.mark.parametrize("settings", [{"dwell": 0.0}, {"dwell": np.nan}, {"dwell": 1.0, "stop_below": -1.0}])
+def test_bad_schedules_are_refused(settings):
+    with pytest.raises(InputError, match="schedule"):
+        Schedule(**settings)
