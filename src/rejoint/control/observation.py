@@ -1,0 +1,235 @@
+"""What a learned policy sees, computed once for training, emulation and the real arm.
+
+Two layouts exist. ``residual`` (7n + 8 numbers) is ours: how far the servos lag behind the command,
+the damped least-squares step at three magnifications, so that 0.1 mm is as visible as 10 cm, and
+nothing that a worn encoder cannot deliver. ``equation-16`` (4 + 3n + 6 numbers) is the state of
+Park et al. 2024 without theta_target, which gives their stated size of 28 for six joints.
+
+All of it comes from measured (delayed, quantised) joint positions; nothing is differentiated but
+two successive measurements.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rejoint.arms import Arm, Array, frames, position_jacobian
+from rejoint.arms.inverse import DAMPING
+from rejoint.control.controller import Situation
+from rejoint.control.robot import Mask
+from rejoint.errors import InputError
+
+Layout = Literal["residual", "equation-16"]
+Rows = slice | NDArray[np.intp]
+Observation = NDArray[np.float32]
+
+ALL = slice(None)
+LIMIT = 8.0
+"""Observations are clipped to +-8 (chosen: several times what a healthy episode shows)."""
+
+SUCCESS_DISTANCE = 0.005
+"""[m] distance threshold of the success buffer S; Park et al. 2024, section III-D."""
+
+_LONGEST_WAIT = 2.0  # [s] chosen: later than that the arm should have settled
+_ONE_DEGREE, _FIFTH_OF_A_DEGREE = float(np.radians(1.0)), float(np.radians(0.2))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Slot:
+    """One group of numbers in the observation."""
+
+    name: str
+    size: int
+    formula: str
+    """how it is computed; x is the measured position, s the last sent command, e the TCP error"""
+
+
+class View(NamedTuple):
+    """The target as seen from where the arm is measured to be."""
+
+    tcp: Array
+    """(B, 3) [m] measured TCP"""
+    error: Array
+    """(B, 3) [m] target minus measured TCP"""
+    distance: Array
+    """(B,) [m]"""
+    step: Array
+    """(B, n) [rad] damped least-squares step towards the target"""
+    homing: Array
+    """(B, n) [rad] way back to the rest posture that leaves the TCP where it is (to first order)"""
+
+
+class Reading(NamedTuple):
+    """Everything an observation is made of, for B arms."""
+
+    position: Array
+    velocity: Array
+    drive: Array
+    view: View
+    target: Array
+    since_target: Array
+    action: Array
+
+
+def look(arm: Arm, position: Array, target: Array) -> View:
+    """View the targets (B, 3) [m] from the joint positions (B, n) [rad]; kinematics are computed once."""
+    f = frames(arm, position)
+    jacobian = position_jacobian(arm, f)
+    transpose = np.swapaxes(jacobian, -1, -2)
+    error = target - f.tcp_position
+    away = arm.rest - position
+    wanted = np.empty((*error.shape, 2))
+    wanted[..., 0] = error
+    np.matmul(jacobian, away[..., None], out=wanted[..., 1:])
+    both = transpose @ np.linalg.solve(jacobian @ transpose + DAMPING**2 * np.eye(3), wanted)
+    distance = np.sqrt(np.einsum("...i,...i->...", error, error))
+    return View(f.tcp_position, error, distance, both[..., 0], away - both[..., 1])
+
+
+def layout_slots(layout: Layout, joints: int) -> tuple[Slot, ...]:
+    """Name every number of a layout, in order; this goes into the contract of a policy file."""
+    n = joints
+    rows: tuple[tuple[str, int, str], ...]
+    if layout == "residual":
+        rows = (
+            ("drive", n, "4 (s - x) [1/rad]"),
+            ("velocity", n, "0.5 dx/dt [s/rad], difference of the last two measurements"),
+            ("step", n, "5 dls(e) [1/rad]"),
+            ("step.near", n, "tanh(dls(e) / 1 deg)"),
+            ("step.fine", n, "tanh(dls(e) / 0.2 deg)"),
+            ("position", n, "x [rad]"),
+            ("error", 3, "20 e [1/m]"),
+            ("direction", 3, "e / (|e| + 3 mm)"),
+            ("distance", 1, "(ln(|e| / 1 m + 0.0003) + 5) / 2"),
+            ("waited", 1, "min(time since the target was set, 2 s) - 0.5"),
+            ("action", n, "last action"),
+        )  # fmt: skip
+    elif layout == "equation-16":
+        rows = (
+            ("time", 1, "min(time since the target was set, 2 s) [s]"),
+            ("drive", n, "4 (s - x) [1/rad]"),
+            ("position", n, "x [rad]"),
+            ("velocity", n, "0.5 dx/dt [s/rad], difference of the last two measurements"),
+            ("target", 3, "5 target [1/m]"),
+            ("tcp", 3, "5 tcp(x) [1/m]"),
+            ("distance", 1, "5 |e| [1/m]"),
+            ("collision", 1, "1 where the TCP is below the floor of the arm"),
+            ("success", 1, "1 where |e| < 5 mm"),
+        )  # fmt: skip
+    else:
+        raise InputError(f"no observation layout is called {layout!r}; known: residual, equation-16")
+    return tuple(Slot(name=name, size=size, formula=formula) for name, size, formula in rows)
+
+
+def layout_size(layout: Layout, joints: int) -> int:
+    """Length of the observation vector."""
+    return sum(slot.size for slot in layout_slots(layout, joints))
+
+
+class Observer:
+    """Turns situations of B arms into observations; remembers the last measurement and action.
+
+    `observe` must be called once per control cycle, `acted` after the policy has decided. `view`
+    holds the geometry of the last observation, which the command law needs again.
+    """
+
+    def __init__(self, arm: Arm, count: int, layout: Layout = "residual") -> None:
+        n = arm.joints
+        self.arm, self.count, self.layout = arm, count, layout
+        self.size = layout_size(layout, n)
+        self._position, self._velocity = np.zeros((count, n)), np.zeros((count, n))
+        self._time = np.full(count, np.nan)
+        self._action = np.zeros((count, n))
+        self.view = View(*(np.zeros((count, *tail)) for tail in ((3,), (3,), (), (n,), (n,))))
+
+    def reset(self, situation: Situation, where: Mask) -> None:
+        """Start from rest at the current measurement for the arms in ``where`` (B,)."""
+        self._position[where] = situation.state.position[where]
+        self._time[where] = situation.state.time[where]
+        self._velocity[where] = 0.0
+        self._action[where] = 0.0
+
+    def observe(self, situation: Situation, rows: Rows = ALL) -> Observation:
+        """Return the observation (B, size) of all arms, or of some ``rows`` only."""
+        state = situation.state
+        position = state.position[rows]
+        self._differentiate(state.time[rows], position, rows)
+        view = look(self.arm, position, situation.target[rows])
+        if isinstance(rows, slice) and rows == ALL:
+            self.view = view
+        else:
+            for whole, part in zip(self.view, view, strict=True):
+                whole[rows] = part
+        reading = Reading(
+            position,
+            self._velocity[rows],
+            situation.sent[rows] - position,
+            view,
+            situation.target[rows],
+            np.minimum(situation.since_target[rows], _LONGEST_WAIT),
+            self._action[rows],
+        )
+        out = np.empty((len(position), self.size), dtype=np.float32)
+        if self.layout == "residual":
+            _residual(out, reading)
+        else:
+            _equation_16(out, reading, self.arm.floor)
+        return np.clip(out, -LIMIT, LIMIT, out=out)
+
+    def acted(self, action: Array) -> None:
+        """Remember the action (B, n) that was decided on this observation."""
+        self._action[...] = action
+
+    def state(self) -> dict[str, Array]:
+        """Everything that a checkpoint must keep, as live arrays."""
+        own = {"position": self._position, "velocity": self._velocity, "time": self._time, "action": self._action}
+        return own | {f"view.{name}": value for name, value in self.view._asdict().items()}
+
+    def _differentiate(self, time: Array, position: Array, rows: Rows) -> None:
+        elapsed = time - self._time[rows]
+        moved = position - self._position[rows]
+        # A repeated answer (no time has passed) says nothing new: the last velocity stands.
+        fresh = (elapsed > 0)[:, None]
+        velocity = np.divide(moved, elapsed[:, None], out=self._velocity[rows].copy(), where=fresh)
+        self._velocity[rows] = velocity
+        self._position[rows] = position
+        self._time[rows] = time
+
+
+def _residual(out: Observation, reading: Reading) -> None:
+    """Fill ``out`` (B, 7n + 8) as `layout_slots` says."""
+    n, view = reading.position.shape[1], reading.view
+    columns = out.T  # rows of the transpose are the observation's columns
+    step = view.step
+    out[:, :n] = 4.0 * reading.drive
+    out[:, n : 2 * n] = 0.5 * reading.velocity
+    out[:, 2 * n : 3 * n] = 5.0 * step
+    out[:, 3 * n : 4 * n] = np.tanh(step / _ONE_DEGREE)
+    out[:, 4 * n : 5 * n] = np.tanh(step / _FIFTH_OF_A_DEGREE)
+    out[:, 5 * n : 6 * n] = reading.position
+    m = 6 * n
+    out[:, m : m + 3] = 20.0 * view.error
+    out[:, m + 3 : m + 6] = view.error / (view.distance + 0.003)[:, None]
+    columns[m + 6] = (np.log(view.distance + 0.0003) + 5.0) / 2.0
+    columns[m + 7] = reading.since_target - 0.5
+    out[:, m + 8 :] = reading.action
+
+
+def _equation_16(out: Observation, reading: Reading, floor: float) -> None:
+    """Fill ``out`` (B, 3n + 10) as `layout_slots` says."""
+    n, view = reading.position.shape[1], reading.view
+    columns = out.T
+    columns[0] = reading.since_target
+    out[:, 1 : n + 1] = 4.0 * reading.drive
+    out[:, n + 1 : 2 * n + 1] = reading.position
+    out[:, 2 * n + 1 : 3 * n + 1] = 0.5 * reading.velocity
+    m = 3 * n + 1
+    out[:, m : m + 3] = 5.0 * reading.target
+    out[:, m + 3 : m + 6] = 5.0 * view.tcp
+    columns[m + 6] = 5.0 * view.distance
+    columns[m + 7] = view.tcp[:, 2] < floor
+    columns[m + 8] = view.distance < SUCCESS_DISTANCE

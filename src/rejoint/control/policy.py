@@ -1,0 +1,111 @@
+"""A learned policy as a controller: observation, network, command law. Needs ONNX Runtime, not torch."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import onnxruntime as ort
+from onnxruntime.capi import onnxruntime_pybind11_state as ort_errors
+
+from rejoint.arms import Arm, Array
+from rejoint.control.contract import (
+    INPUT,
+    METADATA_KEY,
+    OUTPUT,
+    PROBE_TOLERANCE,
+    PolicyContract,
+    check_contract,
+    decode_contract,
+    probe_observations,
+)
+from rejoint.control.controller import Situation
+from rejoint.control.observation import Observation, Observer
+from rejoint.control.robot import Mask
+from rejoint.errors import ContractError, FileError
+
+_UNREADABLE = (
+    ort_errors.Fail, ort_errors.InvalidArgument, ort_errors.InvalidGraph, ort_errors.InvalidProtobuf,
+    ort_errors.NoModel, ort_errors.NoSuchFile, ort_errors.NotImplemented, ort_errors.RuntimeException,
+)  # fmt: skip
+
+
+class PolicyController:
+    """Drives a batch of arms with a trained network."""
+
+    def __init__(self, arm: Arm, session: ort.InferenceSession, contract: PolicyContract) -> None:
+        self.arm, self.contract = arm, contract
+        self._session = session
+        self._observer = Observer(arm, 1, contract.layout)
+
+    @property
+    def name(self) -> str:
+        """Name in tables."""
+        return "policy"
+
+    def reset(self, situation: Situation, where: Mask) -> None:
+        """Start afresh for the arms in ``where`` (B,)."""
+        count = len(situation.sent)
+        if count != self._observer.count:
+            self._observer = Observer(self.arm, count, self.contract.layout)
+            where = np.ones(count, dtype=bool)
+        self._observer.reset(situation, where)
+
+    def command(self, situation: Situation) -> Array:
+        """Return the wanted joint positions (B, n) [rad]."""
+        observer, law = self._observer, self.contract.law
+        action = self.act(observer.observe(situation))
+        observer.acted(action)
+        return law.command(self.arm, observer.view, situation.state.position, situation.sent, action)
+
+    def act(self, observation: Observation) -> Array:
+        """Mean action (B, n) in [-1, 1] of the network for observations (B, size)."""
+        return self._session.run((OUTPUT,), {INPUT: observation})[0].astype(float)
+
+
+def load_policy(path: Path, arm: Arm) -> PolicyController:
+    """Read a policy file and check that it fits the arm, before anything moves.
+
+    FileError: missing, damaged, or no policy at all. ContractError: a policy for something else.
+    """
+    session = _open(path)
+    text = session.get_modelmeta().custom_metadata_map.get(METADATA_KEY)
+    if text is None:
+        raise FileError(path, "an ONNX file without the contract of a policy", "take a file written by `rejoint train`")
+    contract = decode_contract(text)
+    check_contract(contract, arm)
+    controller = PolicyController(arm, session, contract)
+    _check_network(path, controller)
+    return controller
+
+
+def _open(path: Path) -> ort.InferenceSession:
+    options = ort.SessionOptions()
+    # The network is tiny: a second thread costs more than it brings.
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    options.log_severity_level = 4
+    try:
+        data = path.read_bytes()
+    except FileNotFoundError as error:
+        raise FileError(path, "no such file", "train a policy first") from error
+    except OSError as error:
+        raise FileError(path, f"cannot be read ({error.strerror})", "check the path") from error
+    try:
+        return ort.InferenceSession(data, options, providers=["CPUExecutionProvider"])
+    except _UNREADABLE as error:
+        raise FileError(path, "not a readable ONNX file, truncated or damaged", "train the policy again") from error
+
+
+def _check_network(path: Path, controller: PolicyController) -> None:
+    """Check the network's interface and its recorded answers."""
+    contract, session = controller.contract, controller._session
+    n, size = len(contract.joint_names), contract.observation_size
+    found = [(node.name, node.shape[1:]) for node in (*session.get_inputs(), *session.get_outputs())]
+    if found != [(INPUT, [size]), (OUTPUT, [n])]:
+        raise ContractError(
+            f"{path}: the network maps {found}, its contract says {INPUT} ({size}) to {OUTPUT} ({n}); train it again"
+        )
+    answer = controller.act(probe_observations(size).astype(np.float32))
+    recorded = np.array(contract.probe)
+    if recorded.shape != answer.shape or not np.abs(recorded - answer).max() <= PROBE_TOLERANCE:
+        raise FileError(path, "the network no longer gives the answers recorded in it", "train the policy again")

@@ -1,0 +1,195 @@
+import numpy as np
+import pytest
+
+from rejoint.arms import dls, frames, mycobot280, position_jacobian, tcp_position
+from rejoint.control.controller import Situation
+from rejoint.control.observation import Observer, layout_size, layout_slots, look
+from rejoint.control.residual import CommandLaw
+from rejoint.control.robot import JointState
+from rejoint.errors import InputError
+
+ARM = mycobot280()
+
+
+def situation(position, target, sent, time=0.0, since=0.0) -> Situation:
+    count = len(position)
+    state = JointState(time=np.full(count, time), position=np.asarray(position), age=np.zeros(count))
+    return Situation(state=state, target=np.asarray(target), sent=np.asarray(sent), since_target=np.full(count, since))
+
+
+def columns(layout: str) -> dict[str, slice]:
+    result, start = {}, 0
+    for slot in layout_slots(layout, ARM.joints):
+        result[slot.name] = slice(start, start + slot.size)
+        start += slot.size
+    return result
+
+
+def random_situations(rng, count, time=0.0):
+    position = ARM.rest + rng.normal(0.0, 0.2, (count, 6))
+    return situation(position, ARM.targets.sample(rng, (count,)), position + rng.normal(0.0, 0.05, (count, 6)), time)
+
+
+def test_sizes_are_those_of_the_recipe_and_of_the_paper():
+    assert layout_size("residual", 6) == 50
+    assert layout_size("equation-16", 6) == 28
+
+
+def test_unknown_layout_is_refused():
+    with pytest.raises(InputError, match="equation-16"):
+        layout_slots("other", 6)
+
+
+def test_residual_observation_worked_by_hand():
+    where = columns("residual")
+    first, second = ARM.rest.copy(), ARM.rest.copy()
+    second[1] += 0.01
+    target = tcp_position(ARM, second) + np.array([0.003, -0.004, 0.012])  # 13 mm away
+    sent = second + np.array([0.1, -0.2, 0.0, 0.0, 0.05, 0.0])
+    observer = Observer(ARM, 1)
+    begin = situation([first], [target], [sent], time=1.0)
+    observer.reset(begin, np.array([True]))
+    observer.observe(begin)
+    observer.acted(np.array([[0.1, 0.2, 0.3, 0.4, 0.5, 0.6]]))
+    seen = observer.observe(situation([second], [target], [sent], time=1.025, since=0.3))[0]
+    f = frames(ARM, second)
+    step = dls(position_jacobian(ARM, f), target - f.tcp_position)
+    expected = {
+        "drive": [0.4, -0.8, 0.0, 0.0, 0.2, 0.0],
+        "velocity": [0.0, 0.5 * 0.01 / 0.025, 0.0, 0.0, 0.0, 0.0],
+        "step": 5.0 * step,
+        "step.near": np.tanh(step / np.radians(1.0)),
+        "step.fine": np.tanh(step / np.radians(0.2)),
+        "position": second,
+        "error": [0.06, -0.08, 0.24],
+        "direction": np.array([0.003, -0.004, 0.012]) / 0.016,
+        "distance": [(np.log(0.0133) + 5.0) / 2.0],
+        "waited": [-0.2],
+        "action": [0.1, 0.2, 0.3, 0.4, 0.5, 0.6],
+    }
+    assert set(expected) == set(where)
+    for name, values in expected.items():
+        np.testing.assert_allclose(seen[where[name]], values, rtol=2e-6, atol=2e-7, err_msg=name)
+
+
+def test_equation_16_worked_by_hand():
+    where = columns("equation-16")
+    target = tcp_position(ARM, ARM.rest) + np.array([0.0, 0.0, 0.004])
+    observer = Observer(ARM, 1, "equation-16")
+    now = situation([ARM.rest], [target], [ARM.rest + 0.02], since=7.0)
+    observer.reset(now, np.array([True]))
+    seen = observer.observe(now)[0]
+    assert seen[where["time"]] == 2.0
+    np.testing.assert_allclose(seen[where["drive"]], 0.08, rtol=1e-6)
+    np.testing.assert_allclose(seen[where["tcp"]], 5.0 * tcp_position(ARM, ARM.rest), rtol=1e-6)
+    np.testing.assert_allclose(seen[where["target"]], 5.0 * target, rtol=1e-6)
+    np.testing.assert_allclose(seen[where["distance"]], 0.02, rtol=1e-5)
+    assert seen[where["success"]] == 1.0
+    assert seen[where["collision"]] == 0.0
+
+
+def test_a_batch_sees_what_single_arms_see():
+    rng = np.random.default_rng(3)
+    batch, singles = Observer(ARM, 7), [Observer(ARM, 1) for _ in range(7)]
+    for cycle in range(3):
+        now = random_situations(rng, 7, time=0.02 * cycle)
+        parts = [
+            situation(now.state.position[i : i + 1], now.target[i : i + 1], now.sent[i : i + 1], 0.02 * cycle)
+            for i in range(7)
+        ]
+        if cycle == 0:
+            batch.reset(now, np.ones(7, dtype=bool))
+            for observer, part in zip(singles, parts, strict=True):
+                observer.reset(part, np.array([True]))
+        action = rng.uniform(-1.0, 1.0, (7, 6))
+        alone = np.concatenate([o.observe(part) for o, part in zip(singles, parts, strict=True)])
+        np.testing.assert_array_equal(batch.observe(now), alone)
+        batch.acted(action)
+        for i, observer in enumerate(singles):
+            observer.acted(action[i : i + 1])
+
+
+def test_some_rows_give_what_all_rows_give():
+    rng = np.random.default_rng(4)
+    now = random_situations(rng, 9)
+    whole, part = Observer(ARM, 9), Observer(ARM, 9)
+    for observer in (whole, part):
+        observer.reset(now, np.ones(9, dtype=bool))
+    rows = np.array([1, 4, 8])
+    np.testing.assert_array_equal(part.observe(now, rows), whole.observe(now)[rows])
+    np.testing.assert_array_equal(part.view.step[rows], whole.view.step[rows])
+    assert (part.view.step[0] == 0.0).all()
+
+
+def test_a_repeated_answer_keeps_the_velocity():
+    observer = Observer(ARM, 1)
+    target = ARM.targets.lower[None]
+    start = situation([ARM.rest], target, [ARM.rest], time=0.0)
+    observer.reset(start, np.array([True]))
+    moved = situation([ARM.rest + 0.01], target, [ARM.rest], time=0.02)
+    velocity = columns("residual")["velocity"]
+    first = observer.observe(moved)[0, velocity]
+    np.testing.assert_allclose(first, 0.25, rtol=1e-5)
+    np.testing.assert_array_equal(observer.observe(moved)[0, velocity], first)
+
+
+def test_reset_forgets_only_the_arms_named():
+    observer = Observer(ARM, 2)
+    target, sent = np.tile(ARM.targets.lower, (2, 1)), np.tile(ARM.rest, (2, 1))
+    observer.reset(situation(sent, target, sent), np.ones(2, dtype=bool))
+    observer.acted(np.full((2, 6), 0.5))
+    now = situation(sent + 0.01, target, sent, time=0.02)
+    observer.reset(now, np.array([True, False]))
+    seen, where = observer.observe(now), columns("residual")
+    assert (seen[0, where["action"]] == 0.0).all()
+    assert (seen[0, where["velocity"]] == 0.0).all()
+    assert (seen[1, where["action"]] == 0.5).all()
+    assert (seen[1, where["velocity"]] > 0.2).all()
+
+
+def test_the_homing_motion_leaves_the_tool_in_place_to_first_order():
+    rng = np.random.default_rng(5)
+    position = ARM.rest + rng.normal(0.0, 0.3, (20, 6))
+    view = look(ARM, position, tcp_position(ARM, position))
+    jacobian = position_jacobian(ARM, frames(ARM, position))
+    drift = np.linalg.norm((jacobian @ view.homing[..., None])[..., 0], axis=-1)
+    straight = np.linalg.norm((jacobian @ (ARM.rest - position)[..., None])[..., 0], axis=-1)
+    assert (drift < 0.3 * straight).all()  # damping lets a little through
+    assert (np.einsum("bi,bi->b", view.homing, ARM.rest - position) > 0.0).all()
+
+
+def test_authority_worked_by_hand():
+    law = CommandLaw()
+    steps = np.zeros((3, 6))
+    steps[1, 2], steps[2, 4] = np.radians(-2.0), np.radians(30.0)
+    np.testing.assert_allclose(np.degrees(law.authority(steps))[:, 0], [0.12, 1.12, 4.0])
+
+
+def test_command_law_worked_by_hand():
+    law = CommandLaw()
+    position = ARM.rest[None]
+    view = look(ARM, position, tcp_position(ARM, position))._replace(step=np.radians([[2.0, 0, 0, 0, 0, -1.0]]))
+    sent = position + np.radians(3.0)
+    action = np.array([[1.0, -1.0, 0.5, 0.0, 5.0, 0.0]])
+    command = law.command(ARM, view, position, sent, action)
+    expected = 3.0 + np.array([[0.2 + 1.12, -1.12, 0.56, 0.0, 1.12, -0.1]])
+    np.testing.assert_allclose(np.degrees(command - position), expected)
+
+
+def test_command_law_bounds_step_lead_and_joint_limits():
+    rng = np.random.default_rng(6)
+    law = CommandLaw(rest_gain=0.05)
+    position = rng.uniform(ARM.lower, ARM.upper, (200, 6))
+    sent = position + rng.normal(0.0, 0.5, (200, 6))
+    view = look(ARM, position, ARM.targets.sample(rng, (200,)))
+    command = law.command(ARM, view, position, sent, rng.uniform(-3.0, 3.0, (200, 6)))
+    assert (np.abs(command - position) <= law.lead_limit + 1e-12).all()
+    assert ((command >= ARM.lower) & (command <= ARM.upper)).all()
+
+
+def test_measured_anchor_forgets_the_last_command():
+    law = CommandLaw(anchor="measured", step_gain=1.0, authority_floor=0.0, authority_slope=0.0)
+    position = ARM.rest[None]
+    view = look(ARM, position, tcp_position(ARM, position) + 0.002)
+    command = law.command(ARM, view, position, position + 0.3, np.zeros((1, 6)))
+    np.testing.assert_allclose(command, position + view.step)

@@ -1,0 +1,213 @@
+import dataclasses
+import json
+import subprocess
+import sys
+
+import msgspec
+import numpy as np
+import onnx
+import pytest
+from onnx import TensorProto, helper, numpy_helper
+
+from rejoint.arms import mycobot280
+from rejoint.control.contract import (
+    INPUT,
+    METADATA_KEY,
+    OUTPUT,
+    PolicyContract,
+    arm_digest,
+    check_contract,
+    decode_contract,
+    encode_contract,
+    probe_observations,
+)
+from rejoint.control.controller import Situation
+from rejoint.control.observation import Observer, layout_slots
+from rejoint.control.policy import PolicyController, load_policy
+from rejoint.control.residual import CommandLaw
+from rejoint.control.robot import JointState
+from rejoint.errors import ContractError, FileError
+
+ARM = mycobot280()
+SIZE = 50
+WEIGHT = np.random.default_rng(0).normal(0.0, 0.3, (6, SIZE)).astype(np.float32)
+
+
+def network(observation):
+    return np.clip(observation @ WEIGHT.T, -1.0, 1.0)
+
+
+def contract(**changes) -> PolicyContract:
+    probe = network(probe_observations(SIZE))
+    complete = PolicyContract(
+        arm=ARM.name, arm_digest=arm_digest(ARM), joint_names=ARM.joint_names, lower=tuple(ARM.lower.tolist()),
+        upper=tuple(ARM.upper.tolist()), layout="residual", observation=layout_slots("residual", 6), law=CommandLaw(),
+        min_period=0.018, max_period=0.055, probe=tuple(tuple(row) for row in probe.tolist()), twin_digest="",
+        preset="default", seed=0, software="0",
+    )  # fmt: skip
+    return dataclasses.replace(complete, **changes)
+
+
+def write(path, text, weight=WEIGHT, size=SIZE):
+    nodes = [
+        helper.make_node("Gemm", [INPUT, "w"], ["m"], transB=1),
+        helper.make_node("Clip", ["m", "low", "high"], [OUTPUT]),
+    ]
+    constants = {"w": weight, "low": np.array(-1, np.float32), "high": np.array(1, np.float32)}
+    graph = helper.make_graph(
+        nodes,
+        "policy",
+        [helper.make_tensor_value_info(INPUT, TensorProto.FLOAT, ["batch", size])],
+        [helper.make_tensor_value_info(OUTPUT, TensorProto.FLOAT, ["batch", weight.shape[0]])],
+        [numpy_helper.from_array(value, name) for name, value in constants.items()],
+    )
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
+    if text is not None:
+        helper.set_model_props(model, {METADATA_KEY: text})
+    path.write_bytes(model.SerializeToString())
+    return path
+
+
+@pytest.fixture
+def policy(tmp_path):
+    return write(tmp_path / "policy.onnx", encode_contract(contract()))
+
+
+def situations(seed, count):
+    rng = np.random.default_rng(seed)
+    position = ARM.rest + rng.normal(0.0, 0.1, (count, 6))
+    target, sent = ARM.targets.sample(rng, (count,)), position.copy()
+    for cycle in range(5):
+        state = JointState(time=np.full(count, 0.03 * cycle), position=position, age=np.zeros(count))
+        now = Situation(state=state, target=target, sent=sent, since_target=state.time)
+        command = yield now
+        position, sent = position + 0.3 * (command - position), command
+
+
+def drive(controller, seed, count):
+    feed = situations(seed, count)
+    now, commands = next(feed), []
+    controller.reset(now, np.ones(count, dtype=bool))
+    while True:
+        commands.append(controller.command(now))
+        try:
+            now = feed.send(commands[-1])
+        except StopIteration:
+            return np.array(commands)
+
+
+def test_contract_survives_its_text():
+    assert decode_contract(encode_contract(contract())) == contract()
+    check_contract(decode_contract(encode_contract(contract())), ARM)
+
+
+def test_commands_are_observation_network_and_law(policy):
+    commands = drive(load_policy(policy, ARM), 1, 4)
+    observer, law, feed = Observer(ARM, 4), CommandLaw(), situations(1, 4)
+    now = next(feed)
+    observer.reset(now, np.ones(4, dtype=bool))
+    for got in commands[:-1]:
+        action = network(observer.observe(now))
+        observer.acted(action)
+        expected = law.command(ARM, observer.view, now.state.position, now.sent, action)
+        np.testing.assert_allclose(got, expected, atol=1e-7)
+        now = feed.send(got)
+
+
+def test_a_controller_can_be_reused_for_another_number_of_arms(policy):
+    controller = load_policy(policy, ARM)
+    drive(controller, 1, 4)
+    np.testing.assert_array_equal(drive(controller, 2, 1), drive(load_policy(policy, ARM), 2, 1))
+
+
+def refused(path, error, match, arm=ARM):
+    with pytest.raises(error, match=match):
+        load_policy(path, arm)
+
+
+def test_files_that_are_no_policy(tmp_path, policy):
+    refused(tmp_path / "none.onnx", FileError, "no such file")
+    refused(tmp_path, FileError, "cannot be read")
+    (tmp_path / "text.onnx").write_text("joint1,joint2\n0,1\n")
+    refused(tmp_path / "text.onnx", FileError, "not a readable ONNX file")
+    (tmp_path / "empty.onnx").write_bytes(b"")
+    refused(tmp_path / "empty.onnx", FileError, "ONNX")
+    refused(write(tmp_path / "plain.onnx", None), FileError, "without the contract")
+
+
+def test_every_truncation_is_refused(tmp_path, policy):
+    data = policy.read_bytes()
+    for length in range(0, len(data), 397):
+        (tmp_path / "cut.onnx").write_bytes(data[:length])
+        with pytest.raises((FileError, ContractError)):
+            load_policy(tmp_path / "cut.onnx", ARM)
+
+
+def test_damaged_weights_are_noticed(tmp_path):
+    damaged = WEIGHT.copy()
+    damaged[3, 17] += 0.1
+    refused(write(tmp_path / "p.onnx", encode_contract(contract()), damaged), FileError, "no longer gives the answers")
+    damaged[3, 17] = np.nan
+    refused(write(tmp_path / "p.onnx", encode_contract(contract()), damaged), FileError, "no longer gives the answers")
+
+
+def test_a_network_of_another_size_is_refused(tmp_path):
+    refused(write(tmp_path / "p.onnx", encode_contract(contract()), WEIGHT[:, :40], 40), ContractError, "observation")
+    refused(write(tmp_path / "p.onnx", encode_contract(contract()), WEIGHT[:5]), ContractError, "action")
+
+
+@pytest.mark.parametrize(
+    ("changes", "match"),
+    [
+        ({"arm": "so101"}, "arm is so101, expected mycobot280"),
+        ({"joint_names": ("joint2", "joint1", *ARM.joint_names[2:])}, "joint order"),
+        ({"units": {"position": "deg"}}, "units"),
+        ({"history": 3}, "history"),
+        ({"observation": layout_slots("equation-16", 6)}, "observation layout"),
+        ({"lower": tuple((ARM.lower - 0.1).tolist())}, "lower joint limits"),
+        ({"upper": tuple(ARM.upper[:5].tolist())}, "upper joint limits"),
+        ({"arm_digest": "0" * 16}, "another geometry"),
+    ],
+)
+def test_policies_for_something_else_are_refused(tmp_path, changes, match):
+    refused(write(tmp_path / "p.onnx", encode_contract(contract(**changes))), ContractError, match)
+
+
+def test_an_arm_with_a_longer_tool_is_another_arm(policy):
+    tip = ARM.tip.copy()
+    tip[2, 3] += 0.05
+    refused(policy, ContractError, "another geometry", dataclasses.replace(ARM, tip=tip))
+
+
+def test_contracts_that_cannot_be_read(tmp_path):
+    complete = json.loads(encode_contract(contract()))
+    for text, match in (
+        ("{", "cannot be read"),
+        ("[]", "cannot be read"),
+        (msgspec.json.encode(complete | {"format": 99}).decode(), "format 99, expected 1"),
+        (msgspec.json.encode(complete | {"law": 3}).decode(), "cannot be read"),
+        (msgspec.json.encode({k: v for k, v in complete.items() if k != "probe"}).decode(), "cannot be read"),
+    ):
+        refused(write(tmp_path / "p.onnx", text), ContractError, match)
+
+
+def test_the_metadata_can_be_read_by_any_onnx_tool(policy):
+    properties = {p.key: p.value for p in onnx.load(policy).metadata_props}
+    content = json.loads(properties[METADATA_KEY])
+    assert content["joint_names"] == list(ARM.joint_names)
+    assert sum(slot["size"] for slot in content["observation"]) == SIZE
+    assert content["law"]["anchor"] == "sent"
+
+
+def test_driving_needs_neither_torch_nor_a_simulator():
+    code = (
+        "import sys, rejoint.control.policy as p; "
+        "assert not {'torch', 'skrl', 'mujoco', 'numba', 'onnx', 'scipy'} & set(sys.modules)"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_it_is_called_policy(policy):
+    controller = load_policy(policy, ARM)
+    assert isinstance(controller, PolicyController)
+    assert controller.name == "policy"
