@@ -114,7 +114,8 @@ class Motion:
 
     def _advance_path(self, path: Path, duration: float) -> None:
         left = path.duration - self._done
-        braking = np.sqrt(2.0 * self._acceleration * max(left, 0.0))
+        half = 0.5 * self._acceleration * duration  # the braking distance of a speed that falls in steps
+        braking = np.sqrt(half**2 + 2.0 * self._acceleration * max(left, 0.0)) - half
         self._rate = min(self._rate + self._acceleration * duration, self._wanted_rate, braking)
         self._done += self._rate * duration
         if left <= 1e-9 or path.duration - self._done <= 1e-4:

@@ -149,19 +149,18 @@ def serve_tcp(
     log: TruthLog | None = None,
 ) -> Server:
     """Listen on a TCP port (0: any free one); InputError if that is not possible. Run it to serve."""
-    try:
-        family, _, _, _, place = socket.getaddrinfo(host, port, socket.AF_INET, socket.SOCK_STREAM)[0]
-        listener = socket.socket(family, socket.SOCK_STREAM)
-    except (OSError, OverflowError) as error:
-        raise InputError(f"cannot listen on {host}:{port} ({error}); choose another host or port") from error
+    refusal = f"cannot listen on {host}:{port}"
+    if not 0 <= port <= 65535:
+        raise InputError(f"{refusal}: a port is a number from 0 to 65535")
+    listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)  # the vendor's client knows no IPv6
     try:
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        listener.bind(place)
+        listener.bind((host, port))
         listener.listen(BACKLOG)
         listener.setblocking(False)
-    except (OSError, OverflowError) as error:
+    except OSError as error:
         listener.close()
-        raise InputError(f"cannot listen on {host}:{port} ({error}); choose another host or port") from error
+        raise InputError(f"{refusal} ({error.strerror or error}); choose another host or port") from error
     return _TcpServer(Session(firmware, timing=timing or Timing(), seed=seed, log=log), listener)
 
 

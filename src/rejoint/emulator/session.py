@@ -38,6 +38,8 @@ class Timing:
     """relative standard deviation of both (chosen)"""
     tick: float = 0.010
     """[s] at most between two advances of the plant (chosen)"""
+    pace: float = 1.0
+    """simulated seconds per second of the wall clock; anything but 1 is for experiments without a controller"""
 
 
 class Channel(Protocol):
@@ -152,7 +154,7 @@ class Session:
         if self._now is None:
             self._now = now
         if now - self._now >= 1e-3:
-            self._firmware.advance(min(now - self._now, MAX_CATCH_UP))
+            self._firmware.advance(min(now - self._now, MAX_CATCH_UP) * self._timing.pace)
             self._now = now
             if self._log is not None:
                 self._log.write(now, self._firmware)
