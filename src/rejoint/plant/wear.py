@@ -18,7 +18,7 @@ from rejoint.plant.servo import STEP
 _PROFILES = files("rejoint.plant") / "profiles"
 _SPREAD = 0.3
 _LIFT_MARGIN = 1.05
-"""Torque left over when a joint starts to lift the arm at its heaviest target posture (chosen)."""
+"""What a drawn arm has of the torque that lifts it (chosen)."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -145,16 +145,18 @@ def draw_wear(wear: Wear, arm: Arm, seed: int) -> Wear:
     over = (wear.stiction - wear.coulomb) * factor["stiction"]
     drawn["stiction"] = drawn["coulomb"] + over
     neighbour = replace(wear, name=f"{wear.name}?seed={seed}", **drawn)
-    low = np.maximum((1 - _SPREAD) * wear.torque_limit, lifting_torque(neighbour, arm))
+    low = np.maximum((1 - _SPREAD) * wear.torque_limit, _LIFT_MARGIN * lifting_torque(neighbour, arm))
     high = np.maximum((1 + _SPREAD) * wear.torque_limit, 1.01 * low)
     share = (factor["torque_limit"] - (1 - _SPREAD)) / (2 * _SPREAD)
     return replace(neighbour, torque_limit=low + share * (high - low))
 
 
 def lifting_torque(wear: Wear, arm: Arm) -> Array:
-    """Motor torque (n,) [N m] that starts to lift the arm in any posture of its target region."""
-    load = heaviest_load(arm)
-    return _LIFT_MARGIN * (load * (1 + wear.load_friction) + wear.stiction + wear.ripple)
+    """Motor torque (n,) [N m] that keeps lifting the moving arm in any posture of its target region.
+
+    Starting from standstill takes the stiction on top; a joint without it waits for the others.
+    """
+    return heaviest_load(arm) * (1 + wear.load_friction) + wear.coulomb
 
 
 @lru_cache(maxsize=8)
