@@ -239,6 +239,21 @@ def test_move_arrives_slowly():
     assert (rec.reasons == 0).all()
 
 
+def test_the_command_in_force_before_the_run_carries_over():
+    held = np.tile(ARM.rest + 0.05, (2, 1))
+
+    class Nothing(Straight):
+        def command(self, situation):
+            return situation.sent
+
+    rec = run(LaggingRobot([0.02, 0.03]), Nothing(), TARGETS[:2], Schedule(dwell=0.1, sent=held))
+    assert (rec.command == held).all()
+    robot = LaggingRobot([0.02, 0.03])
+    assert (move(robot, held[0] + 0.2, sent=held).command[0] == held).all()
+    with pytest.raises(InputError, match=r"sent has shape \(6,\)"):
+        run(robot, Nothing(), TARGETS[:2], Schedule(dwell=0.1, sent=ARM.rest))
+
+
 def test_log_drops_repeated_answers():
     robot = LaggingRobot([0.02])
     step, calls = robot.step, []

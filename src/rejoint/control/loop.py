@@ -24,9 +24,9 @@ FIRST_PERIOD = 0.02
 """[s] period assumed before one has been measured (chosen: the shortest regular one, so the smallest first step)."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Schedule:
-    """How long each target is in force."""
+    """What a run starts from, and how long each target is in force."""
 
     dwell: float
     """[s] longest time per target"""
@@ -34,6 +34,9 @@ class Schedule:
     """[m] go to the next target at the first measured TCP error below this; None: always the whole dwell"""
     keep_going: bool = False
     """whether the other arms of a batch go on when the guard stops one; else GuardTripError is raised"""
+    sent: Array | None = None
+    """(B, n) [rad] command in force before the run; None: the measured position. An arm that sags drops by
+    its sag where this is forgotten."""
 
     def __post_init__(self) -> None:
         if not 0.0 < self.dwell < np.inf:
@@ -53,10 +56,9 @@ def run(
 ) -> Recording:
     """Drive ``robot`` to its ``targets`` (B, K, 3) [m], one after the other.
 
-    The last command carries over between targets and starts as the measured position. A target of
-    NaN is no target: it lasts its whole dwell. Whatever ends the run early (a trip of the guard, an
-    error of the robot, Ctrl-C) first stops the robot; the recording so far is on the error, see
-    `recording_of`.
+    The last command carries over between targets. A target of NaN is no target: it lasts its whole
+    dwell. Whatever ends the run early (a trip of the guard, an error of the robot, Ctrl-C) first
+    stops the robot; the recording so far is on the error, see `recording_of`.
     """
     targets = np.asarray(targets, dtype=float)
     if targets.ndim != 3 or targets.shape[0] != robot.count or targets.shape[1] == 0 or targets.shape[2] != 3:
@@ -68,7 +70,7 @@ def run(
     )
     progress: _Progress | None = None
     try:
-        progress = _Progress.begin(_own(robot.read()), targets)
+        progress = _Progress.begin(_own(robot.read()), targets, schedule.sent)
         controller.reset(progress.situation(), np.ones(robot.count, dtype=bool))
         while loop.cycle(progress):
             pass
@@ -100,19 +102,23 @@ def play(
     return run(robot, Playback(trajectory), targets, Schedule(dwell=duration), limits=limits, on_cycle=on_cycle)
 
 
-def move(robot: Robot, posture: Array, *, speed: float = 0.5, settle: float = 1.0) -> Recording:
+def move(
+    robot: Robot, posture: Array, *, sent: Array | None = None, speed: float = 0.5, settle: float = 1.0
+) -> Recording:
     """Bring every arm to ``posture`` (n,) [rad] at ``speed`` [rad/s] of its farthest joint and wait ``settle`` [s].
 
+    The way starts at the last command ``sent`` (B, n) [rad], by default at the measured position.
     The default speed is chosen: a fifth of what the joints can do.
     """
-    start = robot.read().position.copy()
+    start = np.array(robot.read().position if sent is None else sent, dtype=float)
     way = posture - start
     duration = max(float(np.abs(way).max()) / speed, 1e-3)
 
     def trajectory(time: Array) -> Array:
         return start + np.minimum(time / duration, 1.0)[:, None] * way
 
-    return play(robot, trajectory, duration + settle)
+    schedule = Schedule(dwell=duration + settle, sent=start)
+    return run(robot, Playback(trajectory), np.full((robot.count, 1, 3), np.nan), schedule)
 
 
 class Playback:
@@ -149,10 +155,13 @@ class _Progress:
         self.last_time = self.state.time
 
     @classmethod
-    def begin(cls, state: JointState, targets: Array) -> _Progress:
+    def begin(cls, state: JointState, targets: Array, sent: Array | None) -> _Progress:
         count = len(targets)
+        if sent is not None and np.shape(sent) != state.position.shape:
+            raise InputError(f"schedule: sent has shape {np.shape(sent)}, expected {state.position.shape}")
+        sent = np.array(state.position if sent is None else sent, dtype=float)
         return cls(
-            state=state, targets=targets, sent=state.position.copy(), index=np.zeros(count, dtype=np.intp),
+            state=state, targets=targets, sent=sent, index=np.zeros(count, dtype=np.intp),
             set_at=state.time.copy(), active=np.ones(count, dtype=bool), tripped=np.zeros(count, dtype=np.uint16),
             period=np.full(count, FIRST_PERIOD),
         )  # fmt: skip
