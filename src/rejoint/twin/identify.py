@@ -96,7 +96,7 @@ def identify(
     held_out = _held_out(arm, Replay(arm, logs, unseen, settings.timestep, settings.threads), found.vector)
     lower, limits_seen = _raise_torque_limit(arm, logs, belief, found)
     on_progress("done", 1.0)
-    return Twin(
+    twin = Twin(
         arm=arm.name,
         joint_names=arm.joint_names,
         parameters=unpack(found.vector, arm.joints),
@@ -107,8 +107,8 @@ def identify(
         identified=knowledge.identified,
         held_out=held_out,
         fit_seconds=sum(float(fine.replay.times(i)[-1]) for i in range(len(seen))),
-        notes=tuple(_notes(arm, found, held_out, limits_seen)),
     )
+    return replace(twin, notes=tuple(_notes(arm, twin, found, limits_seen)))
 
 
 def _starts(arm: Arm, belief: Prior, count: int, rng: np.random.Generator) -> Array:
@@ -156,8 +156,13 @@ def _raise_torque_limit(arm: Arm, logs: Sequence[RunLog], belief: Prior, found: 
     return pack(replace(lower, torque_limit=raised)), seen
 
 
-def _notes(arm: Arm, found: Fit, held_out: HeldOut, limits_seen: Array) -> list[str]:
-    notes = []
+def _notes(arm: Arm, twin: Twin, found: Fit, limits_seen: Array) -> list[str]:
+    notes, held_out = [], twin.held_out
+    if twin.unknown_scale:
+        notes.append(
+            f"only the ratios of stiffness, damping, friction, inertia and torque limit are known, not their common "
+            f"scale: {', '.join(twin.unknown_scale)}"
+        )
     if not found.converged:
         notes.append(f"the fit still improved after {found.iterations} steps; more iterations may help")
     pressed = [name for name, at in zip(vector_names(arm.joint_names), found.at_bound, strict=True) if at]

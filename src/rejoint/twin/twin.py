@@ -10,7 +10,15 @@ from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array
 from rejoint.errors import ContractError, InputError
-from rejoint.twin.parameters import PARAMETERS, TwinParameters, pack, unpack, vector_is_log, vector_names
+from rejoint.twin.parameters import (
+    JOINT_PARAMETERS,
+    PARAMETERS,
+    TwinParameters,
+    pack,
+    unpack,
+    vector_is_log,
+    vector_names,
+)
 from rejoint.twin.replay import PredictionError
 from rejoint.twin.uncertainty import strong_correlations
 
@@ -19,6 +27,9 @@ WIDEN = 1.5
 
 LEAST_SPREAD = 0.05
 """Extra spread of the logarithms when twins are drawn: no twin has the structure of the real arm (chosen)"""
+
+SCALE_KNOWN = 2.0
+"""A joint's common scale is known when the data say as much about it as the prior: twice the prior alone (chosen)"""
 
 Z95 = 1.96
 """Normal quantile of a two-sided 95 % interval"""
@@ -74,8 +85,12 @@ class Twin:
             object.__setattr__(self, name, array)
         if not np.isfinite(pack(self.parameters)).all():
             raise InputError("twin: parameters must be finite, and positive where a quantity is")
+        if (self.narrowing <= 0).any():
+            raise InputError("twin: every narrowing must be positive")
         if not np.allclose(self.covariance, self.covariance.T, rtol=1e-6, atol=1e-12):
             raise InputError("twin: the covariance must be symmetric")
+        if not (np.diag(self.covariance) > 0).all():
+            raise InputError("twin: every variance must be positive")
         values = np.linalg.eigvalsh(self.covariance)
         if values.min() < -1e-6 * max(values.max(), 1e-12):
             raise InputError(f"twin: the covariance must not have negative eigenvalues, found {values.min():.3g}")
@@ -96,9 +111,29 @@ class Twin:
         return unpack(low, n), unpack(high, n)
 
     @property
+    def unknown_scale(self) -> tuple[str, ...]:
+        """Joints whose torques and inertia are known up to a common factor only, which the prior decides.
+
+        Only gravity and link inertia fix that factor, and a joint near the flange feels little of either.
+        """
+        n = len(self.joint_names)
+        sigma = np.sqrt(np.diag(self.covariance)) / self.narrowing
+        unknown = []
+        for joint, name in enumerate(self.joint_names):
+            scaled = np.array([i * n + joint for i, p in enumerate(JOINT_PARAMETERS) if p.log])
+            information = np.linalg.pinv(self.covariance[np.ix_(scaled, scaled)]).sum()
+            if information < SCALE_KNOWN * (sigma[scaled] ** -2).sum():
+                unknown.append(name)
+        return tuple(unknown)
+
+    @property
     def correlations(self) -> tuple[tuple[str, str, float], ...]:
-        """Pairs of parameters that the data can hardly tell apart, strongest first."""
-        return tuple((self.names[i], self.names[j], value) for i, j, value in strong_correlations(self.covariance))
+        """Pairs of parameters that the data can hardly tell apart, strongest first.
+
+        Without those of one joint that only share its common scale (`unknown_scale`).
+        """
+        pairs = [(self.names[i], self.names[j], value) for i, j, value in strong_correlations(self.covariance)]
+        return tuple(pair for pair in pairs if not _share_a_scale(*pair))
 
     @property
     def unknown(self) -> tuple[str, ...]:
@@ -136,3 +171,9 @@ class Twin:
         for array in (*values, self.covariance, self.lower, self.upper, self.identified.astype(float)):
             h.update(np.ascontiguousarray(array, dtype="<f8").tobytes())
         return h.hexdigest()[:16]
+
+
+def _share_a_scale(one: str, other: str, correlation: float) -> bool:
+    scaled = {p.name for p in JOINT_PARAMETERS if p.log}
+    (kind, _, joint), (other_kind, _, other_joint) = one.partition("."), other.partition(".")
+    return joint == other_joint and {kind, other_kind} <= scaled and correlation > 0

@@ -29,7 +29,7 @@ class Uncertainty:
     """Covariance of an estimate over the parameter vector of length k."""
 
     covariance: Array
-    """(k, k); parameters that are not identified have their prior variance and no correlation"""
+    """(k, k) of the posterior: what the data do not say, the prior does"""
     narrowing: Array
     """(k,) standard deviation by the data over that of the prior"""
     identified: NDArray[np.bool_]
@@ -54,16 +54,7 @@ def uncertainty(problem: Problem, fit: Fit) -> Uncertainty:
     covariance = inverse @ (0.5 * (scores + curvature) + precision) @ inverse
     narrowing = np.sqrt(np.diag(covariance)) / prior.sigma
     identified = (narrowing < IDENTIFIED) & ~fit.at_bound
-    return Uncertainty(
-        covariance=keep_prior(covariance, prior.sigma, identified), narrowing=narrowing, identified=identified
-    )
-
-
-def keep_prior(covariance: Array, sigma: Array, identified: NDArray[np.bool_]) -> Array:
-    """Give what is not identified its prior variance and no correlation."""
-    kept = np.where(identified[:, None] & identified, covariance, 0.0)
-    kept[np.diag_indices_from(kept)] = np.where(identified, np.diag(covariance), sigma**2)
-    return kept
+    return Uncertainty(covariance=0.5 * (covariance + covariance.T), narrowing=narrowing, identified=identified)
 
 
 def strong_correlations(covariance: Array, threshold: float = 0.9) -> list[tuple[int, int, float]]:
