@@ -1,1 +1,11 @@
-"""Every controller on the same arm with the same targets: protocols, trials and statistics."""
+"""Every controller on the same arm: protocols, metrics, intervals, and a recommendation."""
+
+from rejoint.comparison.compare import Settings, Trial, compare
+from rejoint.comparison.recommend import Recommendation, difference, recommend
+from rejoint.comparison.result import Comparison, Protocol
+from rejoint.comparison.targets import draw_targets, read_targets
+
+__all__ = [
+    "Comparison", "Protocol", "Recommendation", "Settings", "Trial", "compare", "difference", "draw_targets",
+    "read_targets", "recommend",
+]  # fmt: skip

@@ -128,7 +128,7 @@ class ControllerRow:
     guard: tuple[GuardCount, ...]
     """reasons that occurred, the most frequent first"""
     failures: int
-    """trials that the guard ended early"""
+    """runs (a trial under one protocol) that the guard ended early"""
     outcomes: Outcomes
 
 
