@@ -1,0 +1,39 @@
+"""What the policy is paid for. Distances in metres, speeds in m/s and rad/s, angles in radians."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rejoint.arms import Array
+
+SUCCESS_DISTANCE = 0.005
+"""[m] threshold of the paper's success bonus; Park et al. 2024, section III-D."""
+
+
+def residual_reward(distance: Array, speed: Array, action: Array) -> Array:
+    """Reward (N,) that keeps paying for accuracy down to a tenth of a millimetre.
+
+    Three exponentials of different width give a slope at every distance (N,) [m]; the speed (N,) of the TCP
+    costs only near the target, the action (N, n) a little everywhere. Chosen by simulation.
+    """
+    attraction = 0.4 * np.exp(-distance / 0.010) + 0.5 * np.exp(-distance / 0.003) + 0.4 * np.exp(-distance / 0.001)
+    haste = 0.5 * np.minimum(speed, 1.0) * np.exp(-distance / 0.020)
+    effort = 0.02 * np.minimum(action**2, 2.0).sum(axis=-1)
+    return -10.0 * np.minimum(distance, 0.1) + attraction - haste - effort
+
+
+def paper_reward(
+    distance: Array,
+    joint_speed: Array,
+    collided: NDArray[np.bool_],
+    reached: NDArray[np.bool_],
+    timed_out: NDArray[np.bool_],
+) -> Array:
+    """Equation 25 of Park et al. 2024 for ``distance`` (N,) [m] and ``joint_speed`` (N, n) [rad/s].
+
+    Weights .1, .1, -5, 10, 10; the distance counts in centimetres and the joint speed as its mean (the
+    paper leaves both open), and the weight of the time-out is read as a penalty, as its text says.
+    """
+    travel = -0.1 * 100.0 * distance - 0.1 * np.abs(joint_speed).mean(axis=-1)
+    return travel - 5.0 * timed_out - 10.0 * collided + 10.0 * reached

@@ -1,0 +1,264 @@
+"""The task a policy learns: bring the tool to a target and hold it there, on arms drawn at random.
+
+N agents run in lockstep: each control cycle is a fixed number of physics steps, whose length differs
+from agent to agent and from cycle to cycle, so that every agent has its own control period and all
+of them still advance in one call. Observation, command law and guard are those of deployment.
+
+A target is held for a fixed number of cycles. Its end is a time-out, not a failure: the return is
+bootstrapped from the state before the next target appears.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rejoint.arms import Arm, Array, gravity_torque, tcp_position
+from rejoint.control.controller import Situation
+from rejoint.control.guard import GuardLimits, guard
+from rejoint.control.observation import Layout, Observation, Observer
+from rejoint.control.residual import CommandLaw
+from rejoint.control.robot import JointState, Mask
+from rejoint.training.ranges import Draw, Ranges
+from rejoint.training.reward import SUCCESS_DISTANCE, paper_reward, residual_reward
+from rejoint.training.truth import fixed_truth, moving_truth, truth_size
+from rejoint.training.wire import Wire
+from rejoint.twin.batch import TwinBatch
+from rejoint.twin.reference import approach
+
+STRIBECK_SPEED = 0.1
+"""[rad/s] speed at which friction has mostly fallen from that at rest to that in motion (chosen)."""
+
+SUBSTEPS = 6
+"""Physics steps in a control cycle: 3 ms each at the shortest period, 9 ms at the longest."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TaskSettings:
+    """What distinguishes one task from another."""
+
+    layout: Layout = "residual"
+    law: CommandLaw = field(default_factory=CommandLaw)
+    reward: Literal["residual", "equation-25"] = "residual"
+    hold_steps: int = 120
+    """control cycles per target"""
+    targets: int = 3
+    """targets in a row before the arm is exchanged for another"""
+    min_period: float = 0.018
+    """[s]"""
+    max_period: float = 0.055
+    """[s]"""
+    jitter: float = 0.2
+    """relative half-width of each agent's control periods around their middle"""
+    start_spread: float = float(np.radians(10.0))
+    """[rad] standard deviation of the start posture around the arm's rest"""
+    start_sag: bool = True
+    """whether the first command leads the arm by a part of its sag, as after an earlier motion"""
+    ends_on_success: bool = False
+    """whether reaching 5 mm ends the episode (the paper) or is to be held (ours)"""
+
+
+class Transition(NamedTuple):
+    """One control cycle of N agents."""
+
+    observation: Observation
+    """(N, size) what the next decision is made on"""
+    truth: Observation
+    """(N, truth) what only the critic sees"""
+    final_observation: Observation
+    """(N, size) the end of this cycle; differs from ``observation`` where a target or episode ended"""
+    final_truth: Observation
+    reward: Array
+    """(N,)"""
+    terminated: Mask
+    """(N,) success where that ends the episode"""
+    truncated: Mask
+    """(N,) time-outs"""
+    distance: Array
+    """(N,) [m] between true TCP of the twin and target at the end of this cycle"""
+
+
+class ReachTask:
+    """N arms that are given targets; every array has the leading axis of the agents."""
+
+    def __init__(
+        self, arm: Arm, ranges: Ranges, agents: int, settings: TaskSettings, *, seed: int, threads: int = 1
+    ) -> None:
+        n = arm.joints
+        self.arm, self.ranges, self.settings, self.agents = arm, ranges, settings, agents
+        self.twins = TwinBatch(arm, agents, threads=threads)
+        self.observer = Observer(arm, agents, settings.layout)
+        self.wire = Wire(agents, n, SUBSTEPS)
+        self.truth_size = truth_size(n)
+        self._limits = GuardLimits.of(arm)
+        self._rng = np.random.default_rng(seed)
+        self._time, self._since, self._period = np.zeros(agents), np.zeros(agents), np.zeros(agents)
+        self._middle, self._ramp = np.zeros(agents), np.zeros(agents)
+        self._measured, self._sent = np.zeros((agents, n)), np.zeros((agents, n))
+        self._coulomb, self._stiction = np.zeros((agents, n)), np.ones((agents, n))
+        self._reference, self._tcp = np.zeros((agents, n)), np.zeros((agents, 3))
+        self._target = np.zeros((agents, 3))
+        self._step, self._count = np.zeros(agents, dtype=np.int64), np.zeros(agents, dtype=np.int64)
+        self._fixed = np.zeros((agents, truth_size(n)), dtype=np.float32)
+
+    def reset(self) -> tuple[Observation, Observation]:
+        """Begin everywhere, each agent at another point of its episode; returns observation and truth."""
+        everyone = np.ones(self.agents, dtype=bool)
+        self._new_arms(everyone)
+        self._new_targets(everyone)
+        # Staggered, so that a batch holds all phases of a motion and not the same one everywhere.
+        self._step[:] = self._rng.integers(0, self.settings.hold_steps, self.agents)
+        self._count[:] = self._rng.integers(0, self.settings.targets, self.agents)
+        distance = np.linalg.norm(self._target - self._tcp, axis=-1)
+        return self.observer.observe(self._situation()), self._truth(distance, np.zeros(self.agents))
+
+    def step(self, action: NDArray[np.floating]) -> Transition:
+        """Run one control cycle with actions (N, n)."""
+        applied = np.clip(np.asarray(action, dtype=float), -1.0, 1.0)
+        self._command(applied)
+        before = self.twins.qpos.copy()
+        self._advance()
+        tcp = tcp_position(self.arm, self.twins.qpos)
+        speed = np.linalg.norm(tcp - self._tcp, axis=-1) / self._period
+        self._tcp = tcp
+        distance = np.linalg.norm(self._target - tcp, axis=-1)
+        self._step += 1
+        reached = (distance < SUCCESS_DISTANCE) & self.settings.ends_on_success
+        late = (self._step >= self.settings.hold_steps) & ~reached
+        if self.settings.reward == "residual":
+            reward = residual_reward(distance, speed, np.asarray(action, dtype=float))
+        else:
+            joint_speed = (self.twins.qpos - before) / self._period[:, None]
+            reward = paper_reward(distance, joint_speed, tcp[:, 2] < self.arm.floor, reached, late)
+        final, final_truth = self.observer.observe(self._situation()), self._truth(distance, speed)
+        observation, truth = self._renew(reached | late, final, final_truth)
+        return Transition(observation, truth, final, final_truth, reward, reached, late, distance)
+
+    def state(self) -> dict[str, Any]:
+        """Everything that a checkpoint must keep; copies."""
+        arrays = {name: value.copy() for name, value in self._arrays().items()}
+        return {"random": self._rng.bit_generator.state, **arrays}
+
+    def load_state(self, state: dict[str, Any]) -> None:
+        """Continue from what `state` returned, bit for bit."""
+        self._rng.bit_generator.state = state["random"]
+        for name, value in self._arrays().items():
+            value[...] = state[name]
+
+    def _arrays(self) -> dict[str, Array]:
+        own = ("time", "since", "period", "middle", "ramp", "measured", "sent", "reference", "tcp", "target",
+               "step", "count", "fixed", "coulomb", "stiction")  # fmt: skip
+        return {
+            **{name: getattr(self, f"_{name}") for name in own},
+            **{f"wire.{name}": value for name, value in self.wire.state().items()},
+            **{f"observer.{name}": value for name, value in self.observer.state().items()},
+            **{f"twins.{name}": value for name, value in self.twins.state().items()},
+        }
+
+    def _situation(self) -> Situation:
+        state = JointState(time=self._time, position=self._measured, age=np.zeros(self.agents))
+        return Situation(state=state, target=self._target, sent=self._sent, since_target=self._since)
+
+    def _command(self, action: Array) -> None:
+        """Decide and send, as `PolicyController` and the control loop do."""
+        situation, observer = self._situation(), self.observer
+        observer.acted(action)
+        wanted = self.settings.law.command(self.arm, observer.view, self._measured, self._sent, action)
+        self._sent = guard(self._limits, wanted, self._sent, situation.state, self._period).command
+        self.wire.send(self._sent, self._time)
+
+    def _advance(self) -> None:
+        """Let one control period pass."""
+        s = self.settings
+        spread = self._rng.uniform(1.0 - s.jitter, 1.0 + s.jitter, self.agents)
+        self._period = np.clip(self._middle * spread, s.min_period, s.max_period)
+        substep = self._period / SUBSTEPS
+        self.twins.set_timestep(substep)
+        starts = self._time[:, None] + substep[:, None] * np.arange(SUBSTEPS)
+        goals = self.wire.in_force(starts)
+        reach = (self._ramp * substep)[:, None]
+        passed = np.empty_like(goals)
+        for k in range(SUBSTEPS):
+            self._reference = approach(self._reference, goals[:, k], reach)
+            self.twins.ctrl[:] = self._reference
+            self.twins.set_friction(self._friction())
+            self.twins.step()
+            passed[:, k] = self.twins.qpos
+        self._time, self._since = self._time + self._period, self._since + self._period
+        self.wire.record(starts + substep[:, None], passed)
+        self._measured = self._quantised(self.wire.read(self._time))
+
+    def _friction(self) -> Array:
+        """Dry friction (N, n) [N m] at the present speeds: a joint at rest sticks (Stribeck 1902)."""
+        sticking = np.exp(-((self.twins.qvel / STRIBECK_SPEED) ** 2))
+        return self._coulomb * (1.0 + (self._stiction - 1.0) * sticking)
+
+    def _renew(self, ended: Mask, final: Observation, final_truth: Observation) -> tuple[Observation, Observation]:
+        """Give new targets, and after the last one new arms, where a target has ended."""
+        if not ended.any():
+            return final, final_truth
+        self._count[ended] += 1
+        exchanged = ended & (self._count >= self.settings.targets)
+        if exchanged.any():
+            self._new_arms(exchanged)
+        self._new_targets(ended)
+        rows = np.flatnonzero(ended)
+        observation, truth = final.copy(), final_truth.copy()
+        observation[rows] = self.observer.observe(self._situation(), rows)
+        distance = np.linalg.norm(self._target - self._tcp, axis=-1)
+        truth[rows] = self._truth(distance, np.zeros(self.agents))[rows]
+        return observation, truth
+
+    def _new_targets(self, where: Mask) -> None:
+        self._target[where] = self.arm.targets.sample(self._rng, (int(where.sum()),))
+        self._since[where] = 0.0
+        self._step[where] = 0
+        self.observer.reset(self._situation(), where)
+
+    def _new_arms(self, where: Mask) -> None:
+        """Draw other arms, standing at a posture near rest."""
+        draw = self.ranges.draw(self._rng, int(where.sum()))
+        position = self._start_postures(draw)
+        command = position + self._start_lead(draw, position)
+        self.twins.write(draw.twin, where, gravity_scale=draw.gravity_scale)
+        self.twins.restart(position, ids=where)
+        self.wire.command_delay[where], self.wire.readback_delay[where] = draw.command_delay, draw.readback_delay
+        self.wire.clear(where, command, position)
+        self._sent[where] = self._reference[where] = command
+        self._measured[where] = self._quantised(position)
+        self._tcp[where] = tcp_position(self.arm, position)
+        self._middle[where] = self._period[where] = draw.period
+        self._ramp[where] = draw.twin.ramp_speed
+        self._coulomb[where], self._stiction[where] = draw.twin.coulomb, draw.stiction
+        self._time[where], self._count[where] = 0.0, 0
+        self._fixed[where] = fixed_truth(self.arm, draw)
+
+    def _start_postures(self, draw: Draw) -> Array:
+        """Postures (m, n) [rad] around rest, inside the guard's limits and above the floor."""
+        shape = (len(draw.period), self.arm.joints)
+        position = self.arm.rest + self._rng.normal(0.0, self.settings.start_spread, shape)
+        position = np.clip(position, self._limits.lower, self._limits.upper)
+        low = tcp_position(self.arm, position)[:, 2] < 3.0 * self.arm.floor
+        return np.where(low[:, None], self.arm.rest, position)
+
+    def _start_lead(self, draw: Draw, position: Array) -> Array:
+        """Lead (m, n) [rad] of the first command: none up to all of what holds the arm in place."""
+        if not self.settings.start_sag:
+            return np.zeros_like(position)
+        torque = draw.gravity_scale[:, None] * gravity_torque(self.arm, position)
+        held = torque / draw.twin.stiffness - draw.twin.offset
+        lead = np.clip(held, -self.settings.law.lead_limit, self.settings.law.lead_limit)
+        return lead * self._rng.uniform(0.0, 1.0, (len(position), 1))
+
+    def _quantised(self, position: Array) -> Array:
+        return np.round(position / self.arm.encoder_step) * self.arm.encoder_step
+
+    def _truth(self, distance: Array, speed: Array) -> Observation:
+        """Return what only the critic sees (N, truth)."""
+        truth = self._fixed.copy()
+        lag = self._reference - self.twins.qpos
+        moving_truth(truth, distance, speed, self.twins.qvel, lag, self._period)
+        return truth

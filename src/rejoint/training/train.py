@@ -1,0 +1,190 @@
+"""Train a policy for an arm: from a twin to ``policy.onnx`` and its curves."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import torch
+from skrl.utils.tensorboard import SummaryWriter
+
+from rejoint import __version__
+from rejoint.arms import Arm
+from rejoint.control.contract import PolicyContract, arm_digest
+from rejoint.control.observation import layout_slots
+from rejoint.runs import RunFolder, write_whole
+from rejoint.training.export import export_policy
+from rejoint.training.learner import CurvePoint, Learner
+from rejoint.training.presets import Preset, load_preset
+from rejoint.training.ranges import BroadRanges, PaperRanges, Ranges, identified_ranges
+from rejoint.training.task import ReachTask
+from rejoint.twin.twin import Twin
+
+OnProgress = Callable[[float, float, str], None]
+"""Called with (done, total, what is being done)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainingOptions:
+    """How to train, apart from the recipe."""
+
+    preset: str | Preset = "default"
+    seed: int = 0
+    agents: int = 512
+    threads: int = 2
+    """of the simulation"""
+    iterations: int | None = None
+    """updates; the preset's own number by default"""
+    checkpoint_every: int = 10
+    """updates between two checkpoints"""
+    resume: bool = False
+    """continue from a checkpoint in ``out`` if there is one of this very training"""
+
+    @property
+    def recipe(self) -> Preset:
+        """The preset with the number of iterations asked for."""
+        preset = self.preset if isinstance(self.preset, Preset) else load_preset(self.preset)
+        return (
+            preset if self.iterations is None else replace(preset, ppo=replace(preset.ppo, iterations=self.iterations))
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainingResult:
+    """What a training left behind."""
+
+    policy: Path
+    curves: Path
+    """Parquet, one row per update, the fields of `CurvePoint`"""
+    preset: str
+    seed: int
+    steps: int
+    """transitions"""
+    success_rate: float
+    """in training, with exploration noise, at the end"""
+    error_mm: float
+    """the same: median distance at the end of a target"""
+    reward: float
+    wall_s: float
+
+
+def train(
+    arm: Arm,
+    twin: Twin | None,
+    *,
+    out: Path,
+    options: TrainingOptions | None = None,
+    on_progress: OnProgress | None = None,
+) -> TrainingResult:
+    """Train a policy and write ``policy.onnx`` and the folder ``training`` into ``out``.
+
+    Without a ``twin`` the policy is trained on the broad ranges alone. An interrupted training leaves a
+    checkpoint and no policy; with `TrainingOptions.resume` it goes on from there to the same end.
+    """
+    options = TrainingOptions() if options is None else options
+    recipe, folder = options.recipe, RunFolder(out)
+    checkpoint, curves = folder.training / "checkpoint.pt", folder.training / "curves.parquet"
+    torch.set_num_threads(1)  # measured: networks of this size lose by a second thread
+    learner = _learner(arm, twin, recipe, options)
+    identity = _identity(arm, twin, recipe, options)
+    if options.resume and checkpoint.exists():
+        learner.load(checkpoint, identity)
+    total = recipe.ppo.iterations
+    writer = SummaryWriter(str(folder.training))
+    try:
+        while learner.iteration < total:
+            point = learner.iterate()
+            _write_scalars(writer, point)
+            if learner.iteration % options.checkpoint_every == 0 and learner.iteration < total:
+                learner.save(checkpoint, identity)
+            if on_progress is not None:
+                on_progress(learner.iteration, total, _describe(point))
+    finally:
+        writer.close()
+    write_curves(curves, learner.curve)
+    export_policy(folder.policy, learner.actor.net, _contract(arm, twin, recipe, options.seed))
+    checkpoint.unlink(missing_ok=True)
+    return _result(folder.policy, curves, recipe, options.seed, learner.curve)
+
+
+def training_ranges(arm: Arm, twin: Twin | None, preset: Preset) -> Ranges:
+    """Which arms a preset trains on."""
+    if preset.ranges == "paper":
+        return PaperRanges(arm=arm, joint_noise=preset.joint_noise)
+    if twin is None:
+        return BroadRanges(arm=arm)
+    return identified_ranges(arm, twin)
+
+
+def write_curves(path: Path, curve: Sequence[CurvePoint]) -> None:
+    """Write training curves as Parquet, one column per field of `CurvePoint`."""
+    table = pa.table({f.name: [getattr(point, f.name) for point in curve] for f in fields(CurvePoint)})
+    write_whole(path, lambda temporary: pq.write_table(table, temporary))
+
+
+def _learner(arm: Arm, twin: Twin | None, recipe: Preset, options: TrainingOptions) -> Learner:
+    ranges = training_ranges(arm, twin, recipe)
+    task = ReachTask(arm, ranges, options.agents, recipe.task, seed=options.seed, threads=options.threads)
+    return Learner(task, recipe.ppo, seed=options.seed)
+
+
+def _identity(arm: Arm, twin: Twin | None, recipe: Preset, options: TrainingOptions) -> dict[str, Any]:
+    """Name what a checkpoint must agree in to be continued."""
+    return {
+        "arm": arm_digest(arm),
+        "twin": "" if twin is None else twin.digest(),
+        "recipe": asdict(recipe),
+        "seed": options.seed,
+        "agents": options.agents,
+        "software": __version__,
+    }
+
+
+def _contract(arm: Arm, twin: Twin | None, recipe: Preset, seed: int) -> PolicyContract:
+    return PolicyContract(
+        arm=arm.name,
+        arm_digest=arm_digest(arm),
+        joint_names=arm.joint_names,
+        lower=tuple(arm.lower.tolist()),
+        upper=tuple(arm.upper.tolist()),
+        layout=recipe.task.layout,
+        observation=layout_slots(recipe.task.layout, arm.joints),
+        law=recipe.task.law,
+        min_period=recipe.task.min_period,
+        max_period=recipe.task.max_period,
+        probe=(),
+        twin_digest="" if twin is None else twin.digest(),
+        preset=recipe.name,
+        seed=seed,
+        software=__version__,
+    )
+
+
+def _write_scalars(writer: SummaryWriter, point: CurvePoint) -> None:
+    for field in fields(CurvePoint):
+        if field.name != "step":
+            writer.add_scalar(tag=f"training/{field.name}", value=getattr(point, field.name), timestep=point.step)
+
+
+def _describe(point: CurvePoint) -> str:
+    return f"success {100 * point.success_rate:.0f} %, error {point.error_mm:.2f} mm, reward {point.reward:.2f}"
+
+
+def _result(policy: Path, curves: Path, recipe: Preset, seed: int, curve: Sequence[CurvePoint]) -> TrainingResult:
+    recent = curve[-5:]  # chosen: the targets that end within a few updates are enough for a percent
+    return TrainingResult(
+        policy=policy,
+        curves=curves,
+        preset=recipe.name,
+        seed=seed,
+        steps=curve[-1].step,
+        success_rate=float(np.mean([point.success_rate for point in recent])),
+        error_mm=float(np.mean([point.error_mm for point in recent])),
+        reward=float(np.mean([point.reward for point in recent])),
+        wall_s=curve[-1].wall_s,
+    )

@@ -1,0 +1,61 @@
+"""What only the critic sees: the twin's own state and parameters, scaled to about one.
+
+The critic is used in training alone, so it may know what no encoder shows; its better values make the
+policy's gradient less noisy (asymmetric actor-critic; Pinto et al. 2018, arXiv:1710.06542).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rejoint.arms import Arm, Array
+from rejoint.control.observation import Observation
+from rejoint.training.ranges import Draw
+from rejoint.twin.parameters import nominal_parameters
+
+_MOVING_SCALARS = 4
+_FIXED_SCALARS = 4
+
+
+def truth_size(joints: int) -> int:
+    """Length of the truth vector for n joints."""
+    return _MOVING_SCALARS + 2 * joints + _FIXED_SCALARS + 6 * joints
+
+
+def fixed_truth(arm: Arm, draw: Draw) -> Observation:
+    """Truth (m, size) of new arms; the part that moves is left at zero."""
+    base, twin = nominal_parameters(arm), draw.twin
+    scalars = np.stack(
+        [
+            5.0 * (draw.gravity_scale - 1.0),
+            30.0 * draw.command_delay,
+            30.0 * draw.readback_delay,
+            np.log(twin.ramp_speed / base.ramp_speed),
+        ],
+        axis=-1,
+    )
+    parts = [
+        np.log(twin.stiffness / base.stiffness),
+        np.log(twin.damping / base.damping),
+        np.log(twin.armature / base.armature),
+        np.log(twin.torque_limit / base.torque_limit),
+        0.5 * twin.coulomb / base.coulomb,
+        30.0 * twin.offset,
+    ]
+    moving = np.zeros((len(scalars), _MOVING_SCALARS + 2 * arm.joints))
+    return np.concatenate([moving, scalars, *parts], axis=-1).clip(-8.0, 8.0).astype(np.float32)
+
+
+def moving_truth(truth: Observation, distance: Array, speed: Array, velocity: Array, lag: Array, period: Array) -> None:
+    """Fill in the part that changes each cycle.
+
+    ``distance`` (N,) [m] of the TCP, its ``speed`` (N,) [m/s], joint ``velocity`` (N, n) [rad/s], ``lag`` (N, n)
+    [rad] of the joints behind the servo's reference, control ``period`` (N,) [s].
+    """
+    n = velocity.shape[1]
+    truth[:, 0] = 10.0 * distance
+    truth[:, 1] = (np.log(distance + 0.0003) + 5.0) / 2.0
+    truth[:, 2] = 3.0 * speed
+    truth[:, 3] = 30.0 * period
+    truth[:, 4 : 4 + n] = np.clip(0.5 * velocity, -8.0, 8.0)
+    truth[:, 4 + n : 4 + 2 * n] = np.clip(4.0 * lag, -8.0, 8.0)

@@ -1,0 +1,249 @@
+import numpy as np
+import pytest
+
+from rejoint.arms import mycobot280, tcp_position
+from rejoint.control.controller import Situation
+from rejoint.control.guard import GuardLimits, guard
+from rejoint.control.observation import layout_slots
+from rejoint.control.policy import PolicyController
+from rejoint.control.residual import CommandLaw
+from rejoint.control.robot import JointState
+from rejoint.training.presets import DEFAULT, PAPER
+from rejoint.training.ranges import BroadRanges, MixedRanges, PaperRanges
+from rejoint.training.reward import paper_reward, residual_reward
+from rejoint.training.task import ReachTask, TaskSettings
+from rejoint.training.truth import truth_size
+
+ARM = mycobot280()
+
+
+def make(agents=8, settings=DEFAULT.task, seed=1, **ranges) -> ReachTask:
+    return ReachTask(ARM, BroadRanges(arm=ARM, **ranges), agents, settings, seed=seed)
+
+
+class Scripted(PolicyController):
+    """Deployment code with a network that plays back actions."""
+
+    def __init__(self, actions):
+        contract = type("Contract", (), {"layout": "residual", "law": TaskSettings().law})()
+        super().__init__(ARM, None, contract)
+        self.actions, self.seen = iter(actions), []
+
+    def act(self, observation):
+        self.seen.append(observation.copy())
+        return np.clip(next(self.actions), -1.0, 1.0)
+
+
+def test_training_and_deployment_see_and_command_the_same_bit_for_bit():
+    rng = np.random.default_rng(2)
+    actions = rng.normal(0.0, 0.8, (25, 6, 6)).astype(np.float32).astype(float)
+    task = make(agents=6, settings=TaskSettings(hold_steps=1000))
+    observation, _ = task.reset()
+    controller, limits = Scripted(actions), GuardLimits.of(ARM)
+    sent = task._sent.copy()
+    for cycle, action in enumerate(actions):
+        state = JointState(time=task._time.copy(), position=task._measured.copy(), age=np.zeros(6))
+        now = Situation(state=state, target=task._target.copy(), sent=sent, since_target=task._since.copy())
+        if cycle == 0:
+            controller.reset(now, np.ones(6, dtype=bool))
+        wanted = controller.command(now)
+        sent = guard(limits, wanted, sent, state, task._period.copy()).command
+        np.testing.assert_array_equal(controller.seen[-1], observation)
+        observation = task.step(action).observation
+        np.testing.assert_array_equal(task._sent, sent)
+
+
+def test_a_new_target_begins_as_a_deployed_reset_does():
+    task = make(agents=5, settings=TaskSettings(hold_steps=4, targets=1000))
+    task.reset()
+    for _ in range(3):
+        transition = task.step(np.full((5, 6), 0.3))
+    ended = transition.truncated
+    while not ended.any():
+        transition = task.step(np.full((5, 6), 0.3))
+        ended = transition.truncated
+    controller = Scripted([np.zeros((5, 6))])
+    state = JointState(time=task._time, position=task._measured, age=np.zeros(5))
+    now = Situation(state=state, target=task._target, sent=task._sent, since_target=task._since)
+    controller.reset(now, np.ones(5, dtype=bool))
+    controller.command(now)
+    np.testing.assert_array_equal(controller.seen[0][ended], transition.observation[ended])
+    assert (transition.observation[ended] != transition.final_observation[ended]).any(axis=1).all()
+    np.testing.assert_array_equal(transition.observation[~ended], transition.final_observation[~ended])
+
+
+def test_commands_reach_the_joints_after_the_delay_and_no_earlier():
+    settings = TaskSettings(hold_steps=1000, jitter=0.0, start_spread=0.0, start_sag=False)
+    delayed = make(agents=2, settings=settings, command_delay=(0.040, 0.040), period=(0.020, 0.020))
+    delayed.reset()
+    delayed._target[:] = tcp_position(ARM, ARM.rest)
+    still = delayed._reference.copy()
+    action = np.ones((2, 6))
+    for _ in range(2):  # 40 ms: nothing has arrived yet
+        delayed.step(action)
+        np.testing.assert_array_equal(delayed._reference, still)
+    delayed.step(action)
+    assert (np.abs(delayed._reference - still).max(axis=1) > 0.0).all()
+
+
+def test_measurements_are_old_and_quantised():
+    settings = TaskSettings(hold_steps=1000, jitter=0.0)
+    task = make(agents=3, settings=settings, readback_delay=(0.020, 0.020), period=(0.020, 0.020))
+    task.reset()
+    before = task.twins.qpos.copy()
+    for _ in range(10):
+        task.step(np.full((3, 6), 0.5))
+        # Exactly one period old: the positions at the end of the cycle before, in encoder steps.
+        counts = task._measured / ARM.encoder_step
+        np.testing.assert_allclose(counts, np.round(counts), atol=1e-9)
+        assert np.abs(task._measured - before).max() <= 0.5 * ARM.encoder_step + 1e-12
+        before = task.twins.qpos.copy()
+
+
+def test_every_agent_has_its_own_period():
+    task = make(agents=200, settings=TaskSettings(hold_steps=1000))
+    task.reset()
+    periods = []
+    for _ in range(30):
+        before = task._time.copy()
+        task.step(np.zeros((200, 6)))
+        np.testing.assert_allclose(task._time - before, task._period)
+        np.testing.assert_allclose(task.twins.timestep * 6, task._period)
+        periods.append(task._period.copy())
+    periods = np.array(periods)
+    assert periods.min() >= 0.018
+    assert periods.max() <= 0.055
+    assert np.ptp(periods.mean(axis=0)) > 0.025  # between agents
+    assert (np.ptp(periods, axis=0) / periods.mean(axis=0) > 0.1).all()  # within an agent
+
+
+def test_targets_end_as_time_outs_and_arms_are_exchanged_after_three():
+    task = make(agents=40, settings=TaskSettings(hold_steps=5, targets=3))
+    task.reset()
+    exchanged = np.zeros(40, dtype=int)
+    for _ in range(30):
+        stiffness = task.twins._batch.expanded("actuator_gainprm")[:, 0, 0].copy()
+        transition = task.step(np.zeros((40, 6)))
+        assert not transition.terminated.any()
+        changed = task.twins._batch.expanded("actuator_gainprm")[:, 0, 0] != stiffness
+        assert (transition.truncated | ~changed).all()
+        exchanged += changed
+    assert (exchanged == 2).all()  # 30 cycles are two episodes of 15, wherever an agent began
+
+
+def test_stiction_holds_what_coulomb_friction_would_let_go():
+    task = make(agents=2, frictionless=0.0)
+    task.reset()
+    task._coulomb[:], task._stiction[:] = 0.1, 2.0
+    task.twins.qvel[0], task.twins.qvel[1] = 0.0, 1.0
+    friction = task._friction()
+    np.testing.assert_allclose(friction[0], 0.2)
+    np.testing.assert_allclose(friction[1], 0.1, atol=1e-6)
+
+
+def test_same_seed_same_episode_and_state_can_be_restored():
+    first, second, other = make(seed=3), make(seed=3), make(seed=4)
+    for task in (first, second, other):
+        task.reset()
+    rng = np.random.default_rng(0)
+    actions = rng.uniform(-1.0, 1.0, (12, 8, 6))
+    for action in actions[:6]:
+        a, b = first.step(action), second.step(action)
+        np.testing.assert_array_equal(a.observation, b.observation)
+    saved = first.state()
+    ahead = [first.step(action) for action in actions[6:]]
+    other.load_state(saved)
+    for action, expected in zip(actions[6:], ahead, strict=True):
+        got = other.step(action)
+        for name in expected._fields:
+            np.testing.assert_array_equal(getattr(got, name), getattr(expected, name), err_msg=name)
+
+
+def test_truth_has_the_size_it_claims_and_is_finite():
+    task = make(agents=30)
+    _, truth = task.reset()
+    assert truth.shape == (30, truth_size(6))
+    for _ in range(20):
+        transition = task.step(np.random.default_rng(0).uniform(-1, 1, (30, 6)))
+    assert np.isfinite(transition.truth).all()
+    assert np.abs(transition.truth).max() < 20.0
+    np.testing.assert_allclose(transition.final_truth[:, 0], 10.0 * transition.distance, rtol=1e-6)
+
+
+def test_a_policy_without_actions_already_reaches_most_targets():
+    settings = TaskSettings(hold_steps=200)
+    task = make(agents=48, settings=settings, coulomb=(0.0, 0.0), stiffness=(1.5, 1.7), period=(0.02, 0.03))
+    task.reset()
+    task._step[:] = 0
+    for _ in range(199):
+        transition = task.step(np.zeros((48, 6)))
+    assert np.median(transition.distance) < 0.002
+
+
+def test_residual_reward_worked_by_hand():
+    got = residual_reward(np.array([0.0, 0.003, 1.0]), np.array([0.0, 0.2, 5.0]), np.zeros((3, 6)))
+    near = -0.03 + 0.4 * np.exp(-0.3) + 0.5 * np.exp(-1.0) + 0.4 * np.exp(-3.0) - 0.1 * np.exp(-0.15)
+    np.testing.assert_allclose(got, [1.3, near, -1.0], atol=1e-6)
+    effort = residual_reward(np.zeros(1), np.zeros(1), np.array([[0.5, -1.0, 9.0, 0.0, 0.0, 0.0]]))
+    np.testing.assert_allclose(effort, 1.3 - 0.02 * (0.25 + 1.0 + 2.0))
+
+
+def test_paper_reward_worked_by_hand():
+    no, yes = np.array([False]), np.array([True])
+    speed = np.array([[0.6, -0.6, 0.0, 0.0, 0.0, 0.0]])
+    distance = np.array([0.07])
+    np.testing.assert_allclose(paper_reward(distance, speed, no, no, no), -0.7 - 0.02)
+    np.testing.assert_allclose(paper_reward(distance, speed, yes, no, yes), -0.72 - 10.0 - 5.0)
+    np.testing.assert_allclose(paper_reward(np.array([0.004]), 0 * speed, no, yes, no), -0.04 + 10.0)
+
+
+def test_the_paper_s_episode_ends_with_success():
+    task = ReachTask(ARM, PaperRanges(arm=ARM, joint_noise=0.0), 64, PAPER.task, seed=0)
+    observation, _ = task.reset()
+    assert observation.shape == (64, 28)
+    reached = np.zeros(64, dtype=int)
+    for _ in range(60):
+        transition = task.step(np.zeros((64, 6)))
+        reached += transition.terminated
+        assert (transition.distance[transition.terminated] < 0.005).all()
+        assert (transition.reward[transition.terminated] > 8.0).all()
+    assert (reached > 0).mean() > 0.2  # the stiffer arms reach targets below them without any policy
+
+
+def test_broad_ranges_keep_their_bounds():
+    draw = BroadRanges(arm=ARM).draw(np.random.default_rng(0), 4000)
+    stiffness = draw.twin.stiffness[:, 0]
+    assert 3.0 * 0.75 <= stiffness.min() < 3.2
+    assert 14.0 < stiffness.max() <= 12.0 * 1.25 + 0.01
+    assert abs((draw.twin.coulomb == 0.0).all(axis=1).mean() - 0.5) < 0.03
+    for values, (low, high) in (
+        (draw.command_delay, (0.005, 0.040)),
+        (draw.readback_delay, (0.005, 0.030)),
+        (draw.period, (0.018, 0.055)),
+    ):
+        assert low <= values.min() < low + 0.001
+        assert high - 0.001 < values.max() <= high
+
+
+def test_mixed_ranges_take_whole_arms_from_either_side():
+    soft = BroadRanges(arm=ARM, stiffness=(0.5, 0.6), command_delay=(0.001, 0.002))
+    hard = BroadRanges(arm=ARM, stiffness=(3.0, 4.0), command_delay=(0.050, 0.060))
+    draw = MixedRanges(first=soft, second=hard, share=0.25).draw(np.random.default_rng(0), 4000)
+    is_soft = draw.command_delay < 0.01
+    assert abs(is_soft.mean() - 0.25) < 0.03
+    assert draw.twin.stiffness[is_soft, 0].max() < draw.twin.stiffness[~is_soft, 0].min()
+
+
+def test_the_paper_s_ranges_are_those_of_the_paper():
+    draw = PaperRanges(arm=ARM).draw(np.random.default_rng(0), 3000)
+    p, d = draw.twin.stiffness[:, 0] / 0.06, draw.twin.damping[:, 0] / 0.012
+    assert 50.0 <= p.min() < 51.0
+    assert 199.0 < p.max() <= 200.0
+    assert ((d >= p / 50.0) & (d <= p / 10.0)).all()
+    assert 1 / 60 <= draw.period.min() < draw.period.max() <= 1 / 30
+    assert draw.twin.offset.std() == pytest.approx(np.radians(1.0), rel=0.02)
+
+
+def test_the_paper_s_observation_is_its_equation_16():
+    assert sum(slot.size for slot in layout_slots(PAPER.task.layout, 6)) == 28
+    assert CommandLaw() == TaskSettings().law

@@ -1,0 +1,269 @@
+import dataclasses
+
+import numpy as np
+import onnxruntime as ort
+import pyarrow.parquet as pq
+import pytest
+import torch
+from skrl.agents.torch.ppo.ppo import compute_gae
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+from torch import nn
+
+from rejoint.arms import mycobot280
+from rejoint.control.contract import INPUT, OUTPUT
+from rejoint.control.policy import load_policy
+from rejoint.errors import FileError, InputError
+from rejoint.runs import RunFolder
+from rejoint.training.export import policy_graph
+from rejoint.training.learner import Learner, LinearDecay
+from rejoint.training.networks import Actor, Critic, perceptron
+from rejoint.training.presets import DEFAULT, PAPER, PpoSettings, load_preset
+from rejoint.training.ranges import BroadRanges
+from rejoint.training.task import ReachTask, TaskSettings
+from rejoint.training.train import TrainingOptions, train
+
+ARM = mycobot280()
+SMALL = dataclasses.replace(
+    DEFAULT,
+    task=TaskSettings(hold_steps=8),
+    ppo=PpoSettings(rollout=8, iterations=6, mini_batches=2, epochs=2, actor_layers=(16,), critic_layers=(16,)),
+)
+
+
+def options(**changes) -> TrainingOptions:
+    return dataclasses.replace(TrainingOptions(preset=SMALL, agents=16, threads=1, checkpoint_every=2), **changes)
+
+
+def small_learner(seed=0, **ppo) -> Learner:
+    task = ReachTask(ARM, BroadRanges(arm=ARM), 16, SMALL.task, seed=seed)
+    return Learner(task, dataclasses.replace(SMALL.ppo, **ppo), seed=seed)
+
+
+def weights(network) -> np.ndarray:
+    return np.concatenate([p.detach().numpy().ravel() for p in network.parameters()])
+
+
+def test_a_training_leaves_a_policy_that_drives_and_its_curves(tmp_path):
+    seen = []
+    result = train(ARM, None, out=tmp_path, options=options(), on_progress=lambda *report: seen.append(report))
+    assert [(done, total) for done, total, _ in seen] == [(k, 6) for k in range(1, 7)]
+    assert all("success" in text and "mm" in text for _, _, text in seen)
+    controller = load_policy(result.policy, ARM)
+    assert (controller.contract.preset, controller.contract.seed) == ("default", 0)
+    assert (controller.contract.min_period, controller.contract.max_period) == (0.018, 0.055)
+    rows = pq.read_table(result.curves).to_pylist()
+    assert [row["step"] for row in rows] == [16 * 8 * k for k in range(1, 7)]
+    assert result.steps == rows[-1]["step"]
+    assert all(np.isfinite(list(row.values())).all() for row in rows)
+    assert sorted(path.name for path in RunFolder(tmp_path).training.glob("*.p*")) == ["curves.parquet"]
+
+
+def test_tensorboard_shows_the_curves(tmp_path):
+    result = train(ARM, None, out=tmp_path, options=options(iterations=2))
+    events = EventAccumulator(str(RunFolder(tmp_path).training)).Reload()
+    rewards = [(event.step, event.value) for event in events.Scalars("training/reward")]
+    rows = pq.read_table(result.curves).to_pylist()
+    assert [step for step, _ in rewards] == [row["step"] for row in rows]
+    np.testing.assert_allclose([value for _, value in rewards], [row["reward"] for row in rows], rtol=1e-6)
+
+
+def test_a_training_is_a_function_of_its_seed(tmp_path):
+    policies = [
+        train(ARM, None, out=tmp_path / name, options=options(iterations=2, seed=seed)).policy.read_bytes()
+        for name, seed in (("a", 5), ("b", 5), ("c", 6))
+    ]
+    assert policies[0] == policies[1] != policies[2]
+
+
+class InterruptedTrainingError(Exception):
+    pass
+
+
+def interrupt_after(iterations):
+    def on_progress(done, total, text):
+        if done == iterations:
+            raise InterruptedTrainingError
+
+    return on_progress
+
+
+def test_an_interrupted_training_resumes_to_the_same_policy(tmp_path):
+    whole = train(ARM, None, out=tmp_path / "whole", options=options())
+    with pytest.raises(InterruptedTrainingError):
+        train(ARM, None, out=tmp_path / "cut", options=options(), on_progress=interrupt_after(5))
+    assert not RunFolder(tmp_path / "cut").policy.exists()
+    seen = []
+    resumed = train(
+        ARM, None, out=tmp_path / "cut", options=options(resume=True), on_progress=lambda done, *_: seen.append(done)
+    )
+    assert seen == [5, 6]  # the checkpoint is that of the fourth update
+    assert resumed.policy.read_bytes() == whole.policy.read_bytes()
+    assert resumed.steps == whole.steps
+    assert resumed.reward == whole.reward
+
+
+def test_a_checkpoint_of_another_training_is_not_continued(tmp_path):
+    with pytest.raises(InterruptedTrainingError):
+        train(ARM, None, out=tmp_path, options=options(), on_progress=interrupt_after(3))
+    seen = []
+    train(ARM, None, out=tmp_path, options=options(resume=True, seed=9), on_progress=lambda done, *_: seen.append(done))
+    assert seen == [1, 2, 3, 4, 5, 6]
+
+
+def test_a_damaged_checkpoint_is_named(tmp_path):
+    path = RunFolder(tmp_path).training / "checkpoint.pt"
+    path.parent.mkdir(parents=True)
+    path.write_bytes(b"PK half a file")
+    with pytest.raises(FileError, match="damaged checkpoint"):
+        train(ARM, None, out=tmp_path, options=options(resume=True))
+
+
+def test_exported_network_agrees_with_the_trained_one():
+    torch.manual_seed(0)
+    network = perceptron((50, 128, 64, 6))
+    session = ort.InferenceSession(policy_graph(network, 50, 6).SerializeToString())
+    observations = np.random.default_rng(0).normal(0.0, 3.0, (500, 50)).astype(np.float32)
+    with torch.no_grad():
+        expected = network(torch.from_numpy(observations)).clamp(-1.0, 1.0).numpy()
+    got = session.run((OUTPUT,), {INPUT: observations})[0]
+    assert np.abs(got - expected).max() <= 1e-5
+    assert (np.abs(expected) < 1.0).mean() > 0.5  # the clip does not hide the comparison
+
+
+def test_only_perceptrons_are_exported():
+    with pytest.raises(TypeError, match="Tanh"):
+        policy_graph(nn.Sequential(nn.Linear(3, 2), nn.Tanh()), 3, 2)
+
+
+def test_the_untrained_policy_hardly_acts():
+    torch.manual_seed(0)
+    actor = Actor(50, 6, (128, 64), -0.7)
+    mean, extra = actor.compute({"observations": torch.randn(100, 50)})
+    assert mean.abs().max() < 0.02
+    assert torch.allclose(extra["log_std"], torch.tensor(-0.7))
+    actor.ceiling = -1.5
+    assert torch.allclose(actor.compute({"observations": torch.zeros(1, 50)})[1]["log_std"], torch.tensor(-1.5))
+
+
+def test_the_critic_sees_the_truth():
+    critic = Critic(50, 56, 6, (16,))
+    observations, truth = torch.zeros(1, 50), torch.zeros(1, 56)
+    other = truth.clone()
+    other[0, 7] = 1.0
+    first, _ = critic.compute({"observations": observations, "states": truth})
+    second, _ = critic.compute({"observations": observations, "states": other})
+    assert first.shape == (1, 1)
+    assert first.item() != second.item()
+
+
+def test_advantages_worked_by_hand():
+    # One agent, three cycles; after the second one a new target appears. Bootstrapping has already
+    # added gamma V(final state) = 0.5 * 4 to the reward of the second cycle.
+    column = lambda *values: torch.tensor(values)[:, None, None]  # noqa: E731
+    returns, _ = compute_gae(
+        rewards=column(1.0, 2.0 + 0.5 * 4.0, 3.0),
+        terminated=torch.zeros(3, 1, 1, dtype=torch.bool),
+        truncated=column(False, True, False),
+        values=column(10.0, 20.0, 30.0),
+        last_values=torch.tensor([[8.0]]),
+        discount_factor=0.5,
+        lambda_coefficient=0.8,
+        time_limit_bootstrap=True,
+    )
+    third = 3.0 + 0.5 * 8.0 - 30.0
+    second = 4.0 - 20.0
+    first = 1.0 + 0.5 * 20.0 - 10.0 + 0.5 * 0.8 * second
+    np.testing.assert_allclose(returns.ravel(), [first + 10.0, second + 20.0, third + 30.0], rtol=1e-6)
+
+
+def test_time_outs_are_bootstrapped_from_the_state_before_the_new_target():
+    learner = small_learner()
+    for _ in range(SMALL.ppo.rollout - 1):
+        transition = learner._interact()
+        if transition.truncated.any():
+            break
+    row = int(np.flatnonzero(transition.truncated)[0])
+    with torch.no_grad():
+        inputs = (transition.final_observation, transition.final_truth)
+        value, _ = learner.critic.compute(
+            dict(zip(("observations", "states"), map(torch.from_numpy, inputs), strict=True))
+        )
+    stored = learner.agent.memory.get_tensor_by_name("rewards")[learner.agent.memory.memory_index - 1, :, 0]
+    s = learner.settings
+    expected = s.reward_scale * transition.reward[row] + s.discount * value[row, 0].item()
+    np.testing.assert_allclose(stored[row].item(), expected, rtol=1e-5)
+    going_on = ~transition.truncated
+    np.testing.assert_allclose(stored[going_on], s.reward_scale * transition.reward[going_on], rtol=1e-5)
+
+
+def test_learning_rate_falls_linearly_to_its_last_value():
+    learner = small_learner(learning_rate=1e-3, final_learning_rate=1e-4)
+    rates = [learner.iterate().learning_rate for _ in range(6)]
+    np.testing.assert_allclose(rates, 1e-3 - 0.9e-3 * np.arange(1, 7) / 6, rtol=1e-9)
+
+
+def test_learning_rate_does_not_fall_below_its_last_value():
+    optimizer = torch.optim.SGD([torch.zeros(1, requires_grad=True)], lr=2.0)
+    schedule = LinearDecay(optimizer, steps=2, last_fraction=0.5)
+    rates = []
+    for _ in range(4):
+        rates.append(schedule.get_last_lr()[0])
+        optimizer.step()
+        schedule.step()
+    assert rates == [2.0, 1.5, 1.0, 1.0]
+
+
+def test_the_noise_stays_below_its_falling_ceiling():
+    learner = small_learner(log_std=-0.3, log_std_ceiling=(-0.4, -2.0), ceiling_falls=0.5)
+    noise = [learner.iterate().noise for _ in range(6)]
+    ceilings = np.exp([-0.4, -0.4 - 1.6 / 3, -0.4 - 3.2 / 3, -2.0, -2.0, -2.0])
+    assert (noise <= ceilings + 1e-6).all()
+    np.testing.assert_allclose(noise[0], ceilings[0], rtol=1e-5)
+
+
+def test_learning_improves_the_reward():
+    # The same arms and targets before and after: what changes is the policy alone.
+    preset = dataclasses.replace(
+        DEFAULT,
+        task=TaskSettings(hold_steps=40),
+        ppo=PpoSettings(rollout=16, iterations=12, actor_layers=(64,), critic_layers=(64,)),
+    )
+    learner = Learner(ReachTask(ARM, BroadRanges(arm=ARM), 128, preset.task, seed=0), preset.ppo, seed=0)
+
+    def mean_reward() -> float:
+        task = ReachTask(ARM, BroadRanges(arm=ARM), 128, preset.task, seed=99)
+        observation, _ = task.reset()
+        rewards = []
+        for _ in range(40):
+            with torch.no_grad():
+                action = learner.actor.net(torch.from_numpy(observation)).numpy()
+            transition = task.step(action)
+            observation = transition.observation
+            rewards.append(transition.reward.mean())
+        return float(np.mean(rewards))
+
+    before = mean_reward()
+    for _ in range(12):
+        learner.iterate()
+    assert mean_reward() > before + 0.05
+
+
+def test_presets_are_found_by_name():
+    assert load_preset("paper") is PAPER
+    with pytest.raises(InputError, match="default, paper"):
+        load_preset("papr")
+
+
+def test_the_paper_s_preset_has_the_paper_s_table_3():
+    ppo, task = PAPER.ppo, PAPER.task
+    assert (ppo.epochs, ppo.mini_batches, ppo.clip, ppo.gae_lambda, ppo.discount) == (8, 8, 0.1, 0.95, 0.99)
+    assert ppo.rollout * ppo.iterations == 5000
+    assert len(ppo.actor_layers) == len(ppo.critic_layers) == 3
+    assert (task.hold_steps, task.ends_on_success, task.law.anchor) == (250, True, "measured")
+    assert TrainingOptions().agents == 512
+
+
+def test_a_policy_of_the_paper_s_preset_can_be_deployed(tmp_path):
+    result = train(ARM, None, out=tmp_path, options=TrainingOptions(preset="paper", agents=8, threads=1, iterations=1))
+    contract = load_policy(result.policy, ARM).contract
+    assert (contract.layout, contract.law.anchor, contract.observation_size) == ("equation-16", "measured", 28)
