@@ -17,7 +17,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from rejoint.arms.arm import Arm, Array, Box, DhRow, dh_chain
+from rejoint.arms.arm import Arm, Box, DhRow, dh_chain
+from rejoint.arms.inertia import cylinder
 
 DH_TABLE = (
     DhRow(d=0.13122, a=0.0, alpha=np.pi / 2),
@@ -61,7 +62,7 @@ def mycobot280() -> Arm:
         max_speed=np.full(6, np.radians(150.0)),
         mass=_MASSES,
         com=ends / 2,
-        inertia=np.array([_cylinder(m, end) for m, end in zip(_MASSES, ends, strict=True)]),
+        inertia=np.array([cylinder(m, end, _LINK_RADIUS) for m, end in zip(_MASSES, ends, strict=True)]),
         rest=np.radians(REST_DEG),
         targets=Box(lower=np.array([0.130, -0.100, 0.150]), upper=np.array([0.230, 0.100, 0.250])),
         floor=0.02,
@@ -71,11 +72,3 @@ def mycobot280() -> Arm:
 
 REST_DEG = (20.0, 0.0, -85.0, -5.0, 0.0, 0.0)
 """Elbow up, flange down, TCP inside the target region (chosen)."""
-
-
-def _cylinder(mass: float, end: Array) -> Array:
-    """Inertia (3, 3) of a solid cylinder from the joint to ``end`` about its centre."""
-    length = float(np.linalg.norm(end))
-    along = end / length
-    axial, lateral = mass * _LINK_RADIUS**2 / 2, mass * (3 * _LINK_RADIUS**2 + length**2) / 12
-    return lateral * np.eye(3) + (axial - lateral) * np.outer(along, along)

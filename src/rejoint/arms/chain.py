@@ -1,0 +1,229 @@
+"""Cut a serial chain out of a tree of bodies, and freeze everything else that hangs on it."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from rejoint.arms.arm import Array
+from rejoint.arms.draft import Draft
+from rejoint.arms.inertia import Lump, lump
+from rejoint.arms.rotations import inverse, pose_of, rotation_about
+from rejoint.errors import InputError
+
+WORLD = 0
+"""Index of the world, the parent of every root body."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Body:
+    """A rigid body of a tree."""
+
+    name: str
+    parent: int
+    pose: Array
+    """(4, 4) in the world, in the posture of the tree's joints"""
+    content: Lump
+    """mass, centre and inertia in the body's frame"""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Joint:
+    """A joint between a body and its parent."""
+
+    name: str
+    kind: str
+    """``hinge``, ``slide``, ``ball`` or ``free``"""
+    body: int
+    anchor: Array
+    """(3,) [m] a point of the axis, in the world"""
+    axis: Array
+    """(3,) unit vector in the world"""
+    angle: float
+    """[rad] joint position in the tree's posture"""
+    lower: float
+    upper: float
+    """[rad] limits, NaN where there is none"""
+    speed: float
+    """[rad/s] speed limit, NaN where there is none"""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Site:
+    """A named frame on a body."""
+
+    name: str
+    body: int
+    pose: Array
+    """(4, 4) in the world"""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Tree:
+    """A whole model in one posture; body 0 is the world, parents come before children."""
+
+    name: str
+    bodies: tuple[Body, ...]
+    joints: tuple[Joint, ...]
+    """in the order in which they act on their body"""
+    sites: tuple[Site, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    def path(self, body: int) -> list[int]:
+        """Bodies from a root down to ``body``, without the world."""
+        found = []
+        while body != WORLD:
+            found.append(body)
+            body = self.bodies[body].parent
+        return found[::-1]
+
+    def joints_of(self, bodies: Iterable[int]) -> list[Joint]:
+        """Joints of the given bodies, in their order."""
+        return [joint for body in bodies for joint in self.joints if joint.body == body]
+
+
+def cut(tree: Tree, base: str | None, tip: str | None) -> Draft:
+    """Make a draft of the chain from the body ``base`` to the body or site ``tip``.
+
+    Without ``tip`` it is the last link of the longest chain of hinges, without ``base`` the root
+    that the tip hangs on. Bodies beside the chain are frozen where they are and add their mass to the link
+    that carries them. InputError when a name is unknown, the choice is ambiguous, or a joint
+    of the chain is not a hinge.
+    """
+    notes = list(tree.notes)
+    start = None if base is None else _body(tree, base)
+    end, pose = _longest(tree, start, notes) if tip is None else _tip(tree, tip)
+    if start is None:
+        start = _root(tree, end)
+        notes.append(f"base: none given; {tree.bodies[start].name} taken, the root of the tree")
+    path = tree.path(end)
+    if start != WORLD and start not in path:
+        raise InputError(f"{tip} does not hang below {base}; the bodies above it are: {_names(tree, path)}")
+    links = path if start == WORLD else path[path.index(start) + 1 :]
+    joints = tree.joints_of(links)
+    _check_hinges(tree, joints, start, end)
+    frame = tree.bodies[start].pose
+    if frame[2, 2] < 1 - 1e-9:
+        notes.append(f"base: {tree.bodies[start].name} is tilted in the file; gravity is taken along its own -z axis")
+    return _draft(tree, joints, frame, pose, notes)
+
+
+def _draft(tree: Tree, joints: list[Joint], frame: Array, tip: Array, notes: list[str]) -> Draft:
+    """Draft of the chain of ``joints`` from the base's ``frame`` to the ``tip`` (4, 4), both in the world."""
+    offsets, axes, before = [], [], frame
+    poses = []
+    for joint in joints:
+        pose = pose_of(tree.bodies[joint.body].pose[:3, :3], joint.anchor)
+        axis = pose[:3, :3].T @ joint.axis
+        back = pose_of(rotation_about(axis, -joint.angle), np.zeros(3))
+        offsets.append(inverse(before) @ pose @ back)
+        axes.append(axis)
+        poses.append(pose)
+        before = pose
+    return Draft(
+        name=tree.name,
+        joint_names=tuple(joint.name for joint in joints),
+        offset=np.array(offsets),
+        axis=np.array(axes),
+        tip=inverse(before) @ tip,
+        lower=np.array([joint.lower for joint in joints]),
+        upper=np.array([joint.upper for joint in joints]),
+        max_speed=np.array([joint.speed for joint in joints]),
+        links=_links(tree, joints, poses),
+        notes=tuple(notes),
+    )
+
+
+def _links(tree: Tree, joints: list[Joint], poses: list[Array]) -> tuple[Lump, ...]:
+    """Everything that moves with each joint of the chain and not with the next, in the joint frames."""
+    carriers = {joint.body: i for i, joint in enumerate(joints)}  # of several joints of a body the last carries it
+    owner: dict[int, int] = {}
+    pieces: list[list[Lump]] = [[] for _ in joints]
+    for index, body in enumerate(tree.bodies[1:], start=1):
+        if index in carriers:
+            owner[index] = carriers[index]
+        elif body.parent in owner:
+            owner[index] = owner[body.parent]
+        if index in owner:
+            pose = inverse(poses[owner[index]]) @ body.pose
+            pieces[owner[index]].append(body.content.seen_from(pose))
+    return tuple(lump(piece) for piece in pieces)
+
+
+def _body(tree: Tree, name: str) -> int:
+    names = [body.name for body in tree.bodies]
+    if name not in names:
+        raise InputError(_unknown(name, "body", names))
+    return names.index(name)
+
+
+def _tip(tree: Tree, name: str) -> tuple[int, Array]:
+    names = [body.name for body in tree.bodies]
+    if name in names:
+        return names.index(name), tree.bodies[names.index(name)].pose
+    for site in tree.sites:
+        if site.name == name:
+            return site.body, site.pose
+    raise InputError(_unknown(name, "body or site", names + [site.name for site in tree.sites]))
+
+
+def _root(tree: Tree, end: int) -> int:
+    """Root body above ``end``; the world where the root itself turns on a hinge."""
+    first = tree.path(end)[0] if end != WORLD else WORLD
+    return WORLD if any(joint.kind != "free" for joint in tree.joints_of([first])) else first
+
+
+def _longest(tree: Tree, start: int | None, notes: list[str]) -> tuple[int, Array]:
+    """Last link of the single longest chain of hinges below ``start`` (anywhere if None), and its pose."""
+    hinges: dict[int, int] = {}
+    for index, body in enumerate(tree.bodies):
+        if index in (WORLD, start):
+            if start is None or index == start:
+                hinges[index] = 0
+            continue
+        own = tree.joints_of([index])
+        floating = start is None and body.parent == WORLD and [joint.kind for joint in own] == ["free"]
+        if body.parent in hinges and (floating or all(joint.kind == "hinge" for joint in own)):
+            hinges[index] = hinges[body.parent] + (0 if floating else len(own))
+    parents = {tree.bodies[index].parent for index in hinges if index != start and index != WORLD}
+    leaves = [index for index in hinges if index not in parents]
+    most = max((hinges[index] for index in leaves), default=0)
+    longest = [index for index in leaves if hinges[index] == most]
+    if most == 0:
+        raise InputError(f"{tree.name}: no chain of hinges was found; the bodies are: {_names(tree, hinges)}")
+    if len(longest) > 1:
+        raise InputError(
+            f"{tree.name}: several links could be the tip of the arm ({most} joints each): "
+            f"{_names(tree, longest)}; name the tip that you mean, and the base"
+        )
+    end = longest[0]
+    sites = [site.name for site in tree.sites if site.body == end]
+    more = f" (it carries the sites {', '.join(sites)}, which can be named instead)" if sites else ""
+    notes.append(f"tip: none given; {tree.bodies[end].name} taken, the end of the longest chain ({most} joints){more}")
+    return end, tree.bodies[end].pose
+
+
+def _check_hinges(tree: Tree, joints: list[Joint], start: int, end: int) -> None:
+    names = f"{tree.bodies[start].name} and {tree.bodies[end].name}"
+    if not joints:
+        raise InputError(f"{tree.name}: there is no joint between {names}; choose another base or tip")
+    for joint in joints:
+        if joint.kind != "hinge":
+            raise InputError(
+                f"{tree.name}: joint {joint.name} between {names} is a {joint.kind} joint, and only revolute joints "
+                "can be driven; choose a base and a tip with it outside of the chain"
+            )
+
+
+def _unknown(name: str, kind: str, names: list[str]) -> str:
+    close = difflib.get_close_matches(name, names, n=1)
+    hint = f"did you mean {close[0]}? " if close else ""
+    shown = [known for known in names if known][:40]
+    return f"the model has no {kind} called {name!r}; {hint}it has: {', '.join(shown)}"
+
+
+def _names(tree: Tree, bodies: Iterable[int]) -> str:
+    return ", ".join(tree.bodies[index].name for index in bodies)

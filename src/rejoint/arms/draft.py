@@ -1,0 +1,134 @@
+"""An arm as far as a file describes it, and the completion of what the file leaves out.
+
+Every value that is filled in is named in a note, so that the owner can judge it and write a better
+one into the arm's TOML file.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rejoint.arms.arm import Arm, Array, Box
+from rejoint.arms.inertia import Lump, link_ends, plausible_links
+from rejoint.arms.workspace import derive_targets, derive_workspace, reach
+from rejoint.errors import InputError
+
+DEFAULT_SPEED = np.radians(90.0)
+"""[rad/s] speed limit of a joint without one (chosen: slower than any arm that we know of can move)"""
+
+DEFAULT_ENCODER_STEP = 2 * np.pi / 4096
+"""[rad] URDF and MJCF say nothing about encoders; 12 bits a turn, as hobby servos have (chosen)"""
+
+FLOOR_RATIO = 0.04
+"""Default floor above the base's origin by the summed link lengths (chosen: 20 mm for a myCobot 280)"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Loaded:
+    """An arm and what had to be assumed to make it."""
+
+    arm: Arm
+    notes: tuple[str, ...] = ()
+    """one sentence for each value that the file did not give, or gave wrongly"""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Draft:
+    """The fields of an arm, with NaN or None where the file is silent; see :class:`Arm` for shapes and units."""
+
+    name: str
+    joint_names: tuple[str, ...]
+    offset: Array
+    axis: Array
+    tip: Array
+    lower: Array
+    upper: Array
+    max_speed: Array
+    links: tuple[Lump, ...]
+    """one for each joint, in the joint's frame; zero mass where unknown"""
+    rest: Array | None = None
+    targets: Box | None = None
+    floor: float | None = None
+    encoder_step: float | None = None
+    notes: tuple[str, ...] = ()
+
+
+def finish(draft: Draft, seed: int = 0) -> Loaded:
+    """Complete a draft; ``seed`` is that of the sampling in :mod:`rejoint.arms.workspace`.
+
+    InputError when no rest posture or target region can be found.
+    """
+    notes = list(draft.notes)
+    lower, upper = _limits(draft, notes)
+    links, repairs = plausible_links(draft.joint_names, draft.links, link_ends(draft.offset, draft.tip))
+    notes += repairs
+    floor, step = draft.floor, draft.encoder_step
+    if step is None:
+        step = DEFAULT_ENCODER_STEP
+        notes.append("encoders: no resolution given; 4096 steps a turn assumed")
+    arm = Arm(
+        name=draft.name,
+        joint_names=draft.joint_names,
+        offset=draft.offset,
+        axis=draft.axis,
+        tip=draft.tip,
+        lower=lower,
+        upper=upper,
+        max_speed=_speeds(draft, notes),
+        mass=np.array([link.mass for link in links]),
+        com=np.array([link.com for link in links]),
+        inertia=np.array([link.inertia for link in links]),
+        rest=(lower + upper) / 2 if draft.rest is None else draft.rest,
+        targets=draft.targets or Box(lower=-np.ones(3), upper=np.ones(3)),
+        floor=0.0 if floor is None else floor,
+        encoder_step=step,
+    )
+    if floor is None:
+        arm = replace(arm, floor=round(FLOOR_RATIO * reach(arm), 3))
+        notes.append(f"floor: none given; {1e3 * arm.floor:.0f} mm above the base's origin assumed")
+    arm = _with_workspace(arm, draft, seed, notes)
+    return Loaded(arm=arm, notes=tuple(notes))
+
+
+def _with_workspace(arm: Arm, draft: Draft, seed: int, notes: list[str]) -> Arm:
+    if draft.rest is not None and draft.targets is not None:
+        return arm
+    if draft.rest is not None:
+        arm = replace(arm, targets=derive_targets(arm, seed))
+    elif draft.targets is None:
+        rest, targets = derive_workspace(arm, seed)
+        arm = replace(arm, rest=rest, targets=targets)
+    else:
+        raise InputError(f"arm {arm.name}: targets are given without a rest posture; give rest_deg as well, or neither")
+    if draft.rest is None:
+        notes.append(f"rest posture: none given; {_listed(np.degrees(arm.rest))} deg derived by sampling")
+    low, high = _listed(1e3 * arm.targets.lower), _listed(1e3 * arm.targets.upper)
+    notes.append(f"targets: none given; the box from {low} to {high} mm derived by sampling")
+    return arm
+
+
+def _limits(draft: Draft, notes: list[str]) -> tuple[Array, Array]:
+    missing = ~(np.isfinite(draft.lower) & np.isfinite(draft.upper) & (draft.lower < draft.upper))
+    if missing.any():
+        notes.append(f"limits: none usable for {_chosen(draft.joint_names, missing)}; +-180 deg assumed")
+    return np.where(missing, -np.pi, draft.lower), np.where(missing, np.pi, draft.upper)
+
+
+def _speeds(draft: Draft, notes: list[str]) -> Array:
+    missing = ~(np.isfinite(draft.max_speed) & (draft.max_speed > 0))
+    if missing.any():
+        speed_deg = np.degrees(DEFAULT_SPEED)
+        notes.append(f"speed: no limit for {_chosen(draft.joint_names, missing)}; {speed_deg:.0f} deg/s assumed")
+    return np.where(missing, DEFAULT_SPEED, draft.max_speed)
+
+
+def _chosen(names: Sequence[str], mask: NDArray[np.bool_]) -> str:
+    return ", ".join(name for name, chosen in zip(names, mask, strict=True) if chosen)
+
+
+def _listed(values: Array) -> str:
+    return "(" + ", ".join(f"{value:.0f}" for value in values) + ")"

@@ -1,0 +1,45 @@
+"""Arms by name or from a file."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from rejoint.arms.arm import Arm
+from rejoint.arms.chain import cut
+from rejoint.arms.draft import Loaded, finish
+from rejoint.arms.modelfile import read_tree
+from rejoint.arms.mycobot280 import mycobot280
+from rejoint.arms.so101 import so101
+from rejoint.arms.tomlfile import read_draft
+from rejoint.errors import InputError
+
+CATALOGUE: dict[str, Callable[[], Arm]] = {"mycobot280": mycobot280, "so101": so101}
+
+SUFFIXES = (".toml", ".urdf", ".xml", ".mjcf")
+
+
+def load_arm(source: str, *, base: str | None = None, tip: str | None = None) -> Arm:
+    """Build the arm that :func:`read_arm` describes, without the notes."""
+    return read_arm(source, base=base, tip=tip).arm
+
+
+def read_arm(source: str, *, base: str | None = None, tip: str | None = None) -> Loaded:
+    """Build an arm from a name of the catalogue or a path to a TOML, URDF or MJCF file.
+
+    From a URDF or MJCF the serial chain from the body ``base`` to the body or site ``tip`` is cut
+    out, see :func:`rejoint.arms.chain.cut`. The notes name every value that was not given or not
+    usable. InputError or FileError say what cannot be used and why.
+    """
+    path = Path(source)
+    is_file = path.suffix.lower() in SUFFIXES
+    if (base or tip) and (not is_file or path.suffix.lower() == ".toml"):
+        raise InputError(f"base and tip choose a chain of a URDF or MJCF file; {source} is a single chain already")
+    if source in CATALOGUE:
+        return Loaded(arm=CATALOGUE[source]())
+    if not is_file:
+        raise InputError(
+            f"no arm is called {source!r}; known arms: {', '.join(sorted(CATALOGUE))}, "
+            f"or give a file that ends in {', '.join(SUFFIXES)}"
+        )
+    return finish(read_draft(path) if path.suffix.lower() == ".toml" else cut(read_tree(path), base, tip))

@@ -1,0 +1,218 @@
+"""Read a URDF or an MJCF file into a tree of bodies, through MuJoCo's own loader.
+
+MuJoCo is imported when a file is read, not before: running a policy on the arm's own computer needs
+the modules beside this one, and no simulator. Meshes, textures, actuators, sensors, tendons and
+constraints are removed before compiling, so that the files they name need not be there.
+"""
+
+from __future__ import annotations
+
+import re
+import xml.etree.ElementTree as ET
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+
+from rejoint.arms.arm import Array
+from rejoint.arms.chain import Body, Joint, Site, Tree
+from rejoint.arms.inertia import NOTHING, Lump, ball, inertia_matrix, usable
+from rejoint.arms.rotations import pose_of, rotation_of
+from rejoint.errors import FileError, InputError
+
+_KINDS = {0: "free", 1: "ball", 2: "slide", 3: "hinge"}
+"""mjtJoint"""
+
+_PREFIX = re.compile(r"(</?|\s)([A-Za-z_][\w.-]*):(?=[A-Za-z_][\w.-]*[\s=/>])")
+"""namespace prefix of an element or attribute"""
+
+
+def read_tree(path: Path) -> Tree:
+    """Read a URDF or MJCF file. FileError names what is wrong with it, InputError a missing installation."""
+    root = _parse(path)
+    mujoco = _mujoco()
+    try:
+        spec = mujoco.MjSpec.from_file(str(path))
+    except (ValueError, mujoco.FatalError) as error:
+        raise FileError(path, f"MuJoCo cannot read it: {_line(error)}", "correct the file") from error
+    urdf = root.tag == "robot"
+    notes: list[str] = []
+    _strip(mujoco, spec, every_geom=urdf, notes=notes)
+    contents = _contents(spec, notes)
+    try:
+        model = spec.compile()
+    except (ValueError, mujoco.FatalError) as error:
+        raise FileError(path, f"MuJoCo cannot compile it: {_line(error)}", "correct the file") from error
+    speeds = _urdf_speeds(root) if urdf else {}
+    return _tree(mujoco, model, contents, speeds, root.get("name") or root.get("model") or path.stem, notes)
+
+
+def _parse(path: Path) -> ET.Element:
+    try:
+        text = path.read_text(encoding="utf-8")
+        # Prefixes such as drake: are often used without being declared, which MuJoCo does not mind.
+        root = ET.fromstring(_PREFIX.sub(r"\1\2_", text))  # noqa: S314 - expat expands no external entities
+    except FileNotFoundError as error:
+        raise FileError(path, "there is no such file", "check the path of the arm") from error
+    except (OSError, UnicodeDecodeError) as error:
+        raise FileError(path, f"it cannot be read ({error})", "check the path of the arm") from error
+    except ET.ParseError as error:
+        raise FileError(path, f"it is not XML: {error}", "correct the file") from error
+    if root.tag not in ("robot", "mujoco"):
+        raise FileError(path, f"its root element is <{root.tag}>", "give a URDF (<robot>) or an MJCF (<mujoco>) file")
+    if any(element.tag.startswith("xacro_") for element in root.iter()):
+        raise FileError(path, "it is a xacro file", "expand it to URDF first: xacro FILE.xacro > FILE.urdf")
+    return root
+
+
+def _mujoco() -> ModuleType:
+    try:
+        import mujoco
+    except ImportError as error:
+        raise InputError(
+            "reading a URDF or MJCF file needs MuJoCo, which is not installed; install rejoint[train], or write "
+            "the arm to a TOML file on a machine that has it and give that"
+        ) from error
+    return mujoco
+
+
+def _strip(mujoco: ModuleType, spec: Any, *, every_geom: bool, notes: list[str]) -> None:  # noqa: ANN401
+    """Remove what is not kinematics or mass; the mass of primitive shapes stays."""
+    for kind in ("keys", "sensors", "actuators", "tendons", "equalities", "pairs", "excludes", "skins", "flexes"):
+        for element in list(getattr(spec, kind)):
+            spec.delete(element)
+    from_files = (mujoco.mjtGeom.mjGEOM_MESH, mujoco.mjtGeom.mjGEOM_HFIELD, mujoco.mjtGeom.mjGEOM_SDF)
+    for body in spec.bodies:
+        dropped = 0
+        for geom in list(body.geoms):
+            if every_geom or geom.type in from_files or geom.meshname:
+                spec.delete(geom)
+                dropped += 1
+            else:
+                geom.material = ""
+        for site in body.sites:
+            site.material = ""
+        if dropped and body.geoms and not body.explicitinertial:
+            notes.append(f"body {body.name}: no inertial; its mass is that of its primitive shapes, without its meshes")
+    for kind in ("meshes", "hfields", "materials", "textures"):
+        for element in list(getattr(spec, kind)):
+            spec.delete(element)
+    spec.compiler.fusestatic = False
+    spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO
+
+
+def _contents(spec: Any, notes: list[str]) -> dict[str, Lump | None]:  # noqa: ANN401
+    """Judge each body's mass and inertia; None where the compiled model's are good.
+
+    A body whose numbers MuJoCo would refuse gets harmless ones for compiling; its chain link is
+    completed later.
+    """
+    result: dict[str, Lump | None] = {}
+    for index, body in enumerate(spec.bodies):
+        body.name = body.name or f"body{index}"
+        result[body.name] = None
+        if body is spec.worldbody or body.name == "world":
+            continue
+        if not body.explicitinertial and body.geoms:
+            continue
+        full = np.array(body.fullinertia, dtype=float)
+        inertia = inertia_matrix(full) if np.isfinite(full[0]) else np.diag(np.array(body.inertia, dtype=float))
+        mass, com = float(body.mass), np.array(body.ipos, dtype=float)
+        if not body.explicitinertial or mass == 0.0:
+            result[body.name] = NOTHING
+        elif not (np.isfinite(mass) and mass > 0 and np.isfinite(com).all()):
+            result[body.name] = NOTHING
+            notes.append(f"body {body.name}: a mass of {mass:g} kg at {com} m cannot be; left out")
+        elif not usable(inertia):
+            result[body.name] = Lump(mass=mass, com=com, inertia=ball(mass), doubtful=True)
+            notes.append(f"body {body.name}: its inertia belongs to no rigid body (moments {_moments(inertia)} kg m^2)")
+        else:
+            continue
+        body.explicitinertial, body.mass, body.ipos = True, 1.0, np.zeros(3)
+        body.fullinertia, body.inertia = np.full(6, np.nan), np.ones(3)
+        body.iquat = (1.0, 0.0, 0.0, 0.0)
+    spec.compiler.balanceinertia = True
+    return result
+
+
+def _tree(
+    mujoco: ModuleType,
+    model: Any,  # noqa: ANN401
+    contents: dict[str, Lump | None],
+    speeds: dict[str, float],
+    name: str,
+    notes: list[str],
+) -> Tree:
+    data = mujoco.MjData(model)
+    for j in range(model.njnt):
+        if model.jnt_limited[j] and _KINDS[int(model.jnt_type[j])] in ("hinge", "slide"):
+            address = model.jnt_qposadr[j]
+            data.qpos[address] = np.clip(data.qpos[address], *model.jnt_range[j])
+    mujoco.mj_kinematics(model, data)
+    bodies = []
+    for b in range(model.nbody):
+        content = contents.get(model.body(b).name)
+        bodies.append(
+            Body(
+                name=model.body(b).name,
+                parent=int(model.body_parentid[b]),
+                pose=pose_of(data.xmat[b].reshape(3, 3), data.xpos[b]),
+                content=_compiled(model, b) if content is None else content,
+            )
+        )
+    joints = tuple(_joint(model, data, j, speeds) for j in range(model.njnt))
+    sites = tuple(
+        Site(
+            name=model.site(s).name,
+            body=int(model.site_bodyid[s]),
+            pose=pose_of(data.site_xmat[s].reshape(3, 3), data.site_xpos[s]),
+        )
+        for s in range(model.nsite)
+        if model.site(s).name
+    )
+    return Tree(name=name, bodies=tuple(bodies), joints=joints, sites=sites, notes=tuple(notes))
+
+
+def _joint(model: Any, data: Any, j: int, speeds: dict[str, float]) -> Joint:  # noqa: ANN401
+    name, kind = model.joint(j).name or f"joint{j + 1}", _KINDS[int(model.jnt_type[j])]
+    limited = bool(model.jnt_limited[j])
+    return Joint(
+        name=name,
+        kind=kind,
+        body=int(model.jnt_bodyid[j]),
+        anchor=data.xanchor[j].copy(),
+        axis=data.xaxis[j].copy(),
+        angle=float(data.qpos[model.jnt_qposadr[j]]) if kind == "hinge" else 0.0,
+        lower=float(model.jnt_range[j, 0]) if limited else np.nan,
+        upper=float(model.jnt_range[j, 1]) if limited else np.nan,
+        speed=speeds.get(name, np.nan),
+    )
+
+
+def _compiled(model: Any, b: int) -> Lump:  # noqa: ANN401
+    turn = rotation_of(model.body_iquat[b])
+    inertia = (turn * model.body_inertia[b]) @ turn.T
+    return Lump(mass=float(model.body_mass[b]), com=model.body_ipos[b].copy(), inertia=inertia)
+
+
+def _urdf_speeds(root: ET.Element) -> dict[str, float]:
+    """Speed limits [rad/s] by joint; MuJoCo does not read them."""
+    result = {}
+    for joint in root.findall("joint"):
+        limit = joint.find("limit")
+        try:
+            result[joint.get("name", "")] = float(limit.get("velocity", "nan")) if limit is not None else np.nan
+        except ValueError:
+            result[joint.get("name", "")] = np.nan
+    return result
+
+
+def _moments(inertia: Array) -> str:
+    if not np.isfinite(inertia).all():
+        return "not finite"
+    return ", ".join(f"{value:.2g}" for value in np.linalg.eigvalsh(inertia))
+
+
+def _line(error: BaseException) -> str:
+    return " ".join(str(error).split())

@@ -1,0 +1,307 @@
+"""An arm as a TOML file that its owner can read and edit; units are in the key names.
+
+::
+
+    name = "my-arm"
+    floor_m = 0.02                          # optional, as are all keys marked so
+    encoder_counts_per_turn = 4096          # optional
+    rest_deg = [0, -30, 60]                 # optional
+
+    [targets]                               # optional
+    lower_m = [0.1, -0.1, 0.1]
+    upper_m = [0.2, 0.1, 0.2]
+
+    [tip]                                   # the TCP in the frame of the last joint, or beyond its DH row
+    position_m = [0, 0, 0.1]                # optional, zero
+    quaternion = [1, 0, 0, 0]               # optional, w x y z
+
+    [[joint]]                               # one for each joint, from the base on
+    name = "shoulder"
+    position_m = [0, 0, 0.05]               # of the joint frame in the frame before it; optional, zero
+    quaternion = [1, 0, 0, 0]               # optional, w x y z
+    axis = [0, 0, 1]                        # in the joint frame; optional
+    lower_deg = -90                         # optional, as are the rest
+    upper_deg = 90
+    max_speed_deg_s = 120
+    mass_kg = 0.2                           # of the link that moves with the joint, in the joint frame
+    com_m = [0, 0, 0.05]
+    inertia_kg_m2 = [1e-3, 1e-3, 1e-3, 0, 0, 0]   # about the centre of mass: xx, yy, zz, xy, xz, yz
+
+Instead of ``position_m``, ``quaternion`` and ``axis``, every joint may have one row of a standard
+Denavit-Hartenberg table: ``dh = { d_m = 0.13, a_m = 0.0, alpha_deg = 90, offset_deg = 0 }``. Values that are
+left out are completed as :mod:`rejoint.arms.draft` says.
+"""
+
+from __future__ import annotations
+
+import difflib
+import re
+import tomllib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from rejoint.arms.arm import Arm, Array, Box, DhRow, dh_chain
+from rejoint.arms.draft import Draft
+from rejoint.arms.inertia import NOTHING, Lump, inertia_matrix, inertia_values
+from rejoint.arms.rotations import quaternion_of, rotation_of
+from rejoint.errors import FileError, InputError
+from rejoint.runs import write_whole
+
+_ARM_KEYS = ("name", "floor_m", "encoder_counts_per_turn", "rest_deg", "targets", "tip", "joint")
+_FRAME_KEYS = ("position_m", "quaternion", "axis")
+_LINK_KEYS = ("mass_kg", "com_m", "inertia_kg_m2")
+_JOINT_KEYS = ("name", *_FRAME_KEYS, "dh", "lower_deg", "upper_deg", "max_speed_deg_s", *_LINK_KEYS)
+_DH_KEYS = ("d_m", "a_m", "alpha_deg", "offset_deg")
+
+
+def write_arm_toml(path: Path, arm: Arm, notes: Sequence[str] = ()) -> None:
+    """Write an arm so that reading it gives the same numbers to 1e-12; ``notes`` become comments at the top."""
+    blocks = ["".join(f"# {note}\n" for note in notes) + _head(arm)]
+    blocks += [_joint_block(arm, i) for i in range(arm.joints)]
+    write_whole(path, lambda temporary: temporary.write_text("\n".join(blocks), encoding="utf-8"))
+
+
+def read_draft(path: Path) -> Draft:
+    """Read an arm's TOML file; FileError names the line and the key that cannot be used."""
+    try:
+        text = path.read_text(encoding="utf-8")
+        data = tomllib.loads(text)
+    except FileNotFoundError as error:
+        raise FileError(path, "there is no such file", "check the path of the arm") from error
+    except (OSError, UnicodeDecodeError) as error:
+        raise FileError(path, f"it cannot be read ({error})", "check the path of the arm") from error
+    except tomllib.TOMLDecodeError as error:
+        raise FileError(path, f"it is not TOML: {error}", "correct the file") from error
+    top = _Table(path=path, text=text, data=data, header="", index=0, known=_ARM_KEYS)
+    name = top.string("name")
+    joints = top.tables("joint", _JOINT_KEYS)
+    names = tuple(joint.string("name") for joint in joints)
+    for joint, own in zip(joints, names, strict=True):
+        if names.count(own) > 1:
+            raise joint.error("name", f"two joints are called {own!r}")
+    offset, axis, end = _chain(joints)
+    tip = end @ _pose(top.table("tip", ("position_m", "quaternion")))
+    counts = top.number("encoder_counts_per_turn", above=0.0)
+    rest = top.numbers("rest_deg", len(joints))
+    return Draft(
+        name=name,
+        joint_names=names,
+        offset=offset,
+        axis=axis,
+        tip=tip,
+        lower=np.radians([_or_nan(joint.number("lower_deg")) for joint in joints]),
+        upper=np.radians([_or_nan(joint.number("upper_deg")) for joint in joints]),
+        max_speed=np.radians([_or_nan(joint.number("max_speed_deg_s", above=0.0)) for joint in joints]),
+        links=tuple(_link(joint) for joint in joints),
+        rest=None if rest is None else np.radians(rest),
+        targets=_targets(top),
+        floor=top.number("floor_m"),
+        encoder_step=None if counts is None else 2 * np.pi / counts,
+    )
+
+
+def _head(arm: Arm) -> str:
+    return (
+        f"name = {_quoted(arm.name)}\n"
+        f"floor_m = {arm.floor!r}\n"
+        f"encoder_counts_per_turn = {float(2 * np.pi / arm.encoder_step)!r}\n"
+        f"rest_deg = {_listed(np.degrees(arm.rest))}\n"
+        f"\n[targets]\nlower_m = {_listed(arm.targets.lower)}\nupper_m = {_listed(arm.targets.upper)}\n"
+        f"\n[tip]\nposition_m = {_listed(arm.tip[:3, 3])}\nquaternion = {_listed(quaternion_of(arm.tip[:3, :3]))}\n"
+    )
+
+
+def _joint_block(arm: Arm, i: int) -> str:
+    lines = {
+        "name": _quoted(arm.joint_names[i]),
+        "position_m": _listed(arm.offset[i, :3, 3]),
+        "quaternion": _listed(quaternion_of(arm.offset[i, :3, :3])),
+        "axis": _listed(arm.axis[i]),
+        "lower_deg": repr(float(np.degrees(arm.lower[i]))),
+        "upper_deg": repr(float(np.degrees(arm.upper[i]))),
+        "max_speed_deg_s": repr(float(np.degrees(arm.max_speed[i]))),
+        "mass_kg": repr(float(arm.mass[i])),
+        "com_m": _listed(arm.com[i]),
+        "inertia_kg_m2": _listed(inertia_values(arm.inertia[i]))
+        + "  # xx, yy, zz, xy, xz, yz about the centre of mass",
+    }
+    return "[[joint]]\n" + "".join(f"{key} = {value}\n" for key, value in lines.items())
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Table:
+    """One table of the file; its readers name the key and the line of a value that cannot be used."""
+
+    path: Path
+    text: str
+    data: dict[str, object]
+    header: str
+    """name of the table, empty for the top of the file"""
+    index: int
+    """which of several tables with that header, from 0"""
+    known: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        for key in self.data:
+            if key not in self.known:
+                close = difflib.get_close_matches(key, self.known, n=1)
+                hint = f"did you mean {close[0]}" if close else f"known keys: {', '.join(self.known)}"
+                raise self.error(key, f"there is no such key; {hint}")
+
+    def error(self, key: str, problem: str) -> FileError:
+        where = (
+            f"{self.header} {self.index + 1}: " if self.header == "joint" else f"{self.header}: " * bool(self.header)
+        )
+        line = _line_of(self.text, self.header, self.index, key)
+        return FileError(self.path, f"line {line}: {where}{key}: {problem}", "correct the file")
+
+    def string(self, key: str) -> str:
+        value = self.data.get(key)
+        if not isinstance(value, str) or not value:
+            raise self.error(key, f"expected a text, found {_shown(value)}")
+        return value
+
+    def number(self, key: str, *, above: float = -np.inf) -> float | None:
+        value = self.data.get(key)
+        if value is None:
+            return None
+        if not _is_number(value) or not float(value) > above:  # type: ignore[arg-type]
+            bound = f" above {above:g}" if np.isfinite(above) else ""
+            raise self.error(key, f"expected a finite number{bound}, found {_shown(value)}")
+        return float(value)  # type: ignore[arg-type]
+
+    def numbers(self, key: str, size: int) -> Array | None:
+        value = self.data.get(key)
+        if value is None:
+            return None
+        if not isinstance(value, list) or len(value) != size or not all(map(_is_number, value)):
+            raise self.error(key, f"expected {size} finite numbers, found {_shown(value)}")
+        return np.array(value, dtype=float)
+
+    def table(self, key: str, known: tuple[str, ...]) -> _Table:
+        value = self.data.get(key, {})
+        if not isinstance(value, dict):
+            raise self.error(key, f"expected a table, found {_shown(value)}")
+        header = key if not self.header else self.header
+        return _Table(path=self.path, text=self.text, data=value, header=header, index=self.index, known=known)
+
+    def tables(self, key: str, known: tuple[str, ...]) -> list[_Table]:
+        value = self.data.get(key)
+        if not isinstance(value, list) or not value or not all(isinstance(item, dict) for item in value):
+            raise self.error(key, f"expected one [[{key}]] table or more, found {_shown(value)}")
+        return [
+            _Table(path=self.path, text=self.text, data=item, header=key, index=i, known=known)
+            for i, item in enumerate(value)
+        ]
+
+
+def _chain(joints: list[_Table]) -> tuple[Array, Array, Array]:
+    """``offset`` (n, 4, 4), ``axis`` (n, 3) and the pose (4, 4) that the tip is given in."""
+    with_row = [joint for joint in joints if "dh" in joint.data]
+    if not with_row:
+        return np.array([_pose(joint) for joint in joints]), np.array([_axis(joint) for joint in joints]), np.eye(4)
+    for joint in joints:
+        if joint not in with_row:
+            raise joint.error("dh", "either every joint has a DH row or none")
+        for key in _FRAME_KEYS:
+            if key in joint.data:
+                raise joint.error(key, "a joint with a DH row has no other frame")
+    return dh_chain([_dh_row(joint.table("dh", _DH_KEYS)) for joint in joints])
+
+
+def _dh_row(row: _Table) -> DhRow:
+    d, a, alpha, offset = (row.number(key) or 0.0 for key in _DH_KEYS)
+    return DhRow(d=d, a=a, alpha=float(np.radians(alpha)), offset=float(np.radians(offset)))
+
+
+def _pose(table: _Table) -> Array:
+    pose = np.eye(4)
+    position, quaternion = table.numbers("position_m", 3), table.numbers("quaternion", 4)
+    if position is not None:
+        pose[:3, 3] = position
+    if quaternion is not None:
+        norm = float(np.linalg.norm(quaternion))
+        if abs(norm - 1) > 1e-3:
+            raise table.error("quaternion", f"expected a unit quaternion w, x, y, z, found one of length {norm:.4g}")
+        pose[:3, :3] = rotation_of(quaternion)
+    return pose
+
+
+def _axis(joint: _Table) -> Array:
+    axis = joint.numbers("axis", 3)
+    if axis is None:
+        return np.array([0.0, 0.0, 1.0])
+    norm = float(np.linalg.norm(axis))
+    if norm < 1e-6:
+        raise joint.error("axis", "an axis needs a direction, found zero")
+    return axis / norm
+
+
+def _link(joint: _Table) -> Lump:
+    mass = joint.number("mass_kg", above=0.0)
+    com, moments = joint.numbers("com_m", 3), joint.numbers("inertia_kg_m2", 6)
+    if mass is None:
+        for key in _LINK_KEYS[1:]:
+            if key in joint.data:
+                raise joint.error(key, "needs mass_kg beside it")
+        return NOTHING
+    centre = np.zeros(3) if com is None else com
+    if moments is None:
+        return Lump(mass=mass, com=centre, inertia=np.zeros((3, 3)), doubtful=True)
+    return Lump(mass=mass, com=centre, inertia=inertia_matrix(moments))
+
+
+def _targets(top: _Table) -> Box | None:
+    if "targets" not in top.data:
+        return None
+    table = top.table("targets", ("lower_m", "upper_m"))
+    lower, upper = table.numbers("lower_m", 3), table.numbers("upper_m", 3)
+    if lower is None or upper is None:
+        raise table.error("lower_m" if lower is None else "upper_m", "expected 3 finite numbers, found nothing")
+    try:
+        return Box(lower=lower, upper=upper)
+    except InputError as error:
+        raise table.error("upper_m", str(error)) from error
+
+
+def _line_of(text: str, header: str, index: int, key: str) -> int:
+    """Line, from 1, on which the key of the ``index``-th table ``header`` stands; that of the table if it is absent."""
+    seen, current, found = -1, "", 1
+    is_key: Callable[[str], object] = re.compile(
+        rf"""\s*["']?{re.escape(key)}["']?\s*=|.*\{{.*\b{re.escape(key)}\s*="""
+    ).match
+    for number, line in enumerate(text.splitlines(), start=1):
+        title = re.match(r"\s*\[\[?\s*([\w.-]+)\s*\]\]?", line)
+        if title:
+            current = title[1]
+            seen += current == header
+            if (current == header and seen == index) or current == key:
+                found = number
+        here = current == header and (seen == index or header != "joint")
+        if here and is_key(line):
+            return number
+    return found
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and bool(np.isfinite(value))
+
+
+def _or_nan(value: float | None) -> float:
+    return np.nan if value is None else value
+
+
+def _shown(value: object) -> str:
+    return "nothing" if value is None else repr(value)[:60]
+
+
+def _quoted(text: str) -> str:
+    escaped = "".join(f"\\u{ord(c):04x}" if c in '"\\' or ord(c) < 32 or ord(c) == 127 else c for c in text)
+    return f'"{escaped}"'
+
+
+def _listed(values: Array) -> str:
+    return "[" + ", ".join(repr(float(value)) for value in values) + "]"

@@ -1,0 +1,269 @@
+"""Where an arm works well: a rest posture and a region of reachable targets, derived by sampling.
+
+Rest. Postures are drawn uniformly within the joint limits with a fixed seed. Those with the TCP in
+front of the base (x > 0, the axis that REP 103 calls forward) and every moving joint frame clear of
+the floor are scored by the sum of five terms between 0 and 1: manipulability (Yoshikawa 1985,
+det(JJ')^1/2 over the largest seen), nearness to mid-range, an elbow above the TCP, a TCP straight
+ahead, and little holding torque against gravity. The best are improved by a random local search
+and then by one in whole degrees. Weights are equal (chosen).
+
+Targets. Inverse kinematics is solved from the rest posture on a grid around the rest TCP. A grid
+point is good when it is reached, every joint keeps a margin from its limits, the moving joint
+frames are clear of the floor, the TCP stays away from the base's axis and no joint is near
+the arm's largest holding torque. The region is the largest box of good points that holds the rest
+TCP and has at most the edges that Park et al. 2024 (section IV-A) use, in proportion to the arm:
+0.2 x 0.4 x 0.2 of the summed link lengths. It is verified on another, denser grid.
+Self-collision is not looked at.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rejoint.arms.arm import Arm, Array, Box
+from rejoint.arms.inertia import LINK_RADIUS_RATIO, link_ends
+from rejoint.arms.inverse import solve_position
+from rejoint.arms.kinematics import Frames, frames, gravity_torque, position_jacobian
+from rejoint.errors import InputError
+
+SAMPLES = 4096
+"""postures drawn (chosen: the best score changes by less than 2 % with four times as many)"""
+
+EDGES = np.array([0.2, 0.4, 0.2])
+"""largest edges of the target region by the summed link lengths (Park et al. 2024, section IV-A: 100 x 200 x 100 mm
+on an arm of 521 mm)"""
+
+STEPS = 6
+"""grid steps to an edge of the largest region (chosen)"""
+
+LIMIT_MARGIN = 0.05
+"""part of a joint's range that targets keep from each limit (chosen)"""
+
+AXIS_CLEARANCE = 0.15
+"""least distance of targets from the base's vertical axis, by the summed link lengths (chosen: outside the column)"""
+
+TORQUE_SHARE = 0.9
+"""part of the largest holding torque that targets may need (chosen)"""
+
+_CANDIDATES = 8
+_CLIMB = 200
+"""steps of the search in whole degrees; it ends earlier, at the top"""
+
+
+def reach(arm: Arm) -> float:
+    """Add up the link lengths [m] from the first joint to the TCP."""
+    return float(np.linalg.norm(link_ends(arm.offset, arm.tip), axis=1).sum())
+
+
+def derive_rest(arm: Arm, seed: int = 0) -> Array:
+    """Find a rest posture (n,) [rad] for an arm whose ``rest`` and ``targets`` are placeholders."""
+    return _rest_candidates(_survey(arm, seed), seed)[0]
+
+
+def derive_targets(arm: Arm, seed: int = 0) -> Box:
+    """Find the region of reachable targets around the TCP of ``arm.rest``; InputError if there is none."""
+    found = _largest_box(_survey(arm, seed))
+    if found is None:
+        raise InputError(
+            f"arm {arm.name}: no region of reachable targets around the rest posture was found; "
+            "give targets in the arm's TOML file, or rest for another posture"
+        )
+    return found
+
+
+def derive_workspace(arm: Arm, seed: int = 0) -> tuple[Array, Box]:
+    """Find a rest posture (n,) [rad] and its region of targets together.
+
+    The best-scored posture whose region has at least half of the largest edges is taken, else the
+    one with the largest region. InputError if no posture has any.
+    """
+    survey = _survey(arm, seed)
+    best: tuple[float, Array, Box] | None = None
+    for rest in _rest_candidates(survey, seed):
+        box = _largest_box(replace(survey, arm=replace(arm, rest=rest)))
+        if box is None:
+            continue
+        edges = box.upper - box.lower
+        if (edges >= 0.5 * EDGES * survey.reach).all():
+            return rest, box
+        if best is None or edges.prod() > best[0]:
+            best = float(edges.prod()), rest, box
+    if best is None:
+        raise InputError(
+            f"arm {arm.name}: no posture with a region of reachable targets was found; give rest and targets "
+            "in the arm's TOML file"
+        )
+    return best[1], best[2]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Survey:
+    """What sampling the whole joint space tells."""
+
+    arm: Arm
+    reach: float
+    """[m]"""
+    low: Array
+    high: Array
+    """(n,) [rad] limits, no wider than half a turn each way"""
+    postures: Array
+    """(S, n) [rad]"""
+    moving: NDArray[np.bool_]
+    """(n,) which joint frames have a place that depends on the posture"""
+    manipulability: float
+    torque: float
+    """[N m] the largest values over the samples"""
+
+    def clear(self, f: Frames) -> NDArray[np.bool_]:
+        """Tell whether the moving joint frames and the TCP are a link's radius above the floor; ``(...)``."""
+        height = self.arm.floor + LINK_RADIUS_RATIO * self.reach
+        frames_clear = (f.position[..., self.moving, 2] > height).all(axis=-1)
+        return frames_clear & (f.tcp_position[..., 2] > height)
+
+
+def _survey(arm: Arm, seed: int) -> _Survey:
+    low, high = np.maximum(arm.lower, -np.pi), np.minimum(arm.upper, np.pi)
+    low, high = np.where(low < high, low, arm.lower), np.where(low < high, high, arm.upper)
+    postures = np.random.default_rng(seed).uniform(low, high, (SAMPLES, arm.joints))
+    f = frames(arm, postures)
+    moving = np.ptp(f.position, axis=0).max(axis=-1) > 1e-6
+    return _Survey(
+        arm=arm,
+        reach=reach(arm),
+        low=low,
+        high=high,
+        postures=postures,
+        moving=moving,
+        manipulability=float(_manipulability(arm, f).max()),
+        torque=float(np.abs(gravity_torque(arm, postures)).max()),
+    )
+
+
+def _manipulability(arm: Arm, f: Frames) -> Array:
+    j = position_jacobian(arm, f)
+    return np.sqrt(np.maximum(np.linalg.det(j @ np.swapaxes(j, -1, -2)), 0.0))
+
+
+def _score(survey: _Survey, q: Array) -> Array:
+    """Score postures (..., n); minus infinity where the TCP is not in front or a frame is near the floor."""
+    arm, f = survey.arm, frames(survey.arm, q)
+    tcp = f.tcp_position
+    middle, half = (survey.high + survey.low) / 2, (survey.high - survey.low) / 2
+    elbow = f.position[..., 2].max(axis=-1) - tcp[..., 2]
+    distance = np.hypot(tcp[..., 0], tcp[..., 1])
+    load = np.abs(gravity_torque(arm, q)).max(axis=-1)
+    score = (
+        _manipulability(arm, f) / max(survey.manipulability, 1e-12)
+        + 1.0 - (((q - middle) / half) ** 2).mean(axis=-1)
+        + np.clip(elbow / (0.15 * survey.reach), 0.0, 1.0)
+        + tcp[..., 0] / np.maximum(distance, 1e-9)
+        + 1.0 - load / max(survey.torque, 1e-12)
+    )  # fmt: skip
+    ahead = (tcp[..., 0] > 0) & (distance > 2 * AXIS_CLEARANCE * survey.reach)
+    return np.where(survey.clear(f) & ahead, score, -np.inf)
+
+
+def _rest_candidates(survey: _Survey, seed: int) -> list[Array]:
+    """Best postures (n,) [rad] in whole degrees, improved by a random local search, best first."""
+    scores = _score(survey, survey.postures)
+    order = np.argsort(-scores, kind="stable")[:_CANDIDATES]
+    best, value = survey.postures[order], scores[order]
+    rng = np.random.default_rng(seed + 1)
+    for width in np.geomspace(0.2, 0.005, 40):
+        trial = best + width * (survey.high - survey.low) * rng.normal(size=(16, *best.shape))
+        trial = np.clip(trial, survey.low, survey.high)
+        found = _score(survey, trial)
+        choice, every = found.argmax(axis=0), np.arange(len(best))
+        better = found[choice, every] > value
+        best = np.where(better[:, None], trial[choice, every], best)
+        value = np.where(better, found[choice, every], value)
+    rounded = [_whole_degrees(survey, posture) for posture in best]
+    value = _score(survey, np.array(rounded))
+    ranked = [rounded[i] for i in np.argsort(-value, kind="stable") if np.isfinite(value[i])]
+    if not ranked:
+        raise InputError(
+            f"arm {survey.arm.name}: no posture has the TCP in front of the base (x > 0) and above the floor; "
+            "give rest and targets in the arm's TOML file"
+        )
+    return ranked
+
+
+def _whole_degrees(survey: _Survey, posture: Array) -> Array:
+    """Climb from ``posture`` (n,) [rad] to the best score among its neighbours in whole degrees."""
+    low, high = np.ceil(np.degrees(survey.low)), np.floor(np.degrees(survey.high))
+    here = np.clip(np.rint(np.degrees(posture)), low, high) + 0.0
+    unit = np.eye(len(here))
+    ways = np.concatenate([unit, *(unit + np.roll(unit, k, axis=1) for k in range(1, len(here)))])
+    ways = np.concatenate([ways, *(unit - np.roll(unit, k, axis=1) for k in range(1, len(here)))])
+    moves = np.concatenate([size * ways for size in (-20.0, -5.0, -1.0, 1.0, 5.0, 20.0)])
+    value = _score(survey, np.radians(here))
+    for _ in range(_CLIMB):
+        neighbours = np.clip(here + moves, low, high)
+        scores = _score(survey, np.radians(neighbours))
+        if not scores.max() > value + 1e-9:
+            break
+        here, value = neighbours[scores.argmax()], scores.max()
+    return np.radians(here)
+
+
+def _good(survey: _Survey, points: Array, iterations: int = 60) -> NDArray[np.bool_]:
+    arm = survey.arm
+    solution = solve_position(arm, points, arm.rest, tolerance=1e-4 * survey.reach, iterations=iterations)
+    margin = LIMIT_MARGIN * (arm.upper - arm.lower)
+    inside = ((solution.q > arm.lower + margin) & (solution.q < arm.upper - margin)).all(axis=-1)
+    load = np.abs(gravity_torque(arm, solution.q)).max(axis=-1)
+    away = np.hypot(points[..., 0], points[..., 1]) > AXIS_CLEARANCE * survey.reach
+    clear = survey.clear(frames(arm, solution.q))
+    return solution.converged & inside & clear & away & (load <= TORQUE_SHARE * survey.torque)
+
+
+def _largest_box(survey: _Survey) -> Box | None:
+    centre = frames(survey.arm, survey.arm.rest).tcp_position
+    step = EDGES * survey.reach / STEPS
+    ticks = np.arange(-STEPS, STEPS + 1)
+    grid = np.stack(np.meshgrid(ticks, ticks, ticks, indexing="ij"), axis=-1)
+    span = _largest_span(_good(survey, centre + grid * step))
+    if span is None:
+        return None
+    lower, upper = centre + (span[0] - STEPS) * step, centre + (span[1] - STEPS) * step
+    for _ in range(10):
+        lower, upper = np.ceil(lower * 1e3) / 1e3, np.floor(upper * 1e3) / 1e3
+        points = np.stack(np.meshgrid(*np.linspace(lower, upper, 8).T, indexing="ij"), axis=-1)
+        if (upper - lower).min() <= 0:
+            return None
+        if _good(survey, points, 200).all():
+            return Box(lower=lower, upper=upper)
+        lower, upper = lower + 0.03 * (upper - lower), upper - 0.03 * (upper - lower)
+    return None
+
+
+def _largest_span(good: NDArray[np.bool_]) -> tuple[NDArray[np.int_], NDArray[np.int_]] | None:
+    """First and last index (3,) of the largest all-good box of a (2S+1)^3 grid that holds its middle point.
+
+    Edges are at most S steps and at least one. Of equally large boxes the one whose middle is nearest
+    to the grid's is taken.
+    """
+    total = np.zeros(tuple(np.array(good.shape) + 1), dtype=int)
+    total[1:, 1:, 1:] = good.cumsum(0).cumsum(1).cumsum(2)
+    intervals = [(i, j) for i in range(STEPS + 1) for j in range(STEPS, 2 * STEPS + 1) if 1 <= j - i <= STEPS]
+    best, span = (0, 0), None
+    for a, b, c in product(intervals, repeat=3):
+        edges = (a[1] - a[0]) * (b[1] - b[0]) * (c[1] - c[0])
+        skew = sum((i + j - 2 * STEPS) ** 2 for i, j in (a, b, c))
+        if (edges, -skew) <= best:
+            continue
+        volume = (a[1] - a[0] + 1) * (b[1] - b[0] + 1) * (c[1] - c[0] + 1)
+        if _count(total, a, b, c) == volume:
+            best, span = (edges, -skew), (np.array([a[0], b[0], c[0]]), np.array([a[1], b[1], c[1]]))
+    return span
+
+
+def _count(total: NDArray[np.int_], a: tuple[int, int], b: tuple[int, int], c: tuple[int, int]) -> int:
+    """Good points of a box of the grid, from the running totals (inclusion and exclusion)."""
+    corners = product((0, 1), repeat=3)
+    ends = ((a[0], a[1] + 1), (b[0], b[1] + 1), (c[0], c[1] + 1))
+    return int(sum((-1) ** (3 - i - j - k) * total[ends[0][i], ends[1][j], ends[2][k]] for i, j, k in corners))

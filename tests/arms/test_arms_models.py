@@ -1,0 +1,171 @@
+"""Arms from URDF and MJCF files that other people wrote, against MuJoCo and against each other.
+
+The files ship inside the packages robopal (MJCF of Panda and UR5e, both forms of a Diana) and
+airo-models (URDF of UR3e and UR5e), which are installed with the development extra. Neither is imported.
+"""
+
+import os
+from functools import lru_cache
+from importlib.util import find_spec
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from rejoint.arms import Arm, frames, gravity_torque, jacobian, read_arm, so101, solve_position, tcp_pose
+from rejoint.arms.draft import DEFAULT_SPEED
+
+
+def packaged(package: str, path: str) -> Path:
+    found = find_spec(package)
+    if found is None or not found.submodule_search_locations:
+        pytest.skip(f"the package {package} is not installed")
+    return Path(found.submodule_search_locations[0]) / path
+
+
+ROBOPAL = "assets/models/manipulators"
+FILES = {
+    "panda": ("robopal", f"{ROBOPAL}/Panda/panda.xml", "link0", "attachment_site", 7),
+    "ur5e-mjcf": ("robopal", f"{ROBOPAL}/UR5e/ur5e.xml", "base", "attachment_site", 6),
+    "diana-mjcf": ("robopal", f"{ROBOPAL}/DianaMed/DianaMed.xml", "base_link", "attachment_site", 7),
+    "diana-urdf": ("robopal", f"{ROBOPAL}/DianaMed/DianaMed.urdf", "base_link", "link7", 7),
+    "ur5e-urdf": ("airo_models", "arms/ur5e/ur5e.urdf", "base_link", "tool0", 6),
+    "ur3e-urdf": ("airo_models", "arms/ur3e/ur3e.urdf", "base_link", "tool0", 6),
+}
+
+
+def file_of(name: str) -> Path:
+    return packaged(*FILES[name][:2])
+
+
+@lru_cache
+def arm_of(name: str) -> Arm:
+    return read_arm(str(file_of(name)), base=FILES[name][2], tip=FILES[name][3]).arm
+
+
+def stripped_model(path: Path) -> mujoco.MjModel:
+    """The whole file as MuJoCo compiles it, with its shapes removed since no mesh of a URDF can be found."""
+    spec = mujoco.MjSpec.from_file(str(path))
+    for body in spec.bodies:
+        for geom in list(body.geoms):
+            spec.delete(geom)
+    for mesh in list(spec.meshes):
+        spec.delete(mesh)
+    for key in list(spec.keys):
+        spec.delete(key)
+    spec.compiler.fusestatic = False
+    spec.compiler.balanceinertia = True
+    return spec.compile()
+
+
+def relative_tip(model: mujoco.MjModel, data: mujoco.MjData, base: str, tip: str) -> np.ndarray:
+    body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, tip)
+    place = data.body(tip) if body >= 0 else data.site(tip)
+    turn = data.body(base).xmat.reshape(3, 3)
+    pose = np.eye(4)
+    pose[:3, :3] = turn.T @ place.xmat.reshape(3, 3)
+    pose[:3, 3] = turn.T @ (place.xpos - data.body(base).xpos)
+    return pose
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_kinematics_and_gravity_agree_with_mujoco_on_the_whole_file(name: str) -> None:
+    arm, model = arm_of(name), stripped_model(file_of(name))
+    base, tip, joints = FILES[name][2:]
+    assert arm.joints == joints
+    data = mujoco.MjData(model)
+    for q in np.random.default_rng(1).uniform(arm.lower, arm.upper, (100, joints)):
+        for joint, angle in zip(arm.joint_names, q, strict=True):
+            data.joint(joint).qpos = angle
+        mujoco.mj_forward(model, data)
+        np.testing.assert_allclose(tcp_pose(arm, q), relative_tip(model, data, base, tip), atol=1e-9)
+        held = [float(data.joint(joint).qfrc_bias[0]) for joint in arm.joint_names]
+        np.testing.assert_allclose(gravity_torque(arm, q), held, atol=1e-8)
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_jacobian_is_the_derivative_and_targets_are_reached(name: str) -> None:
+    arm, step = arm_of(name), 1e-6
+    q = np.random.default_rng(2).uniform(arm.lower, arm.upper, (10, arm.joints))
+    for i in range(arm.joints):
+        turn = step * np.eye(arm.joints)[i]
+        numeric = (tcp_pose(arm, q + turn)[:, :3, 3] - tcp_pose(arm, q - turn)[:, :3, 3]) / (2 * step)
+        np.testing.assert_allclose(jacobian(arm, q)[:, :3, i], numeric, atol=1e-8)
+    targets = arm.targets.sample(np.random.default_rng(3), (300,))
+    solution = solve_position(arm, targets, arm.rest)
+    assert solution.converged.all()
+    assert ((solution.q > arm.lower) & (solution.q < arm.upper)).all()
+
+
+def test_two_authors_urdf_and_mjcf_of_one_mechanism_agree() -> None:
+    urdf, mjcf = arm_of("diana-urdf"), arm_of("diana-mjcf")
+    q = np.random.default_rng(4).uniform(mjcf.lower, mjcf.upper, (200, 7))
+    # the MJCF gives six digits
+    np.testing.assert_allclose(tcp_pose(urdf, q)[:, :3, 3], tcp_pose(mjcf, q)[:, :3, 3], atol=1e-5)
+    np.testing.assert_allclose(urdf.mass, mjcf.mass, rtol=1e-5)
+    np.testing.assert_allclose(gravity_torque(urdf, q), gravity_torque(mjcf, q), atol=2e-3)
+
+
+def test_the_urdfs_own_limits_are_kept_and_its_speeds_read() -> None:
+    arm = arm_of("ur5e-urdf")
+    np.testing.assert_allclose(arm.upper, np.radians([360, 360, 180, 360, 360, 360]))
+    np.testing.assert_allclose(arm.max_speed, np.pi)
+    loaded = read_arm(str(file_of("panda")))
+    assert (loaded.arm.max_speed == DEFAULT_SPEED).all()
+    assert any(note.startswith("speed: no limit for joint1, joint2") for note in loaded.notes)
+
+
+def test_base_and_tip_are_found_where_there_is_one_choice() -> None:
+    loaded = read_arm(str(file_of("ur5e-urdf")))
+    assert any("tool0 taken, the end of the longest chain (6 joints)" in note for note in loaded.notes)
+    assert any("base_link taken" in note for note in loaded.notes)
+    q = np.random.default_rng(5).uniform(-1, 1, (20, 6))
+    np.testing.assert_allclose(tcp_pose(loaded.arm, q), tcp_pose(arm_of("ur5e-urdf"), q), atol=1e-15)
+
+
+def so101_file() -> Path:
+    default = Path(__file__).parents[2].parent / "shared" / "data" / "so101"
+    path = Path(os.environ.get("REJOINT_SO101", default)) / "so101.xml"
+    if not path.exists():
+        pytest.skip("the SO-101's own MJCF is not here; REJOINT_SO101 can name its folder")
+    return path
+
+
+def test_the_catalogues_so101_is_its_makers() -> None:
+    ours, theirs = so101(), read_arm(str(so101_file()), base="base", tip="gripperframe").arm
+    assert ours.joint_names == theirs.joint_names
+    q = np.random.default_rng(6).uniform(ours.lower, ours.upper, (200, 5))
+    np.testing.assert_allclose(tcp_pose(ours, q), tcp_pose(theirs, q), atol=1e-12)
+    np.testing.assert_allclose(gravity_torque(ours, q), gravity_torque(theirs, q), atol=1e-9)
+    for field in ("lower", "upper", "mass", "com"):
+        np.testing.assert_allclose(getattr(ours, field), getattr(theirs, field), atol=1e-12, err_msg=field)
+    np.testing.assert_allclose(ours.inertia, theirs.inertia, atol=1e-10)
+
+
+def test_the_gripper_is_frozen_with_its_mass() -> None:
+    model = mujoco.MjModel.from_xml_path(str(so101_file()))
+    arm = so101()
+    assert arm.mass.sum() == pytest.approx(model.body_subtreemass[2])
+    data = mujoco.MjData(model)
+    for q in np.random.default_rng(7).uniform(arm.lower, arm.upper, (20, 5)):
+        data.qpos[:5], data.qpos[5] = q, 0.0
+        mujoco.mj_forward(model, data)
+        np.testing.assert_allclose(gravity_torque(arm, q), data.qfrc_bias[:5], atol=1e-9)
+        # the inertia seen by each joint on its own: what lumping must not lose
+        mass = np.zeros((6, 6))
+        mujoco.mj_fullM(model, data, mass)
+        np.testing.assert_allclose(np.diag(mass)[:5] - model.dof_armature[:5], seen_inertia(arm, q), atol=1e-9)
+
+
+def seen_inertia(arm: Arm, q: np.ndarray) -> np.ndarray:
+    """Moment of inertia about each joint's axis of all that moves with it (parallel-axis theorem)."""
+    f = frames(arm, q)
+    result = np.zeros(arm.joints)
+    for i in range(arm.joints):
+        axis = f.rotation[i] @ arm.axis[i]
+        for k in range(i, arm.joints):
+            lever = np.cross(axis, f.position[k] + f.rotation[k] @ arm.com[k] - f.position[i])
+            own = f.rotation[k] @ arm.inertia[k] @ f.rotation[k].T
+            result[i] += axis @ own @ axis + arm.mass[k] * (lever @ lever)
+    return result
