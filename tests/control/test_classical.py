@@ -136,11 +136,20 @@ def test_integrator_by_hand():
         np.testing.assert_allclose(command[b], sent[b] + 0.1 * distance / (distance + 0.004) * step, atol=1e-12)
 
 
+def test_integrator_steps_by_the_time_that_passed():
+    controller = IntegratorController(ARM, IntegratorGains(rest_gain=0.0))
+    moves = []
+    for time in (0.0, 0.025, 0.075, 0.075, 9.0):
+        moves.append(controller.command(situation(REST, time=time)) - REST)
+    for move, periods in zip(moves, (1, 1, 2, 0, 4), strict=True):  # a long pause counts as 0.1 s
+        np.testing.assert_allclose(move, periods * moves[0], atol=1e-12)
+
+
 def test_integrator_never_leads_by_more_than_its_anti_windup():
     controller = IntegratorController(ARM)
     sent = REST.copy()
-    for _ in range(400):  # an arm that does not move at all
-        sent = controller.command(situation(REST, sent=sent))
+    for k in range(400):  # an arm that does not move at all
+        sent = controller.command(situation(REST, sent=sent, time=0.025 * k))
     assert np.abs(sent - REST).max() == pytest.approx(np.radians(15.0))
 
 
@@ -173,7 +182,7 @@ def test_default_misses_by_the_sag_and_integral_action_removes_it():
 
 def test_exact_feedforward_leaves_nothing_to_integrate():
     """Where the model is exact the arm settles at the target although nothing is integrated."""
-    no_feedback = IntegratorGains(gain=0.0)
+    no_feedback = IntegratorGains(rate=0.0)
     exact = FeedforwardController(ARM, 6.0, no_feedback)
     assert (final_error(exact) < 2e-4).all()
     assert (final_error(FeedforwardController(ARM, 12.0, no_feedback)) > 5e-3).all()

@@ -15,6 +15,7 @@ from rejoint.control.controller import Situation
 from rejoint.control.goal import Goal
 from rejoint.control.integrator import IntegratorGains
 from rejoint.control.law import dls_step, fade, limit_position
+from rejoint.control.pace import Pace
 from rejoint.control.robot import Mask
 from rejoint.errors import InputError
 
@@ -40,31 +41,30 @@ class FeedforwardController:
         if not (self._stiffness > 0.0).all():
             raise InputError(f"feedforward: stiffness must be positive in N m/rad, got {self._stiffness.tolist()}")
         self._raised = self._correction = self._speed = self._position = np.zeros((0, arm.joints))
-        self._time = np.zeros(0)
+        self._pace = Pace()
 
     def reset(self, situation: Situation, where: Mask) -> None:
         """Solve for the new targets of the arms in ``where`` (B,); what was learned carries over."""
-        if len(self._time) != len(situation.sent):
+        if len(self._position) != len(situation.sent):
             self._correction, self._speed = np.zeros_like(situation.sent), np.zeros_like(situation.sent)
-            self._time, self._position = situation.state.time, situation.state.position
+            self._position = situation.state.position
         self._goal.reset(situation, where)
         self._raised = self._goal.position + gravity_torque(self._arm, self._goal.position) / self._stiffness
 
     def command(self, situation: Situation) -> Array:
         """Return the raised goal postures plus the correction, (B, n) [rad]."""
         arm, gains = self._arm, self._gains
-        self._observe_speed(situation)
+        elapsed = self._pace.tick(situation.state.time)[:, None]
+        self._observe_speed(situation.state.position, elapsed)
         seen = dls_step(arm, situation.state.position, situation.target)
-        step = gains.gain * fade(seen.error, gains.fade) * seen.step
+        step = gains.rate * elapsed * fade(seen.error, gains.fade) * seen.step
         on_its_way = (np.abs(self._speed) > MOVING) & (self._speed * step > 0.0)
         # Bounded by itself, not by the measured position: on the way the command leads by the whole distance.
         self._correction = np.clip(self._correction + np.where(on_its_way, 0.0, step), -gains.lead, gains.lead)
         return limit_position(arm, self._raised + self._correction)
 
-    def _observe_speed(self, situation: Situation) -> None:
-        state = situation.state
-        elapsed = (state.time - self._time)[:, None]
-        difference = (state.position - self._position) / np.where(elapsed > 0.0, elapsed, np.inf)
-        newest = _SMOOTHING * difference + (1.0 - _SMOOTHING) * self._speed
-        self._speed = np.where(elapsed > 0.0, newest, self._speed)
-        self._time, self._position = state.time, state.position
+    def _observe_speed(self, position: Array, elapsed: Array) -> None:
+        news = elapsed > 0.0
+        difference = (position - self._position) / np.where(news, elapsed, 1.0)
+        self._speed = np.where(news, _SMOOTHING * difference + (1.0 - _SMOOTHING) * self._speed, self._speed)
+        self._position = position

@@ -15,6 +15,7 @@ import numpy as np
 from rejoint.arms import Arm, Array, clip_norm
 from rejoint.control.controller import Situation
 from rejoint.control.law import GAIN, dls_step, fade, limit_lead, limit_position, null_space
+from rejoint.control.pace import NOMINAL_PERIOD, Pace
 from rejoint.control.robot import Mask
 
 
@@ -22,8 +23,9 @@ from rejoint.control.robot import Mask
 class IntegratorGains:
     """Settings of the integrator; all chosen on simulated worn arms."""
 
-    gain: float = GAIN
-    """fraction of the step per cycle; twice as much oscillates where gears have play"""
+    rate: float = GAIN / NOMINAL_PERIOD
+    """[1/s] fraction of the step per second; twice as much oscillates where gears have play. A rate and not a
+    fraction per cycle, because what limits it is the arm and not the wire"""
     lead: float = np.radians(15.0)
     """[rad] anti-windup: largest distance of the command from the measured position"""
     fade: float = 4e-3
@@ -42,16 +44,17 @@ class IntegratorController:
     name = "integrator"
 
     def __init__(self, arm: Arm, gains: IntegratorGains | None = None) -> None:
-        self._arm, self._gains = arm, gains or IntegratorGains()
+        self._arm, self._gains, self._pace = arm, gains or IntegratorGains(), Pace()
 
     def reset(self, situation: Situation, where: Mask) -> None:
-        """Do nothing: the memory is the last command, and it carries over."""
+        """Do nothing: what is remembered is the last command, and it carries over."""
 
     def command(self, situation: Situation) -> Array:
         """Return the last command, moved towards the target, (B, n) [rad]."""
         arm, gains, measured = self._arm, self._gains, situation.state.position
+        elapsed = self._pace.tick(situation.state.time)[:, None]
         seen = dls_step(arm, measured, situation.target)
-        step = gains.gain * fade(seen.error, gains.fade) * seen.step
+        step = gains.rate * elapsed * fade(seen.error, gains.fade) * seen.step
         pull = clip_norm(null_space(seen.jacobian, gains.rest_gain * (arm.rest - situation.sent)), gains.rest_step)
         far = np.linalg.norm(seen.error, axis=-1, keepdims=True) > gains.rest_distance
         return limit_position(arm, limit_lead(situation.sent + step + far * pull, measured, gains.lead))
