@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from rejoint.arms import Arm, frames, gravity_torque, jacobian, read_arm, so101, solve_position, tcp_pose
+from rejoint.arms import Arm, Loaded, frames, gravity_torque, jacobian, read_arm, so101, solve_position, tcp_pose
 from rejoint.arms.draft import DEFAULT_SPEED
 
 
@@ -40,8 +40,12 @@ def file_of(name: str) -> Path:
 
 
 @lru_cache
+def loaded_of(name: str) -> Loaded:
+    return read_arm(str(file_of(name)), base=FILES[name][2], tip=FILES[name][3])
+
+
 def arm_of(name: str) -> Arm:
-    return read_arm(str(file_of(name)), base=FILES[name][2], tip=FILES[name][3]).arm
+    return loaded_of(name).arm
 
 
 def stripped_model(path: Path) -> mujoco.MjModel:
@@ -111,7 +115,7 @@ def test_the_urdfs_own_limits_are_kept_and_its_speeds_read() -> None:
     arm = arm_of("ur5e-urdf")
     np.testing.assert_allclose(arm.upper, np.radians([360, 360, 180, 360, 360, 360]))
     np.testing.assert_allclose(arm.max_speed, np.pi)
-    loaded = read_arm(str(file_of("panda")))
+    loaded = loaded_of("panda")
     assert (loaded.arm.max_speed == DEFAULT_SPEED).all()
     assert any(note.startswith("speed: no limit for joint1, joint2") for note in loaded.notes)
 

@@ -1,18 +1,20 @@
 """Where an arm works well: a rest posture and a region of reachable targets, derived by sampling.
 
 Rest. Postures are drawn uniformly within the joint limits with a fixed seed. Those with the TCP in
-front of the base (x > 0, the axis that REP 103 calls forward) and every moving joint frame clear of
-the floor are scored by the sum of five terms between 0 and 1: manipulability (Yoshikawa 1985,
-det(JJ')^1/2 over the largest seen), nearness to mid-range, an elbow above the TCP, a TCP straight
-ahead, and little holding torque against gravity. The best are improved by a random local search
-and then by one in whole degrees. Weights are equal (chosen).
+front of the base (x > 0, the axis that REP 103 calls forward), every moving joint frame clear of
+the floor and every joint clear of its limits are scored by the sum of five terms between 0 and 1:
+manipulability (Yoshikawa 1985, det(JJ')^1/2 over the largest seen), nearness to mid-range, an elbow
+above the TCP, a TCP straight ahead, and little holding torque against gravity. Weights are equal
+(chosen). The best are improved by a random local search and then by one in whole degrees.
 
 Targets. Inverse kinematics is solved from the rest posture on a grid around the rest TCP. A grid
 point is good when it is reached, every joint keeps a margin from its limits, the moving joint
 frames are clear of the floor, the TCP stays away from the base's axis and no joint is near
 the arm's largest holding torque. The region is the largest box of good points that holds the rest
 TCP and has at most the edges that Park et al. 2024 (section IV-A) use, in proportion to the arm:
-0.2 x 0.4 x 0.2 of the summed link lengths. It is verified on another, denser grid.
+0.2 x 0.4 x 0.2 of the summed link lengths. It is verified on another, denser grid. For the
+myCobot 280 this finds x 144..248, y -107..100, z 119..223 mm, where the paper has
+130..230, -100..100, 150..250 (measured).
 Self-collision is not looked at.
 """
 
@@ -43,13 +45,17 @@ STEPS = 6
 LIMIT_MARGIN = 0.05
 """part of a joint's range that targets keep from each limit (chosen)"""
 
+REST_MARGIN = 0.15
+"""the same for the rest posture (chosen: targets around it need room)"""
+
 AXIS_CLEARANCE = 0.15
 """least distance of targets from the base's vertical axis, by the summed link lengths (chosen: outside the column)"""
 
 TORQUE_SHARE = 0.9
 """part of the largest holding torque that targets may need (chosen)"""
 
-_CANDIDATES = 8
+_CANDIDATES, _SPREAD = 8, 16
+"""start postures of the search, and their distance in rank, so that they lie apart"""
 _CLIMB = 200
 """steps of the search in whole degrees; it ends earlier, at the top"""
 
@@ -149,7 +155,7 @@ def _manipulability(arm: Arm, f: Frames) -> Array:
 
 
 def _score(survey: _Survey, q: Array) -> Array:
-    """Score postures (..., n); minus infinity where the TCP is not in front or a frame is near the floor."""
+    """Score postures (..., n); minus infinity where a limit or the floor is near or the TCP is not in front."""
     arm, f = survey.arm, frames(survey.arm, q)
     tcp = f.tcp_position
     middle, half = (survey.high + survey.low) / 2, (survey.high - survey.low) / 2
@@ -164,13 +170,14 @@ def _score(survey: _Survey, q: Array) -> Array:
         + 1.0 - load / max(survey.torque, 1e-12)
     )  # fmt: skip
     ahead = (tcp[..., 0] > 0) & (distance > 2 * AXIS_CLEARANCE * survey.reach)
-    return np.where(survey.clear(f) & ahead, score, -np.inf)
+    inside = (np.abs(q - middle) <= (1 - 2 * REST_MARGIN) * half).all(axis=-1)
+    return np.where(survey.clear(f) & ahead & inside, score, -np.inf)
 
 
 def _rest_candidates(survey: _Survey, seed: int) -> list[Array]:
     """Best postures (n,) [rad] in whole degrees, improved by a random local search, best first."""
     scores = _score(survey, survey.postures)
-    order = np.argsort(-scores, kind="stable")[:_CANDIDATES]
+    order = np.argsort(-scores, kind="stable")[: _CANDIDATES * _SPREAD : _SPREAD]
     best, value = survey.postures[order], scores[order]
     rng = np.random.default_rng(seed + 1)
     for width in np.geomspace(0.2, 0.005, 40):
@@ -181,13 +188,13 @@ def _rest_candidates(survey: _Survey, seed: int) -> list[Array]:
         better = found[choice, every] > value
         best = np.where(better[:, None], trial[choice, every], best)
         value = np.where(better, found[choice, every], value)
-    rounded = [_whole_degrees(survey, posture) for posture in best]
-    value = _score(survey, np.array(rounded))
+    rounded = np.unique([_whole_degrees(survey, posture) for posture in best], axis=0)
+    value = _score(survey, rounded)
     ranked = [rounded[i] for i in np.argsort(-value, kind="stable") if np.isfinite(value[i])]
     if not ranked:
         raise InputError(
-            f"arm {survey.arm.name}: no posture has the TCP in front of the base (x > 0) and above the floor; "
-            "give rest and targets in the arm's TOML file"
+            f"arm {survey.arm.name}: no posture has the TCP in front (x > 0), every joint frame above the floor "
+            "and room in every joint; give rest and targets in the arm's TOML file"
         )
     return ranked
 
