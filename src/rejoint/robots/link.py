@@ -81,6 +81,8 @@ class VendorLink:
         After a failure the connection is made again and the call repeated, once. Raises NoReplyError,
         ImpossibleReplyError (garbled), StaleReplyError (late) or ConnectionLostError.
         """
+        if self._client is None:
+            raise ConnectionLostError(f"{self.address}: not connected; open the robot again")
         try:
             return self._once(method, arguments)
         except RobotError as first:
@@ -96,9 +98,7 @@ class VendorLink:
                 client.close()
 
     def _once(self, method: str, arguments: tuple[object, ...]) -> object:
-        if self._client is None:
-            raise ConnectionLostError(f"{self.address}: not connected; open the robot again")
-        self._drop_surplus()
+        self._refuse_surplus()
         began = time.monotonic()
         try:
             with _silenced() if method == "get_servo_status" else contextlib.nullcontext():
@@ -117,22 +117,21 @@ class VendorLink:
             )
         return answer
 
-    def _drop_surplus(self) -> None:
-        """Throw away bytes that came unasked: they would be taken for the next answer.
+    def _refuse_surplus(self) -> None:
+        """Refuse to ask while bytes lie there that nobody asked for: they would be taken for the next answer.
 
-        If more follow at once the two sides are out of step, and only a new connection helps.
+        The two sides are out of step then, and only a new connection helps.
         """
         if not isinstance(self.address, TcpAddress):
-            return  # the client does this itself on a serial port
-        for wait in (0.0, 0.03):
-            if not select.select([self._client.sock], [], [], wait)[0]:
+            return  # on a serial port the client throws them away itself
+        try:
+            if not select.select([self._client.sock], [], [], 0.0)[0]:
                 return
-            try:
-                data = self._client.sock.recv(4096)
-            except _BROKEN as error:
-                raise ConnectionLostError(f"{self.address}: the connection broke ({error})") from error
-            if not data:
-                raise ConnectionLostError(f"{self.address}: the other side closed the connection")
+            surplus = self._client.sock.recv(4096)
+        except _BROKEN as error:
+            raise ConnectionLostError(f"{self.address}: the connection broke ({error})") from error
+        if not surplus:
+            raise ConnectionLostError(f"{self.address}: the other side closed the connection")
         raise StaleReplyError(f"{self.address}: answers arrive that nobody asked for")
 
     def _reopen(self, cause: RobotError) -> None:

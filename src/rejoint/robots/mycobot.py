@@ -62,7 +62,7 @@ class MyCobotRobot:
         self._state: JointState | None = None
         self._temperature: Array | None = None
         self._fault: NDArray[np.bool_] | None = None
-        self._read_cost = 0.012
+        self._read_cost: float | None = None
         self._health_due = 0.0
         self._health_turn = 0
         self._reports_health = False
@@ -110,7 +110,7 @@ class MyCobotRobot:
         self._send(command[0])
         if self._reports_health and time.monotonic() >= self._health_due:
             self._check_health()
-        time.sleep(max(0.0, due - self._read_cost - time.monotonic()))
+        time.sleep(max(0.0, due - (self._read_cost or 0.0) - time.monotonic()))
         return self.read()
 
     def true_tcp(self) -> Array:
@@ -140,7 +140,8 @@ class MyCobotRobot:
         position = read_angles(reply, self._arm)
         self._continuity.check(now, position)
         age = self._continuity.accept(now, position, self._command)
-        self._read_cost += 0.2 * (min(now - began, 0.1) - self._read_cost)
+        cost = min(now - began, self._settings.period[0])  # without the time of a reconnection
+        self._read_cost = cost if self._read_cost is None else 0.8 * self._read_cost + 0.2 * cost
         self._state = JointState(
             time=np.array([now]), position=position[None], age=np.array([age]),
             temperature=self._temperature, fault=self._fault,

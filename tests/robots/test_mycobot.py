@@ -1,0 +1,488 @@
+"""The driver against a server that misbehaves on purpose, and against the emulated worn arm."""
+
+import logging
+import socket
+import struct
+import threading
+import time
+from contextlib import suppress
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rejoint.arms import mycobot280, solve_position, tcp_position
+from rejoint.control.robot import Robot
+from rejoint.emulator import Timing, build_firmware, serve_pty, serve_tcp
+from rejoint.errors import (
+    AddressError,
+    ConnectionLostError,
+    ImpossibleReplyError,
+    InputError,
+    NoReplyError,
+    RobotError,
+    StaleReplyError,
+)
+from rejoint.robots import link as link_module
+from rejoint.robots import open_robot
+from rejoint.robots.mycobot import DriverSettings, wire_angles
+from rejoint.robots.plausibility import Continuity, read_angles
+from rejoint.robots.vendor import HIGHEST_DEG, LOWEST_DEG
+
+ARM = mycobot280()
+READ, SEND, TEMPERATURES, STATUS, STOP = 0x20, 0x22, 0xE5, 0xE4, 0x29
+POWER_ON, IS_POWER_ON, SET_FRESH, IS_FRESH, ERROR = 0x10, 0x12, 0x16, 0x17, 0x07
+
+
+def frame(command, payload):
+    return bytes([0xFE, 0xFE, len(payload) + 2, command]) + payload + b"\xfa"
+
+
+def healthy(_command, _nth):
+    """No fault."""
+
+
+class FakeArm:
+    """A robot of a few lines with bytes of its own; ``fault(command, nth)`` returns what goes wrong.
+
+    A fault is None (nothing), bytes to send instead, a number of seconds to be late, "twice", or "close".
+    """
+
+    def __init__(self, fault=healthy):
+        self.fault = fault
+        self.degrees = [20.0, 0.0, -85.0, -5.0, 0.0, 0.0]
+        self.powered, self.fresh, self.clients = True, False, 0
+        self.seen = []
+        self.listener = socket.create_server(("127.0.0.1", 0))
+        self.address = f"tcp://127.0.0.1:{self.listener.getsockname()[1]}"
+        self.open = True
+        self.connection = None
+        self.thread = threading.Thread(target=self.serve, daemon=True)
+        self.thread.start()
+
+    def payload(self, command, data):
+        if command == SEND:
+            self.degrees = [value / 100 for value in struct.unpack(">6h", data[:12])]
+        self.powered |= command == POWER_ON
+        self.fresh |= command == SET_FRESH
+        angles = struct.pack(">6h", *(round(100 * value) for value in self.degrees))
+        state = {READ: angles, IS_POWER_ON: bytes([self.powered]), IS_FRESH: bytes([self.fresh]), ERROR: b"\x01"}
+        return {**state, TEMPERATURES: bytes([33] * 6), STATUS: bytes([0, 0, 4, 0, 0, 0])}.get(command, b"\x01")
+
+    def serve(self):
+        while self.open:
+            with suppress(OSError):
+                self.connection, _ = self.listener.accept()
+                with self.connection:
+                    self.converse(self.connection)
+
+    def converse(self, connection):
+        self.clients += 1
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        while data := connection.recv(1024):
+            command = data[3]
+            self.seen.append(command)
+            answer = frame(command, self.payload(command, data[4:-1]))
+            fault = self.fault(command, self.seen.count(command))
+            if fault == "close":
+                return
+            if isinstance(fault, float):
+                time.sleep(fault)
+            connection.sendall(fault if isinstance(fault, bytes) else answer)
+            if fault == "twice":
+                connection.sendall(answer)
+
+    def close(self):
+        self.open = False
+        for place in (self.connection, self.listener):
+            with suppress(OSError, AttributeError):
+                place.shutdown(socket.SHUT_RDWR)
+        self.listener.close()
+        self.thread.join()
+
+
+@pytest.fixture
+def awake(monkeypatch):
+    """The client without the 1.5 s that its constructor sleeps; nothing else of it is touched."""
+    stand_in = SimpleNamespace(sleep=lambda _: None, time=time.time)
+    monkeypatch.setattr("pymycobot.mycobot280socket.time", stand_in)
+    monkeypatch.setattr("pymycobot.mycobot280.time", stand_in)
+    monkeypatch.setattr(link_module, "REOPEN_PAUSE", 0.01)
+
+
+@pytest.fixture
+def start(awake):
+    """Opens a robot on a fake arm with a fault; returns both."""
+    opened = []
+
+    def begin(fault=healthy, **state):
+        fake = FakeArm(fault)
+        vars(fake).update(state)
+        opened.append(fake)
+        robot = open_robot(fake.address, period=(0.02, 0.02))
+        opened.append(robot)
+        return robot, fake
+
+    yield begin
+    for thing in reversed(opened):
+        thing.close()
+
+
+def only(command, nth, fault):
+    """The fault at the nth request with this command id, or at every one from the first of a range."""
+    times = {nth} if isinstance(nth, int) else nth
+    return lambda seen, count: fault if seen == command and count in times else None
+
+
+GARBAGE = b"\x00\x01\x02\x03\x04\x05"
+OTHER = frame(SEND, b"\x01")
+ALWAYS = range(1, 10_000)
+
+
+def test_a_good_arm(start):
+    robot, fake = start()
+    assert isinstance(robot, Robot)
+    state = robot.read()
+    np.testing.assert_allclose(state.position, np.radians([fake.degrees]))
+    np.testing.assert_array_equal(state.temperature, [[33.0] * 6])
+    np.testing.assert_array_equal(state.fault, [[False, False, True, False, False, False]])
+    assert state.age[0] == 0.0
+    assert abs(state.time[0] - time.monotonic()) < 1.0
+    assert np.isnan(robot.true_tcp()).all()
+    assert (robot.count, robot.address, robot.arm.name) == (1, fake.address, "mycobot280")
+    command = np.radians([[24.0, -1.239, -83.0, -4.0, 2.0, 3.0]])
+    after = robot.step(command)
+    np.testing.assert_allclose(np.degrees(after.position), [[24.0, -1.24, -83.0, -4.0, 2.0, 3.0]])
+    assert after.time[0] > state.time[0]
+    robot.stop()
+    assert fake.seen[-1] == STOP
+    assert 0x11 not in fake.seen  # never powered off
+
+
+def test_opening_sends_no_motion_and_sets_fresh_mode(start):
+    _, fake = start()
+    assert fake.fresh
+    assert SEND not in fake.seen
+    assert POWER_ON not in fake.seen
+
+
+def test_an_arm_without_power_is_switched_on(start):
+    _, fake = start(powered=False)
+    assert fake.powered
+
+
+def test_fresh_mode_works_through_a_server_that_swallows_its_acknowledgement(start, monkeypatch):
+    """The vendor's server drops an answer that equals its request, as that of set_fresh_mode(1) does."""
+    monkeypatch.setattr(link_module, "RELAY_BUSY", 0.05)
+    robot, fake = start(only(SET_FRESH, ALWAYS, b""))
+    assert fake.fresh
+    assert robot.read().age[0] == 0.0
+
+
+def test_the_clients_side_effects_are_undone(start):
+    before = logging.getLogger().handlers[:]
+    start()
+    assert logging.getLogger().handlers == before
+
+
+def test_faults_are_not_printed(start, capsys):
+    robot, _ = start()
+    assert robot.read().fault.any()
+    assert capsys.readouterr().out == ""
+
+
+@pytest.mark.parametrize(
+    "fault",
+    [
+        b"",
+        b"\xfe\xfe\x0e\x20\x07\xd0\x00",
+        GARBAGE,
+        "close",
+        0.35,
+        OTHER,
+        frame(READ, b"\x01"),
+    ],
+    ids=["silence", "cut", "garbage", "close", "late", "other command", "too short"],
+)
+def test_one_bad_answer_is_recovered_from(start, fault):
+    resent = fault in (b"", GARBAGE, OTHER)  # by the client itself: three times
+    robot, fake = start(only(READ, range(2, 5 if resent else 3), fault))
+    robot.read()
+    fake.degrees[0] = 20.5
+    for _ in range(3):
+        state = robot.read()
+        assert np.degrees(state.position[0, 0]) == pytest.approx(20.5)
+
+
+def test_after_a_late_answer_no_later_answer_is_old(start):
+    """Over TCP the client alone would stay one answer behind for good."""
+    robot, fake = start(only(READ, 3, 0.35))
+    for i in range(8):
+        fake.degrees[0] = 20.0 + 0.1 * i
+        assert np.degrees(robot.read().position[0, 0]) == pytest.approx(fake.degrees[0])
+
+
+def test_answers_that_nobody_asked_for_are_not_taken_for_later_ones(start):
+    robot, fake = start(only(READ, range(2, 200), "twice"))
+    for i in range(8):
+        fake.degrees[0] = 20.0 + 0.1 * i
+        time.sleep(0.005)
+        assert np.degrees(robot.read().position[0, 0]) == pytest.approx(fake.degrees[0])
+
+
+@pytest.mark.parametrize(
+    ("fault", "error"),
+    [
+        (b"", NoReplyError),
+        (GARBAGE, NoReplyError),
+        (b"\xfe\xfe\x0e\x20\x07\xd0\x00", ImpossibleReplyError),
+        (frame(READ, b"\x01"), ImpossibleReplyError),
+        (0.35, StaleReplyError),
+        ("close", ConnectionLostError),
+        (frame(READ, struct.pack(">6h", *[18008] * 6)), ImpossibleReplyError),
+        (frame(READ, struct.pack(">6h", 0, 15000, 0, 0, 0, 0)), ImpossibleReplyError),
+        (frame(READ, struct.pack(">6h", 8000, 0, -8500, -500, 0, 0)), ImpossibleReplyError),
+    ],
+    ids=["silence", "garbage", "cut", "too short", "late", "close", "unreadable", "out of range", "jump"],
+)
+def test_what_stays_bad_becomes_an_error_with_a_name(start, fault, error):
+    robot, _ = start(only(READ, range(2, 10_000), fault))
+    robot.read()
+    with pytest.raises(error) as caught:
+        robot.read()
+    assert isinstance(caught.value, RobotError)
+    assert "\n" not in str(caught.value)
+
+
+def test_one_impossible_answer_is_asked_again(start):
+    robot, fake = start(only(READ, 2, frame(READ, struct.pack(">6h", *[18008] * 6))))
+    robot.read()
+    np.testing.assert_allclose(np.degrees(robot.read().position[0]), fake.degrees)
+    assert fake.clients == 2  # the probe and the client: nothing was reconnected
+
+
+def test_a_server_that_is_gone_for_good_is_named(start):
+    robot, fake = start()
+    robot.read()
+    fake.close()
+    fake.close = lambda: None
+    with pytest.raises(ConnectionLostError, match="connecting again failed"):
+        robot.read()
+
+
+def test_an_arm_that_lost_its_power_is_not_switched_on_again(start):
+    robot, fake = start(only(READ, 2, "close"))
+    robot.read()
+    fake.powered = False
+    with pytest.raises(ConnectionLostError, match="power"):
+        robot.read()
+    assert not fake.powered
+
+
+def test_a_refused_command_is_an_error(start):
+    robot, _ = start(only(SEND, ALWAYS, frame(SEND, b"\x00")))
+    with pytest.raises(RobotError, match="error code 1"):
+        robot.step(np.radians([[20.0, 0, -85, -5, 0, 0]]))
+
+
+def test_a_failed_command_is_sent_again_on_a_new_connection(start):
+    robot, fake = start(only(SEND, 1, "close"))
+    state = robot.step(np.radians([[21.0, 0, -85, -5, 0, 0]]))
+    assert np.degrees(state.position[0, 0]) == pytest.approx(21.0)
+    assert fake.fresh
+
+
+def test_firmware_without_temperatures_can_be_driven(start):
+    robot, fake = start(only(TEMPERATURES, ALWAYS, b""))
+    state = robot.read()
+    assert state.temperature is None
+    assert state.fault is None
+    robot.step(state.position)
+    assert fake.seen.count(TEMPERATURES) == 6
+
+
+def test_commands_that_are_no_joint_positions_are_refused(start):
+    robot, fake = start()
+    for command in (np.zeros(6), np.full((1, 6), np.nan), np.zeros((1, 5))):
+        with pytest.raises(InputError):
+            robot.step(command)
+    assert SEND not in fake.seen
+
+
+def test_an_inactive_arm_is_left_alone(start):
+    robot, fake = start()
+    state = robot.read()
+    assert robot.step(np.zeros((1, 6)), np.array([False])) is state
+    assert SEND not in fake.seen
+
+
+def test_a_closed_robot_says_so(start):
+    robot, _ = start()
+    robot.close()
+    with pytest.raises(ConnectionLostError):
+        robot.read()
+    robot.close()
+
+
+# --- addresses --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "address",
+    [
+        "", "worn", "emulated", "emulated:", "tcp:", "tcp://", "tcp://host:port", "tcp://host:99999", "tcp://host:0",
+        "tcp://host:1/x", "serial:", "serial://", "serial:///", "serial://ttyAMA0", "serial:///dev/x?baud=fast",
+        "serial:///dev/x?speed=1", "http://host:9000", "serial:///dev/x?baud", "tcp://[::1",
+    ],
+)  # fmt: skip
+def test_malformed_addresses_name_the_three_forms(address):
+    with pytest.raises(AddressError, match=r"emulated:PROFILE.*tcp://HOST:PORT.*serial:///dev/"):
+        open_robot(address)
+
+
+@pytest.mark.parametrize("address", ["tcp://127.0.0.1:1", "tcp://nosuchhost.invalid:9000", "serial:///dev/nosuchport"])
+def test_where_nothing_is_the_error_is_one_line(address):
+    with pytest.raises(AddressError, match="nothing answers at") as caught:
+        open_robot(address)
+    assert "\n" not in str(caught.value)
+
+
+def test_something_else_behind_the_port_is_named(awake):
+    fake = FakeArm(lambda *_: b"")
+    try:
+        with pytest.raises(AddressError, match="no myCobot 280 answers"):
+            open_robot(fake.address)
+    finally:
+        fake.close()
+
+
+@pytest.mark.parametrize("arguments", [{"count": 0}, {"count": 2}, {"period": (0.0, 0.1)}, {"period": (0.2, 0.1)}])
+def test_what_a_single_arm_cannot_do_is_refused_before_connecting(arguments):
+    with pytest.raises(InputError):
+        open_robot("tcp://127.0.0.1:1", **arguments)
+
+
+def test_emulated_robots_are_opened_as_a_batch():
+    robot = open_robot("emulated:worn", count=3, period=(0.05, 0.05), seed=4)
+    assert isinstance(robot, Robot)
+    assert (robot.count, robot.address) == (3, "emulated:worn")
+    before = robot.read()
+    after = robot.step(before.position)
+    np.testing.assert_allclose(after.time - before.time, 0.05)
+
+
+def test_a_missing_extra_is_named(monkeypatch):
+    monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
+    with pytest.raises(AddressError, match=r"rejoint\[train\]"):
+        open_robot("emulated:worn")
+
+
+# --- pure parts -------------------------------------------------------------------------------
+
+
+@given(st.lists(st.floats(-4.0, 4.0), min_size=6, max_size=6))
+def test_the_clients_truncation_becomes_rounding(position):
+    sent = wire_angles(np.array(position))
+    wanted = np.clip(np.round(np.degrees(position) * 100), np.array(LOWEST_DEG) * 100, np.array(HIGHEST_DEG) * 100)
+    assert [int(value * 100) for value in sent] == wanted.tolist()  # int(): what the client does
+    assert all(low <= value <= high for low, value, high in zip(LOWEST_DEG, sent, HIGHEST_DEG, strict=True))
+
+
+@pytest.mark.parametrize(
+    "reply", [-1, None, 0, [], [0.0] * 5, [0.0] * 12, [0.0] * 5 + [None], [float("nan")] * 6, [0, 0, 0, 0, 0, 180.08],
+              [174.0, 0, 0, 0, 0, 0], ["0"] * 6, (0.0,) * 6],
+)  # fmt: skip
+def test_impossible_angles(reply):
+    with pytest.raises(ImpossibleReplyError):
+        read_angles(reply, ARM)
+
+
+def test_unreadable_servos_are_named():
+    with pytest.raises(ImpossibleReplyError, match="joint3, joint6"):
+        read_angles([0.0, 0.0, -180.08, 0.0, 0.0, 180.08], ARM)
+
+
+def test_a_jump_depends_on_the_time_between_answers():
+    continuity = Continuity(ARM)
+    continuity.accept(0.0, np.zeros(6), None)
+    far = np.radians([0, 40.0, 0, 0, 0, 0])
+    with pytest.raises(ImpossibleReplyError, match="joint 2"):
+        continuity.check(0.05, far)
+    continuity.check(0.2, far)
+
+
+def run(continuity, readings, commands, period=0.05):
+    return [
+        continuity.accept(period * k, np.asarray(r, float), np.asarray(c, float))
+        for k, (r, c) in enumerate(zip(readings, commands, strict=True))
+    ]
+
+
+def test_standing_still_is_fresh():
+    still = [[0.1] * 6] * 200
+    assert max(run(Continuity(ARM), still, still)) == 0.0
+
+
+def test_a_stuck_joint_that_is_pushed_a_little_is_fresh():
+    pushed = [[0.1 + np.radians(8) * min(k / 50, 1)] * 6 for k in range(200)]
+    assert max(run(Continuity(ARM), [[0.1] * 6] * 200, pushed)) == 0.0
+
+
+def test_answers_that_do_not_follow_a_large_command_age_and_are_refused():
+    continuity = Continuity(ARM)
+    ages = run(continuity, [[0.1] * 6] * 30, [[0.1] * 6] + [[0.5] * 6] * 29)
+    assert ages[5] == 0.0
+    assert ages[20] == pytest.approx(0.95)
+    assert np.all(np.diff(ages[8:]) > 0)
+    assert continuity.accept(1.5, np.full(6, 0.1), np.full(6, 0.5)) == pytest.approx(1.45)
+    with pytest.raises(StaleReplyError, match="the same joint angles for"):
+        continuity.accept(1.6, np.full(6, 0.1), np.full(6, 0.5))
+
+
+def test_one_encoder_step_makes_answers_fresh_again():
+    continuity = Continuity(ARM)
+    run(continuity, [[0.1] * 6] * 20, [[0.1] * 6] + [[0.5] * 6] * 19)
+    assert continuity.accept(1.0, np.full(6, 0.1015), np.full(6, 0.5)) == 0.0
+
+
+@pytest.mark.parametrize("settings", [{"period": (0.0, 0.1)}, {"period": (0.1, 2.0)}, {"speed_percent": 0}])
+def test_settings_that_make_no_sense_are_refused(settings):
+    with pytest.raises(InputError):
+        DriverSettings(**settings)
+
+
+# --- the emulated worn arm --------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("transport", ["tcp", "pty"])
+def test_the_worn_arm_is_driven_to_a_target(transport, awake):
+    """An integrator on the joint error reaches what the default misses by centimetres; no answer is lost."""
+    firmware = build_firmware(ARM, "worn")
+    timing = Timing(state=0.003, acknowledgement=0.002)
+    with (
+        serve_tcp(firmware, port=0, timing=timing)
+        if transport == "tcp"
+        else serve_pty(firmware, timing=timing) as server
+    ):
+        robot = open_robot(server.address, period=(0.02, 0.03), seed=1)
+        state = robot.read()
+        target = np.array([0.2, -0.03, 0.2])
+        goal = solve_position(ARM, target, state.position).q
+        command, times = goal.copy(), [state.time[0]]
+        for _ in range(120):
+            state = robot.step(command)
+            times.append(state.time[0])
+            if len(times) == 40:
+                uncorrected = tcp_position(ARM, state.position)[0]
+            if len(times) > 40:
+                command = command + 0.1 * (goal - state.position)
+        robot.stop()
+        held = robot.read()
+        robot.close()
+    assert np.all(np.diff(times) > 0)
+    assert state.age[0] == 0.0
+    assert np.linalg.norm(uncorrected - target) > 0.01
+    assert np.linalg.norm(tcp_position(ARM, state.position)[0] - target) < 0.006
+    np.testing.assert_allclose(held.position, state.position, atol=np.radians(2))
