@@ -9,7 +9,18 @@ import mujoco
 import numpy as np
 import pytest
 
-from rejoint.arms import Box, Loaded, gravity_torque, jacobian, read_arm, solve_position, tcp_pose
+from rejoint.arms import (
+    Box,
+    Loaded,
+    gravity_torque,
+    jacobian,
+    load_arm,
+    read_arm,
+    so101,
+    solve_position,
+    tcp_pose,
+    write_arm_toml,
+)
 from rejoint.arms.chain import cut
 from rejoint.arms.draft import finish
 from rejoint.arms.inertia import LINK_DENSITY, Lump, inertia_matrix, lump, usable
@@ -120,7 +131,7 @@ def test_a_prismatic_branch_does_not_end_the_longest_chain(tmp_path: Path) -> No
 def test_two_equal_chains_are_ambiguous(tmp_path: Path) -> None:
     finger = '<body name="{0}"><joint name="{0}" axis="0 1 0" range="-1 1"/></body>'
     text = AWKWARD.replace('<site name="tcp"', finger.format("f1") + finger.format("f2") + '<site name="tcp"')
-    with pytest.raises(InputError, match=r"several links could be the tip of the arm \(6 joints each\): f1, f2"):
+    with pytest.raises(InputError, match=r"be the tip of the arm \(6 joints each\): f1, f2; .* such as d,"):
         read_arm(written(tmp_path, text))
 
 
@@ -204,6 +215,30 @@ def test_missing_limits_and_speeds_are_named(tmp_path: Path) -> None:
         read_arm(written(tmp_path, bare_urdf(sound, {3: "prismatic"}), "bare.urdf"), tip="tool")
 
 
+def test_a_joint_that_follows_another_is_no_joint_of_the_chain(tmp_path: Path) -> None:
+    mimic = '<mimic joint="j2"/>'
+    text = bare_urdf({i: inertial(1.0) for i in range(1, 5)}).replace(
+        '<child link="l4"/>', f'<child link="l4"/>{mimic}'
+    )
+    with pytest.raises(InputError, match="joint j4 between base and l4 is a coupled joint"):
+        read_arm(written(tmp_path, text, "bare.urdf"), tip="l4")
+    loaded = with_given_workspace(written(tmp_path, text, "bare.urdf"))
+    assert loaded.arm.joint_names == ("j1", "j2", "j3")
+    assert loaded.arm.mass[2] == pytest.approx(2.0)  # the follower is frozen on the link that carries it
+
+
+def test_a_root_link_called_world_is_the_world(tmp_path: Path) -> None:
+    fixed = '<joint name="w" type="fixed"><parent link="world"/><child link="base"/><origin xyz="0 0 1"/></joint>'
+    sound = bare_urdf({i: inertial(1.0) for i in range(1, 5)})
+    text = sound.replace("</robot>", f'<link name="world"/>{fixed}</robot>')
+    path = written(tmp_path, text, "bare.urdf")
+    q = np.zeros(4)
+    assert tcp_pose(with_given_workspace(path).arm, q)[2, 3] == pytest.approx(1.1)
+    whole = cut(read_tree(Path(path)), "world", "tool")
+    box = Box(lower=-np.ones(3), upper=np.ones(3))
+    assert tcp_pose(finish(replace(whole, rest=q, targets=box)).arm, q)[2, 3] == pytest.approx(2.1)
+
+
 @pytest.mark.parametrize(
     ("name", "text", "message"),
     [
@@ -221,7 +256,9 @@ def test_a_file_that_cannot_be_read_is_named(tmp_path: Path, name: str, text: st
 
 
 def test_without_mujoco_the_remedy_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_arm_toml(tmp_path / "arm.toml", so101())
     monkeypatch.setitem(sys.modules, "mujoco", None)
+    assert load_arm(str(tmp_path / "arm.toml")).joints == load_arm("so101").joints == 5
     with pytest.raises(InputError, match=r"needs MuJoCo.*install rejoint\[train\]"):
         read_arm(written(tmp_path, AWKWARD))
 

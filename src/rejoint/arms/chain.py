@@ -36,7 +36,7 @@ class Joint:
 
     name: str
     kind: str
-    """``hinge``, ``slide``, ``ball`` or ``free``"""
+    """``hinge``, ``slide``, ``ball``, ``free``, or ``coupled`` where it follows another joint"""
     body: int
     anchor: Array
     """(3,) [m] a point of the axis, in the world"""
@@ -197,13 +197,21 @@ def _longest(tree: Tree, start: int | None, notes: list[str]) -> tuple[int, Arra
     if len(longest) > 1:
         raise InputError(
             f"{tree.name}: several links could be the tip of the arm ({most} joints each): "
-            f"{_names(tree, longest)}; name the tip that you mean, and the base"
+            f"{_names(tree, longest)}; name the tip that you mean{_parting(tree, longest)}"
         )
     end = longest[0]
     sites = [site.name for site in tree.sites if site.body == end]
     more = f" (it carries the sites {', '.join(sites)}, which can be named instead)" if sites else ""
     notes.append(f"tip: none given; {tree.bodies[end].name} taken, the end of the longest chain ({most} joints){more}")
     return end, tree.bodies[end].pose
+
+
+def _parting(tree: Tree, ends: list[int]) -> str:
+    """Where the paths to ``ends`` part, as a hint: a gripper's fingers part at its palm."""
+    shared = [bodies[0] for bodies in zip(*map(tree.path, ends), strict=False) if len(set(bodies)) == 1]
+    if not tree.joints_of(shared):
+        return ""
+    return f", such as {tree.bodies[shared[-1]].name}, where they part"
 
 
 def _check_hinges(tree: Tree, joints: list[Joint], start: int, end: int) -> None:
@@ -214,7 +222,7 @@ def _check_hinges(tree: Tree, joints: list[Joint], start: int, end: int) -> None
         if joint.kind != "hinge":
             raise InputError(
                 f"{tree.name}: joint {joint.name} between {names} is a {joint.kind} joint, and only revolute joints "
-                "can be driven; choose a base and a tip with it outside of the chain"
+                "of their own can be driven; choose a base and a tip with it outside of the chain"
             )
 
 

@@ -38,19 +38,27 @@ def read_tree(path: Path) -> Tree:
         raise FileError(path, f"MuJoCo cannot read it: {_line(error)}", "correct the file") from error
     urdf = root.tag == "robot"
     notes: list[str] = []
+    coupled = _coupled(mujoco, spec)
     _strip(mujoco, spec, every_geom=urdf, notes=notes)
     contents = _contents(spec, notes)
     try:
         model = spec.compile()
     except (ValueError, mujoco.FatalError) as error:
         raise FileError(path, f"MuJoCo cannot compile it: {_line(error)}", "correct the file") from error
+    bodies, data = _bodies(mujoco, model, contents)
     speeds = _urdf_speeds(root) if urdf else {}
-    return _tree(mujoco, model, contents, speeds, root.get("name") or root.get("model") or path.stem, notes)
+    return Tree(
+        name=root.get("name") or root.get("model") or path.stem,
+        bodies=bodies,
+        joints=tuple(_joint(model, data, j, speeds, coupled) for j in range(model.njnt)),
+        sites=_sites(model, data),
+        notes=tuple(notes),
+    )
 
 
 def _parse(path: Path) -> ET.Element:
     try:
-        text = path.read_text(encoding="utf-8")
+        text = path.read_text(encoding="utf-8-sig")
         # Prefixes such as drake: are often used without being declared, which MuJoCo does not mind.
         root = ET.fromstring(_PREFIX.sub(r"\1\2_", text))  # noqa: S314 - expat expands no external entities
     except FileNotFoundError as error:
@@ -136,14 +144,13 @@ def _contents(spec: Any, notes: list[str]) -> dict[str, Lump | None]:  # noqa: A
     return result
 
 
-def _tree(
-    mujoco: ModuleType,
-    model: Any,  # noqa: ANN401
-    contents: dict[str, Lump | None],
-    speeds: dict[str, float],
-    name: str,
-    notes: list[str],
-) -> Tree:
+def _coupled(mujoco: ModuleType, spec: Any) -> set[str]:  # noqa: ANN401
+    """Joints that follow another one (URDF ``mimic``, MJCF ``equality/joint``) or are held in place."""
+    return {equality.name1 for equality in spec.equalities if equality.type == mujoco.mjtEq.mjEQ_JOINT}
+
+
+def _bodies(mujoco: ModuleType, model: Any, contents: dict[str, Lump | None]) -> tuple[tuple[Body, ...], Any]:  # noqa: ANN401
+    """Bodies in the reference posture, or the nearest within the limits, and MuJoCo's data of that posture."""
     data = mujoco.MjData(model)
     for j in range(model.njnt):
         if model.jnt_limited[j] and _KINDS[int(model.jnt_type[j])] in ("hinge", "slide"):
@@ -152,17 +159,21 @@ def _tree(
     mujoco.mj_kinematics(model, data)
     bodies = []
     for b in range(model.nbody):
-        content = contents.get(model.body(b).name)
+        name = model.body(b).name
+        content = contents.get(name)
         bodies.append(
             Body(
-                name=model.body(b).name,
+                name=name,
                 parent=int(model.body_parentid[b]),
                 pose=pose_of(data.xmat[b].reshape(3, 3), data.xpos[b]),
                 content=_compiled(model, b) if content is None else content,
             )
         )
-    joints = tuple(_joint(model, data, j, speeds) for j in range(model.njnt))
-    sites = tuple(
+    return tuple(bodies), data
+
+
+def _sites(model: Any, data: Any) -> tuple[Site, ...]:  # noqa: ANN401
+    return tuple(
         Site(
             name=model.site(s).name,
             body=int(model.site_bodyid[s]),
@@ -171,15 +182,14 @@ def _tree(
         for s in range(model.nsite)
         if model.site(s).name
     )
-    return Tree(name=name, bodies=tuple(bodies), joints=joints, sites=sites, notes=tuple(notes))
 
 
-def _joint(model: Any, data: Any, j: int, speeds: dict[str, float]) -> Joint:  # noqa: ANN401
+def _joint(model: Any, data: Any, j: int, speeds: dict[str, float], coupled: set[str]) -> Joint:  # noqa: ANN401
     name, kind = model.joint(j).name or f"joint{j + 1}", _KINDS[int(model.jnt_type[j])]
     limited = bool(model.jnt_limited[j])
     return Joint(
         name=name,
-        kind=kind,
+        kind="coupled" if kind == "hinge" and name in coupled else kind,
         body=int(model.jnt_bodyid[j]),
         anchor=data.xanchor[j].copy(),
         axis=data.xaxis[j].copy(),
