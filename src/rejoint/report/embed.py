@@ -10,7 +10,7 @@ import matplotlib as mpl
 from markupsafe import Markup, escape
 from matplotlib.figure import Figure
 
-from rejoint.report.palette import INK, LOOKS
+from rejoint.report.palette import GROUND, INK, LOOKS
 from rejoint.runs import write_whole
 
 PNG_DPI = 160
@@ -31,11 +31,13 @@ def inline_svg(figure: Figure, key: str, alt: str) -> Markup:
     those of other figures on the page; ``alt`` is read out in place of the picture.
     """
     buffer = io.StringIO()
+    figure.draw_without_rendering()
+    figure.set_layout_engine("none")  # the layout is found now and would only be found again for every file
     with mpl.rc_context({"svg.fonttype": "none", "svg.hashsalt": key}):
         figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
     text = _NOISE.sub("", _METADATA.sub("", _HEAD.sub("", buffer.getvalue())))
     text = _ID.sub(lambda match: f"{match[1]}{key}-", text)
-    text = text.replace(INK, "currentColor")
+    text = text.replace(INK, "currentColor").replace(GROUND, "var(--ground)")
     for number, look in enumerate(LOOKS):
         text = text.replace(look.colour, f"var(--look-{number})")
     label = str(escape(alt)).replace("\\", "\\\\")

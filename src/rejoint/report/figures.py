@@ -19,10 +19,13 @@ from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, MultipleLo
 from numpy.typing import NDArray
 
 from rejoint.arms import Array
-from rejoint.report.palette import INK, Look
+from rejoint.report.palette import GROUND, INK, Look
 
-FONT = 8.5
-"""[pt] chosen: 11 px on the page, about the size of its small print"""
+FONT = 9.5
+"""[pt] chosen: 13 px on the page, about the size of its small print, and still legible at half that"""
+WIDE, HALF, THIRD = 10.4, 5.2, 3.4
+"""[inch] widths of figures that stand alone, in two and in three columns"""
+LEGEND_COLUMNS = 6
 REACHED_MM = 10.0
 """[mm] radius within which a target counts as reached; Park et al. 2024, section IV.A"""
 
@@ -39,6 +42,8 @@ class Series:
     """(K,) lower end of the interval or spread"""
     high: Array | None = None
     """(K,) upper end"""
+    hollow: NDArray[np.bool_] | None = None
+    """(K,) values to be drawn hollow, such as those that are assumed and not measured"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -83,40 +88,48 @@ def _title(axes: Axes, text: str) -> None:
     axes.set_title(text, loc="left", fontsize=FONT + 0.5, color=INK, fontweight="bold")
 
 
-def _legend(figure: Figure, axes: Axes, columns: int) -> None:
-    handles, labels = axes.get_legend_handles_labels()
+def _legend(figure: Figure, axes: Axes, order: Sequence[str]) -> None:
+    found = dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True))
+    labels = [label for label in order if label in found]
     figure.legend(
-        handles, labels, loc="outside upper left", ncols=columns, frameon=False, fontsize=FONT, labelcolor=INK,
-        handlelength=2.6, columnspacing=1.4, borderpad=0.1,
+        [found[label] for label in labels], labels, loc="outside upper left", ncols=min(len(labels), LEGEND_COLUMNS),
+        frameon=False, fontsize=FONT, labelcolor=INK, handlelength=2.6, columnspacing=1.4, borderpad=0.1,
     )  # fmt: skip
 
 
-def _plain_log(axis: Axis) -> None:
-    axis.set_major_locator(LogLocator(base=10, subs=(1.0, 2.0, 5.0)))
+def _plain_log(axis: Axis, digits: tuple[float, ...] = (1.0, 2.0, 5.0)) -> None:
+    axis.set_major_locator(LogLocator(base=10, subs=digits))
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_formatter(NullFormatter())
 
 
-def error_per_target(series: Sequence[Series]) -> Figure:
-    """Draw the TCP error [mm] at each of K targets as grouped bars, with the success radius."""
-    figure, grid = canvas((7.2, 3.1))
+def error_per_target(series: Sequence[Series], reference: Series | None = None) -> Figure:
+    """Draw the TCP error [mm] at each of K targets as grouped bars, with the success radius.
+
+    ``reference`` (one value, with or without a range) is drawn across all targets.
+    """
+    figure, grid = canvas((WIDE, 3.2))
     axes, count = grid[0, 0], len(series[0].value)
     width = 0.8 / len(series)
     for i, one in enumerate(series):
         at = np.arange(1, count + 1) + (i - (len(series) - 1) / 2) * width
         axes.bar(
             at, one.value, width * 0.92, label=one.label, color=one.look.colour, hatch=one.look.hatch,
-            edgecolor="white", linewidth=0.0, yerr=_whiskers(one), ecolor=INK, error_kw={"elinewidth": 0.7},
+            edgecolor=GROUND, linewidth=0.0, yerr=_whiskers(one), ecolor=INK, error_kw={"elinewidth": 0.7},
         )  # fmt: skip
-    axes.axhline(REACHED_MM, color=INK, linewidth=0.9, linestyle=(0, (4, 3)))
-    axes.annotate(
-        f"counts as reached: {REACHED_MM:g} mm", (1, REACHED_MM), xycoords=("axes fraction", "data"),
-        xytext=(0, 2), textcoords="offset points", ha="right", fontsize=FONT - 1, color=INK,
-    )  # fmt: skip
+    if reference is not None:
+        colour = reference.look.colour
+        axes.axhline(
+            reference.value[0], color=colour, linewidth=2.0, linestyle=reference.look.dash, label=reference.label
+        )
+        if reference.low is not None and reference.high is not None:
+            axes.axhspan(reference.low[0], reference.high[0], color=colour, alpha=0.15, linewidth=0)
+    reached = f"counts as reached: {REACHED_MM:g} mm"
+    axes.axhline(REACHED_MM, color=INK, linewidth=0.9, linestyle=(0, (4, 3)), label=reached)
     axes.set(xlabel="target", ylabel="error [mm]", xlim=(0.4, count + 0.6), ylim=(0, None))
     axes.set_xticks(np.arange(1, count + 1))
     axes.grid(visible=False, axis="x")
-    _legend(figure, axes, min(len(series), 4))
+    _legend(figure, axes, [one.label for one in (*series, *([reference] if reference else []))] + [reached])
     return figure
 
 
@@ -131,14 +144,14 @@ def intervals(rows: Sequence[Series], xlabel: str, *, log: bool = False) -> Figu
 
     A second value of a series, where there is one, is drawn hollow in the same row.
     """
-    figure, grid = canvas((5.2, 0.75 + 0.3 * len(rows)))
+    figure, grid = canvas((HALF, 0.75 + 0.3 * len(rows)))
     axes = grid[0, 0]
     for y, one in enumerate(rows):
         bars = _whiskers(one)
         for k, value in enumerate(one.value):
             axes.errorbar(
                 value, y, xerr=None if bars is None else bars[:, k : k + 1], fmt=one.look.marker, markersize=6,
-                color=one.look.colour, markerfacecolor=one.look.colour if k == 0 else "none", capsize=2.5,
+                color=one.look.colour, markerfacecolor=one.look.colour if k == 0 else GROUND, capsize=2.5,
                 linewidth=1.6,
             )  # fmt: skip
     if log:
@@ -158,9 +171,8 @@ def trajectory(path: Path3, limits: Array) -> Figure:
     """
     low, high = limits[:, 0] * 1e3, limits[:, 1] * 1e3
     spans = high - low
-    width = 5.4
-    scale = (width - 1.5) / (spans[1] + spans[0])
-    figure, grid = canvas((width, 1.0 + scale * max(spans[0], spans[2])), 1, 2, (spans[1], spans[0]))
+    scale = (HALF - 1.6) / (spans[1] + spans[0])
+    figure, grid = canvas((HALF, 0.78 + scale * max(spans[0], spans[2])), 1, 2, (spans[1], spans[0]))
     views = (("from above", 1, 0), ("from the side", 0, 2))
     for axes, (name, across, up) in zip(grid[0], views, strict=True):
         _path(axes, path, across, up)
@@ -192,7 +204,7 @@ def _path(axes: Axes, path: Path3, across: int, up: int) -> None:
 
 def error_over_time(time: Array, series: Sequence[Series], ylabel: str = "encoder error [mm]") -> Figure:
     """Draw error [mm] over ``time`` (K,) [s] since the target was set, log axis, with its spread."""
-    figure, grid = canvas((7.2, 3.6))
+    figure, grid = canvas((WIDE, 3.8))
     axes = grid[0, 0]
     for one in series:
         axes.plot(time, one.value, color=one.look.colour, linestyle=one.look.dash, linewidth=1.7, label=one.label)
@@ -203,44 +215,66 @@ def error_over_time(time: Array, series: Sequence[Series], ylabel: str = "encode
     for level in (10.0, 5.0, 2.0):
         axes.axhline(level, color=INK, linewidth=0.6, alpha=0.5, linestyle=(0, (4, 3)))
     axes.set(xlabel="time since the target was set [s]", ylabel=ylabel, xlim=(time[0], time[-1]))
-    _legend(figure, axes, min(len(series), 4))
+    _legend(figure, axes, [one.label for one in series])
     return figure
 
 
-def by_joint(title: str, joints: Sequence[str], measured: Series, reference: Series | None = None) -> Figure:
+def by_joint(
+    title: str, joints: Sequence[str], measured: Series, reference: Series | None = None, *, log: bool = False
+) -> Figure:
     """Draw one quantity per joint with its interval over a reference value or range.
 
     ``reference`` gives a value per joint (a line), a range (a pale bar), or both; NaN is left out.
     """
-    figure, grid = canvas((3.1, 2.3))
+    figure, grid = canvas((THIRD, 2.4))
     axes, at = grid[0, 0], np.arange(len(joints))
-    if reference is not None and reference.low is not None and reference.high is not None:
-        axes.bar(
-            at, reference.high - reference.low, bottom=reference.low, width=0.62, color=reference.look.colour,
-            alpha=0.25, linewidth=0, label=reference.label,
-        )  # fmt: skip
-    if reference is not None and np.isfinite(reference.value).any():
-        axes.hlines(
-            reference.value, at - 0.31, at + 0.31, color=reference.look.colour, linewidth=2.2, label=reference.label
-        )
-    axes.errorbar(
-        at, measured.value, yerr=_whiskers(measured), fmt=measured.look.marker, color=measured.look.colour,
-        markersize=5, capsize=2.5, linewidth=1.4, label=measured.label,
-    )  # fmt: skip
+    if reference is not None:
+        _reference(axes, at, reference)
+    hollow = np.zeros(len(joints), dtype=bool) if measured.hollow is None else measured.hollow
+    bars = _whiskers(measured)
+    for chosen, face in ((~hollow, measured.look.colour), (hollow, GROUND)):
+        if chosen.any():
+            axes.errorbar(
+                at[chosen], measured.value[chosen], yerr=None if bars is None else bars[:, chosen],
+                fmt=measured.look.marker, color=measured.look.colour, markerfacecolor=face, markersize=5.5, capsize=2.5,
+                linewidth=1.4,
+            )  # fmt: skip
     axes.set_xticks(at, list(joints))
     axes.set_xlim(-0.6, len(joints) - 0.4)
-    axes.yaxis.set_major_locator(MaxNLocator(5))
+    axes.use_sticky_edges = False
+    axes.margins(y=0.12)
+    if log:
+        axes.set_yscale("log")
+        _plain_log(axes.yaxis, (1.0, 2.0, 3.0, 5.0))
+    else:
+        axes.yaxis.set_major_locator(MaxNLocator(5))
+        if axes.get_ylim()[0] > 0 or _none_negative(measured):
+            axes.set_ylim(bottom=0)
     axes.grid(visible=False, axis="x")
     _title(axes, title)
     return figure
 
 
+def _none_negative(one: Series) -> bool:
+    parts = [part for part in (one.value, one.low) if part is not None]
+    return not any((part < 0).any() for part in parts)
+
+
+def _reference(axes: Axes, at: NDArray[np.intp], reference: Series) -> None:
+    colour = reference.look.colour
+    if reference.low is not None and reference.high is not None:
+        span = reference.high - reference.low
+        axes.bar(at, span, bottom=reference.low, width=0.62, color=colour, alpha=0.22, linewidth=0)
+    known = np.isfinite(reference.value)
+    axes.hlines(reference.value[known], at[known] - 0.31, at[known] + 0.31, color=colour, linewidth=2.2)
+
+
 def ranked_bars(labels: Sequence[str], values: Array, looks: Sequence[Look], xlabel: str) -> Figure:
     """Draw horizontal bars with their values (K,) written at the end."""
-    figure, grid = canvas((5.2, 0.6 + 0.34 * len(labels)))
+    figure, grid = canvas((HALF, 0.6 + 0.34 * len(labels)))
     axes = grid[0, 0]
     for y, (value, look) in enumerate(zip(values, looks, strict=True)):
-        axes.barh(y, value, height=0.62, color=look.colour, hatch=look.hatch, edgecolor="white", linewidth=0)
+        axes.barh(y, value, height=0.62, color=look.colour, hatch=look.hatch, edgecolor=GROUND, linewidth=0)
         if np.isfinite(value):
             axes.annotate(
                 f"{value:.3g}", (value, y), xytext=(4, 0), textcoords="offset points", va="center", fontsize=FONT,
@@ -254,7 +288,7 @@ def ranked_bars(labels: Sequence[str], values: Array, looks: Sequence[Look], xla
 
 def training_curves(steps: Array, curves: Sequence[tuple[str, Array]], look: Look) -> Figure:
     """Draw each named curve (K,) over environment ``steps`` (K,), one panel above the other."""
-    figure, grid = canvas((7.2, 0.5 + 1.35 * len(curves)), len(curves))
+    figure, grid = canvas((WIDE, 0.5 + 1.35 * len(curves)), len(curves))
     for axes, (name, values) in zip(grid[:, 0], curves, strict=True):
         axes.plot(steps / 1e6, values, color=look.colour, linewidth=1.5)
         axes.yaxis.set_major_locator(MaxNLocator(4))

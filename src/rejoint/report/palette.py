@@ -11,6 +11,8 @@ from dataclasses import dataclass
 
 INK = "#1b1f24"
 """Text and axes; becomes the text colour of the page."""
+GROUND = "#ffffff"
+"""Inside of hollow markers and lines of hatches; becomes the ground of the page."""
 
 
 @dataclass(frozen=True, kw_only=True)

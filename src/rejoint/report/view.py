@@ -13,7 +13,7 @@ class Cell(NamedTuple):
 
     text: str
     note: str = ""
-    """small print below"""
+    """small print below; may have several lines"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,13 +53,6 @@ class Picture:
     caption: str = ""
 
 
-class Legend(NamedTuple):
-    """One entry of a legend shared by several figures."""
-
-    look: int
-    label: str
-
-
 class Command(NamedTuple):
     """A command line and what it does."""
 
@@ -74,7 +67,6 @@ class Part:
     heading: str = ""
     texts: tuple[str, ...] = ()
     lines: tuple[str, ...] = ()
-    legend: tuple[Legend, ...] = ()
     figures: tuple[Picture, ...] = ()
     columns: int = 1
     tables: tuple[Table, ...] = ()

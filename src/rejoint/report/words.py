@@ -1,0 +1,44 @@
+"""Names and small words of the page."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+
+CONTROLLERS = {
+    "default": "target sent once, as the arm does by itself",
+    "pid-sum": "joint PID of Park et al., integral as a plain sum",
+    "pid-literal": "joint PID of Park et al., integral as printed",
+    "integrator": "moves the command until the measured error is gone",
+    "feedforward": "raises the command against gravity, then integrates",
+    "policy": "learned in simulation of this arm",
+}
+"""What each controller does"""
+
+
+def joint_label(name: str) -> str:
+    """Return a short label: ``joint3`` becomes ``J3``, other names stay."""
+    match = re.fullmatch(r"joint_?(\d+)", name)
+    return f"J{match[1]}" if match else name
+
+
+def listed(words: Sequence[str], last: str) -> str:
+    """Join words with commas and ``last`` (and, or) before the last one."""
+    if len(words) < 2:
+        return "".join(words)
+    return f"{', '.join(words[:-1])} {last} {words[-1]}"
+
+
+def plural(count: int, noun: str) -> str:
+    """Return the count with its noun in the right number."""
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
+
+
+def short(name: str, width: int = 24) -> str:
+    """Cut a name to ``width`` characters, so that a figure's labels leave room for the figure."""
+    return name if len(name) <= width else f"{name[: width - 1]}…"
+
+
+def sentence(text: str) -> str:
+    """Begin with a capital letter and end with a full stop."""
+    return f"{text[:1].upper()}{text[1:].removesuffix('.')}."
