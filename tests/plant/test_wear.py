@@ -91,6 +91,7 @@ def test_a_folder_is_not_a_profile(tmp_path):
         ("torque_limit = [", "torque_limit = 0 # [", "torque_limit"),
         ("stiction = [", "stiction = 0.0 # [", "stiction"),
         ("position_gain = [", "position_gain = 1e5 # [", "position_gain"),
+        ("link_stiffness = [", "link_stiffness = 1.0 # [", "link_stiffness"),
     ],
 )
 def test_a_wrong_field_is_named(old, new, found):
@@ -178,7 +179,7 @@ def test_the_heaviest_load_bounds_random_targets_up_to_the_grid():
 
 def test_a_wear_is_read_only_and_copies():
     values = {name: np.ones(6) for name in PARAMETERS}
-    values["reflected_inertia"] = np.full(6, 0.1)
+    values |= {"reflected_inertia": np.full(6, 0.1), "link_stiffness": np.full(6, 50.0)}
     wear = Wear(name="mine", **values)
     values["play"][:] = 7.0
     assert (wear.play == 1.0).all()

@@ -22,6 +22,9 @@ from rejoint.plant.wear import PARAMETERS, Wear
 Mask = NDArray[np.bool_]
 Ids = NDArray[np.int64]
 
+_NO_LOAD = 1e-6
+"""[N m] gravity torque below which a link rests in the middle of its play instead of at a flank."""
+
 
 class Plant:
     """B simulated arms with clocks of their own, one per wear, each in millisecond steps.
@@ -98,31 +101,24 @@ class Plant:
         return self._history[np.arange(self.count), (self._tick - steps) % servo.HISTORY]
 
     def reset(self, position: Array, where: Mask | None = None) -> None:
-        """Put the arms at servo angles ``position`` (B, n) [rad], at rest, in balance, held there.
+        """Put the arms where their encoders read ``position`` (B, n) [rad], at rest, in balance, held there.
 
         The firmware's reference leads by what its gain needs against gravity, so nothing moves until
         a command arrives. Clocks and temperatures go on; commands on their way are dropped.
         """
         position = self._checked(position)
-        load = gravity_torque(self.arm, position)
-        for _ in range(5):  # the flex moves the arm by a degree, which hardly changes the load
-            gear = -load / self._joints["link_stiffness"] - 0.5 * self._joints["play"] * np.sign(load)
-            load = gravity_torque(self.arm, position + gear)
-        held = self._selected(where)
-        self._qpos[held, 0::2], self._qpos[held, 1::2] = position[held], gear[held]
-        self._qvel[held], self._applied[held] = 0.0, 0.0
-        self._due[held] = servo.NEVER
-        limit = self._joints["torque_limit"]
-        lead = np.clip(load, -limit, limit) / self._joints["position_gain"]
-        fresh = {"goal": position + lead, "reference": position + lead, "bristle": 0.0, "measured_speed": 0.0}
-        for name, value in fresh.items():
-            self._servos[name][held] = np.broadcast_to(value, position.shape)[held]
-        self._servos["powered"][held] = True
-        self._servos["torque"][held] = np.clip(load, -limit, limit)[held]
+        angle, gear, load = self._balance(position)
+        ids = self._selected(where)
+        self._qpos[ids, 0::2], self._qpos[ids, 1::2] = angle[ids], gear[ids]
+        self._qvel[ids], self._applied[ids] = 0.0, 0.0
+        torque = np.clip(load, -self._joints["torque_limit"], self._joints["torque_limit"])
         step = self.arm.encoder_step
-        seen = position + np.where(self._joints["play_in_loop"], np.clip(gear, *self._half_play()), 0.0)
-        self._servos["measured"][held] = (np.rint(seen / step) * step)[held]
-        self._history[held] = self._servos["measured"][held][:, None]
+        fresh = {"measured": np.rint(position / step) * step, "measured_speed": 0.0, "bristle": 0.0, "torque": torque}
+        for name, value in fresh.items():
+            self._servos[name][ids] = np.broadcast_to(value, position.shape)[ids]
+        self._servos["powered"][ids] = True
+        self._history[ids] = self._servos["measured"][ids][:, None]
+        self._hold(ids, position + torque / self._joints["position_gain"])
 
     def command(self, position: Array, delay: Array | float | None = None, where: Mask | None = None) -> None:
         """Send ``position`` (B, n) [rad]; it reaches the firmware after ``delay`` (B,) [s], never earlier."""
@@ -181,9 +177,16 @@ class Plant:
             self._batch.step(stepped)
             servo.record(ids, self._tick, self._joints, self._qpos, self._history)
 
-    def _half_play(self) -> tuple[Array, Array]:
-        half = 0.5 * self._joints["play"]
-        return -half, half
+    def _balance(self, position: Array) -> tuple[Array, Array, Array]:
+        """Servo angles, gear angles and motor torques (B, n) of arms at rest whose encoders read ``position``."""
+        joints, seen = self._joints, np.zeros_like(position)
+        load = gravity_torque(self.arm, position)
+        for _ in range(5):  # the gear turns the links by a degree or two, which hardly changes the load
+            flank = np.where(np.abs(load) > _NO_LOAD, -0.5 * joints["play"] * np.sign(load), 0.0)
+            gear = flank - load / joints["link_stiffness"]
+            seen = np.where(joints["play_in_loop"], flank, 0.0)
+            load = gravity_torque(self.arm, position - seen + gear)
+        return position - seen, gear, load
 
     def _selected(self, where: Mask | None) -> Ids:
         return np.arange(self.count) if where is None else np.flatnonzero(where)

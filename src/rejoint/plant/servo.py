@@ -36,13 +36,13 @@ RAMP_SPEED = np.radians(120.0)
 """[rad/s] default speed limit of the reference (chosen: 80 % of the vendor's 150 deg/s)"""
 
 _NO_LOAD_SPEED = 5.0  # [rad/s] STS3215 at 12 V: 45 rpm and some more without its own friction
-_SPEED_FILTER = 0.2  # weight of the newest encoder difference: a time constant of 5 ms (chosen)
+_SPEED_FILTER = 0.1  # weight of the newest encoder difference: a time constant of 10 ms (chosen)
 _STRIBECK_SPEED = 0.06  # [rad/s] chosen
 _BRISTLE_RATE = 150.0  # [rad/s] natural frequency of bristle and reflected inertia (chosen): a stuck
 #   worn joint yields by less than half an encoder count before it breaks loose, and 1 kHz resolves it
-_BRISTLE_DAMPING = 0.5  # damping ratio of the same (chosen)
+_BRISTLE_DAMPING = 1.0  # damping ratio of the same (chosen: a stuck joint does not ring)
 _RIPPLE_PERIODS = 30.0  # periods of the gear ripple per output turn (chosen: teeth of the last wheel)
-_GREASE = 0.005  # [N m s/rad] viscous torque inside the play (chosen)
+_GREASE = 0.02  # [N m s/rad] viscous torque inside the play (chosen)
 _GEAR_DAMPING_TIME = 0.0012  # [s] damping of a loaded gear over its stiffness (chosen)
 _GEAR_STEPS = 2.0  # steps per radian of the fastest gear oscillation
 _STOP_MARGIN = np.radians(3.0)  # [rad] mechanical stops lie beyond the joint limits (chosen)

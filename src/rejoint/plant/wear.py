@@ -17,6 +17,8 @@ from rejoint.plant.servo import STEP
 
 _PROFILES = files("rejoint.plant") / "profiles"
 _SPREAD = 0.3
+_SOFTEST_LINK = 10.0
+"""[N m/rad] below it the viscous torque of the gear would be unstable in steps of 1 ms."""
 _LIFT_MARGIN = 1.05
 """What a drawn arm has of the torque that lifts it (chosen)."""
 
@@ -66,6 +68,8 @@ class Wear:
             object.__setattr__(self, name, value)
         if (self.stiction < self.coulomb).any():
             raise ProfileError(f"wear {self.name}: stiction must not be below coulomb friction")
+        if (self.link_stiffness < _SOFTEST_LINK).any():
+            raise ProfileError(f"wear {self.name}: link_stiffness must be at least {_SOFTEST_LINK} N m/rad")
         stiffest = self.position_gain * STEP**2 + self.damping_gain * STEP
         if (stiffest > 0.5 * self.reflected_inertia).any():
             raise ProfileError(

@@ -1,0 +1,106 @@
+import numpy as np
+import pytest
+
+from rejoint.arms import mycobot280, tcp_position
+from rejoint.control.robot import Robot
+from rejoint.errors import InputError
+from rejoint.plant.wear import load_wear
+from rejoint.robots.emulated import EmulatedRobot
+
+ARM = mycobot280()
+FAMILY = [load_wear(f"worn?seed={i}", ARM) for i in range(4)]
+
+
+def drive(robot: EmulatedRobot, numbers: np.ndarray, active: np.ndarray | None = None) -> np.ndarray:
+    track = []
+    for k in range(60):
+        state = robot.step(ARM.rest + 0.2 * np.sin(0.2 * k + numbers[:, None] + np.arange(6)), active)
+        track.append(np.column_stack([state.time, state.position, robot.true_tcp()]))
+    return np.array(track)
+
+
+def test_it_is_a_robot():
+    robot = EmulatedRobot(ARM, FAMILY, address="emulated:worn")
+    assert isinstance(robot, Robot)
+    assert (robot.address, robot.count, robot.arm) == ("emulated:worn", 4, ARM)
+    state = robot.read()
+    assert state.position.shape == state.temperature.shape == (4, 6)
+    assert state.time.shape == state.age.shape == (4,)
+    assert (state.age == 0).all()
+
+
+def test_the_same_seed_gives_the_same_run_bit_for_bit_at_any_number_of_threads():
+    one, two, other = (
+        drive(EmulatedRobot(ARM, FAMILY, seed=seed, threads=threads), np.arange(4))
+        for seed, threads in ((5, 1), (5, 2), (6, 1))
+    )
+    np.testing.assert_array_equal(one, two)
+    assert (one[-1, :, 0] != other[-1, :, 0]).all()
+
+
+def test_an_arm_in_a_batch_is_the_same_arm_alone_bit_for_bit():
+    batch = drive(EmulatedRobot(ARM, FAMILY, seed=5), np.arange(4))
+    alone = drive(EmulatedRobot(ARM, FAMILY[2:3], seed=5, first=2), np.array([2]))
+    np.testing.assert_array_equal(alone[:, 0], batch[:, 2])
+
+
+def test_an_arm_does_not_notice_that_others_stopped():
+    batch = drive(EmulatedRobot(ARM, FAMILY, seed=5), np.arange(4))
+    some = drive(EmulatedRobot(ARM, FAMILY, seed=5), np.arange(4), active=np.array([True, False, True, False]))
+    np.testing.assert_array_equal(some[:, [0, 2]], batch[:, [0, 2]])
+    assert (some[:, [1, 3]] == some[0, [1, 3]]).all()
+
+
+def test_periods_are_drawn_from_their_interval_every_cycle():
+    track = drive(EmulatedRobot(ARM, FAMILY, seed=5, period=(0.030, 0.040)), np.arange(4))
+    periods = np.diff(track[:, :, 0], axis=0)
+    assert periods.min() > 0.0295
+    assert periods.max() < 0.0405
+    assert (np.ptp(periods, axis=0) > 0.006).all()
+
+
+def test_readback_is_as_old_as_it_is_said_to_be():
+    robot = EmulatedRobot(ARM, FAMILY[:1], seed=5, readback_age=(0.010, 0.010))
+    for _ in range(5):
+        state = robot.step(ARM.rest[None] + 0.3)
+    np.testing.assert_array_equal(state.position, robot.plant.encoder(0.010))
+    assert (state.position != robot.plant.encoder()).any()
+
+
+def test_latency_keeps_a_command_from_the_first_answer():
+    far, near = (EmulatedRobot(ARM, FAMILY[:1], seed=5, command_latency=(0.05, 0.05)) for _ in range(2))
+    np.testing.assert_array_equal(far.step(ARM.rest[None] + 0.3).position, near.step(ARM.rest[None]).position)
+
+
+def test_reading_takes_no_time_and_repeats_the_last_answer():
+    robot = EmulatedRobot(ARM, FAMILY, seed=5)
+    state = robot.step(np.tile(ARM.rest, (4, 1)) + 0.3)
+    again = robot.read()
+    np.testing.assert_array_equal(again.position, state.position)
+    np.testing.assert_array_equal(again.time, state.time)
+
+
+def test_stop_ends_the_motion():
+    robot = EmulatedRobot(ARM, [load_wear("healthy", ARM)], seed=0)
+    goal = ARM.rest[None] + np.array([1.0, 0, 0, 0, 0, 0])
+    for _ in range(10):
+        state = robot.step(goal)
+    robot.stop()
+    stopped = state.position[0, 0]
+    robot.plant.advance(2.0)
+    assert stopped < robot.plant.encoder()[0, 0] < stopped + np.radians(8.0)
+    assert abs(robot.plant.speed[0, 0]) < 1e-2
+
+
+def test_the_true_tcp_is_not_the_one_that_the_encoders_show():
+    robot = EmulatedRobot(ARM, [load_wear("worn", ARM)], seed=0)
+    apart = np.linalg.norm(robot.true_tcp() - tcp_position(ARM, robot.read().position))
+    assert 0.004 < apart < 0.02
+
+
+def test_a_start_is_where_the_arm_is():
+    start = ARM.rest + 0.1
+    robot = EmulatedRobot(ARM, FAMILY, start=start)
+    np.testing.assert_allclose(robot.read().position, np.tile(start, (4, 1)), atol=ARM.encoder_step)
+    with pytest.raises(InputError, match="start"):
+        EmulatedRobot(ARM, FAMILY, start=np.zeros(5))
