@@ -1,8 +1,11 @@
 """Servers under clients that behave badly: raw sockets and terminals, no vendor client."""
 
 import os
+import signal
 import socket
 import struct
+import subprocess
+import sys
 import termios
 import time
 from contextlib import closing, suppress
@@ -12,7 +15,7 @@ import pytest
 
 from rejoint.arms import mycobot280, tcp_position
 from rejoint.emulator import Firmware, Timing, TruthLog, emulate, serve_pty, serve_tcp
-from rejoint.errors import InputError, ProfileError
+from rejoint.errors import FileError, InputError, ProfileError
 
 QUICK = Timing(state=0.001, acknowledgement=0.001)
 GET_ANGLES = bytes.fromhex("FE FE 02 20 FA")
@@ -184,20 +187,36 @@ def test_the_truth_log_holds_what_nobody_can_ask_for(firmware, plant, tmp_path):
     np.testing.assert_allclose([rows["x"][-1], rows["y"][-1], rows["z"][-1]], tip, atol=1e-6)
 
 
-def test_emulate_announces_itself_serves_and_ends_with_ctrl_c(monkeypatch):
-    """The announcement is made when clients can connect; an interrupt ends it without a trace."""
-    said = []
+@pytest.mark.parametrize("options", ["port=0", "pty=True"])
+def test_emulate_can_be_reached_when_it_says_so_and_ends_with_ctrl_c(options, tmp_path):
+    """A program of its own: it serves a client, and an interrupt ends it without a trace."""
+    log = tmp_path / "truth.csv"
+    program = (
+        "from pathlib import Path; from rejoint.arms import mycobot280; from rejoint.emulator import emulate; "
+        f"emulate(mycobot280(), 'worn', {options}, log=Path({str(log)!r}), announce=lambda a: print(a, flush=True))"
+    )
+    pipe = subprocess.PIPE
+    with subprocess.Popen([sys.executable, "-c", program], stdout=pipe, stderr=pipe, text=True) as process:
+        address = process.stdout.readline().strip()
+        if address.startswith("tcp://"):
+            host, port = address.removeprefix("tcp://").rsplit(":", 1)
+            with closing(socket.create_connection((host, int(port)), 5.0)) as client:
+                client.sendall(IS_POWER_ON)
+                assert client.recv(1024) == POWER_IS_ON
+        else:
+            client = os.open(address.removeprefix("serial://").partition("?")[0], os.O_RDWR | os.O_NOCTTY)
+            os.write(client, IS_POWER_ON)
+            assert os.read(client, 100)[:2] == POWER_IS_ON[:2]
+            os.close(client)
+        process.send_signal(signal.SIGINT)
+        rest, complaints = process.communicate(timeout=10)
+    assert (process.returncode, rest, complaints) == (0, "", "")
+    assert len(log.read_text(encoding="utf-8").splitlines()) > 1
 
-    def interrupt(self):
-        with closing(socket.create_connection(place(self), 2.0)):
-            raise KeyboardInterrupt
 
-    monkeypatch.setattr("rejoint.emulator.servers._TcpServer.run", interrupt)
-    emulate(mycobot280(), "worn", port=0, announce=said.append)
-    assert len(said) == 1
-    assert said[0].startswith("tcp://127.0.0.1:")
-    with pytest.raises(OSError, match="refused"):
-        socket.create_connection(place(type("S", (), {"address": said[0]})), 1.0)
+def test_a_log_that_cannot_be_written_is_named(tmp_path):
+    with pytest.raises(FileError, match="nowhere"):
+        emulate(mycobot280(), "worn", port=0, announce=lambda _: None, log=tmp_path / "nowhere" / "truth.csv")
 
 
 def test_emulate_refuses_an_unknown_profile():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
 from typing import cast
 
@@ -10,7 +11,6 @@ from rejoint.arms import Arm
 from rejoint.emulator.firmware import Firmware, PlantLike
 from rejoint.emulator.servers import serve_pty, serve_tcp
 from rejoint.emulator.session import TruthLog
-from rejoint.errors import FileError
 
 
 def build_firmware(arm: Arm, wear_name: str, *, seed: int = 0) -> Firmware:
@@ -40,24 +40,18 @@ def emulate(
     With ``log`` the true tool position is written there as CSV. Raises InputError if the port cannot
     be used, ProfileError for a wear profile that does not exist, FileError if the log cannot be written.
     """
-    firmware = build_firmware(arm, wear_name, seed=seed)
-    truth = None
-    if log is not None:
-        try:
-            truth = TruthLog.open(log, arm.joints)
-        except OSError as error:
-            raise FileError(log, f"cannot be written ({error.strerror})", "choose another path") from error
-    server = None
     try:
-        server = serve_pty(firmware, seed=seed, log=truth) if pty else serve_tcp(
-            firmware, host, port, seed=seed, log=truth
-        )  # fmt: skip
-        announce(server.address)
-        server.run()
+        with ExitStack() as stack:
+            firmware = build_firmware(arm, wear_name, seed=seed)
+            truth = None if log is None else TruthLog.open(log, arm.joints)
+            if truth is not None:
+                stack.callback(truth.close)
+            if pty:
+                server = serve_pty(firmware, seed=seed, log=truth)
+            else:
+                server = serve_tcp(firmware, host, port, seed=seed, log=truth)
+            stack.callback(server.stop)
+            announce(server.address)
+            server.run()
     except KeyboardInterrupt:
         return
-    finally:
-        if server is not None:
-            server.stop()
-        if truth is not None:
-            truth.close()

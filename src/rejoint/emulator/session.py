@@ -7,7 +7,7 @@ jumps when somebody asks. An answer leaves in one piece, after the time a real r
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from select import select
@@ -19,6 +19,7 @@ import numpy as np
 from rejoint.emulator.commands import answer
 from rejoint.emulator.firmware import Firmware
 from rejoint.emulator.frames import Decoder, Frame, encode
+from rejoint.errors import FileError
 
 MAX_CATCH_UP = 1.0
 """[s] of simulated time made up for at once; a longer suspension of the process is skipped (chosen)"""
@@ -62,19 +63,30 @@ class TruthLog:
     the two can be laid side by side.
     """
 
-    def __init__(self, stream: TextIO, joints: int) -> None:
-        self._stream = stream
-        stream.write(",".join(["time", "x", "y", "z", *(f"encoder.joint{i + 1}" for i in range(joints))]) + "\n")
+    def __init__(self, path: Path, stream: TextIO, joints: int) -> None:
+        self._path, self._stream = path, stream
+        self._put(["time", "x", "y", "z", *(f"encoder.joint{i + 1}" for i in range(joints))])
 
     @classmethod
     def open(cls, path: Path, joints: int) -> TruthLog:
-        """Begin a new file."""
-        return cls(path.open("w", encoding="utf-8", buffering=1), joints)
+        """Begin a new file; FileError if that is not possible."""
+        try:
+            stream = path.open("w", encoding="utf-8", buffering=1)
+        except OSError as error:
+            raise FileError(path, f"cannot be written ({error.strerror})", "choose another path") from error
+        return cls(path, stream, joints)
 
     def write(self, now: float, firmware: Firmware) -> None:
-        """Add a row: [s], [m], [rad]."""
-        row = [now, *firmware.true_tcp, *firmware.angles]
-        self._stream.write(",".join(f"{value:.6f}" for value in row) + "\n")
+        """Add a row: [s], [m], [rad]. FileError if the disk is full."""
+        self._put(f"{value:.6f}" for value in [now, *firmware.true_tcp, *firmware.angles])
+
+    def _put(self, row: Iterable[str]) -> None:
+        try:
+            self._stream.write(",".join(row) + "\n")
+        except OSError as error:
+            raise FileError(
+                self._path, f"cannot be written ({error.strerror})", "make room or log elsewhere"
+            ) from error
 
     def close(self) -> None:
         """Finish the file."""
@@ -141,6 +153,7 @@ class Session:
             return  # a client that breaks the connection is gone, like one that closes it
 
     def _answer(self, channel: Channel, request: Frame) -> None:
+        """Answer with the state at the moment of the request: it is as old as its way back takes."""
         reply = answer(self._firmware, request)
         if reply is None:
             return
