@@ -11,7 +11,9 @@ the emulator sends.
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +24,8 @@ from rejoint.errors import ImpossibleReplyError, InputError, NoReplyError, Robot
 from rejoint.robots.link import VendorLink
 from rejoint.robots.plausibility import Continuity, read_angles, read_bytes
 from rejoint.robots.vendor import HIGHEST_DEG, LOWEST_DEG
+
+T = TypeVar("T")
 
 DEFAULT_PERIOD = (0.050, 0.050)
 """[s] shortest cycle of control and feedback that the vendor names (its FAQ)"""
@@ -89,10 +93,7 @@ class MyCobotRobot:
         """
         if self._state is None:
             self._find_health()
-        try:
-            return self._read_once()
-        except ImpossibleReplyError:
-            return self._read_once()
+        return _insist(self._read_once)
 
     def step(self, command: Array, active: Mask | None = None) -> JointState:
         """Send ``command`` (1, n) [rad], let the period pass, read.
@@ -109,7 +110,7 @@ class MyCobotRobot:
         due = max(float(last.time[0]), time.monotonic() - period / 2) + period  # even a late command gets half of it
         self._send(command[0])
         if self._reports_health and time.monotonic() >= self._health_due:
-            self._check_health()
+            _insist(self._check_health)
         time.sleep(max(0.0, due - (self._read_cost or 0.0) - time.monotonic()))
         return self.read()
 
@@ -151,8 +152,8 @@ class MyCobotRobot:
     def _find_health(self) -> None:
         """Learn whether this firmware reports temperatures and faults; older ones are silent."""
         try:
-            self._check_health()
-            self._check_health()
+            _insist(self._check_health)
+            _insist(self._check_health)
         except NoReplyError:
             self._temperature = self._fault = None
         else:
@@ -177,6 +178,14 @@ def wire_angles(position: Array) -> list[float]:
     hundredths = np.round(np.degrees(position) * 100.0)
     degrees = (hundredths + 0.25 * np.sign(hundredths)) / 100.0
     return [float(value) for value in np.clip(degrees, LOWEST_DEG, HIGHEST_DEG)]
+
+
+def _insist(question: Callable[[], T]) -> T:
+    """Ask once more after an impossible answer: a single bad byte on the servo bus is no reason to end."""
+    try:
+        return question()
+    except ImpossibleReplyError:
+        return question()
 
 
 def _faults(reply: object, count: int) -> NDArray[np.bool_]:

@@ -1,0 +1,85 @@
+"""What a myCobot can possibly answer, and what the client makes of what it is given."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rejoint.arms import mycobot280
+from rejoint.errors import ImpossibleReplyError, InputError, StaleReplyError
+from rejoint.robots.mycobot import DriverSettings, wire_angles
+from rejoint.robots.plausibility import Continuity, read_angles
+from rejoint.robots.vendor import HIGHEST_DEG, LOWEST_DEG
+
+ARM = mycobot280()
+
+
+@given(st.lists(st.floats(-4.0, 4.0), min_size=6, max_size=6))
+def test_the_clients_truncation_becomes_rounding(position):
+    sent = wire_angles(np.array(position))
+    wanted = np.clip(np.round(np.degrees(position) * 100), np.array(LOWEST_DEG) * 100, np.array(HIGHEST_DEG) * 100)
+    assert [int(value * 100) for value in sent] == wanted.tolist()  # int(): what the client does
+    assert all(low <= value <= high for low, value, high in zip(LOWEST_DEG, sent, HIGHEST_DEG, strict=True))
+
+
+@pytest.mark.parametrize(
+    "reply", [-1, None, 0, [], [0.0] * 5, [0.0] * 12, [0.0] * 5 + [None], [float("nan")] * 6, [0, 0, 0, 0, 0, 180.08],
+              [174.0, 0, 0, 0, 0, 0], ["0"] * 6, (0.0,) * 6],
+)  # fmt: skip
+def test_impossible_angles(reply):
+    with pytest.raises(ImpossibleReplyError):
+        read_angles(reply, ARM)
+
+
+def test_unreadable_servos_are_named():
+    with pytest.raises(ImpossibleReplyError, match="joint3, joint6"):
+        read_angles([0.0, 0.0, -180.08, 0.0, 0.0, 180.08], ARM)
+
+
+def test_a_jump_depends_on_the_time_between_answers():
+    continuity = Continuity(ARM)
+    continuity.accept(0.0, np.zeros(6), None)
+    far = np.radians([0, 40.0, 0, 0, 0, 0])
+    with pytest.raises(ImpossibleReplyError, match="joint 2"):
+        continuity.check(0.05, far)
+    continuity.check(0.2, far)
+
+
+def run(continuity, readings, commands, period=0.05):
+    return [
+        continuity.accept(period * k, np.asarray(r, float), np.asarray(c, float))
+        for k, (r, c) in enumerate(zip(readings, commands, strict=True))
+    ]
+
+
+def test_standing_still_is_fresh():
+    still = [[0.1] * 6] * 200
+    assert max(run(Continuity(ARM), still, still)) == 0.0
+
+
+def test_a_stuck_joint_that_is_pushed_a_little_is_fresh():
+    pushed = [[0.1 + np.radians(8) * min(k / 50, 1)] * 6 for k in range(200)]
+    assert max(run(Continuity(ARM), [[0.1] * 6] * 200, pushed)) == 0.0
+
+
+def test_answers_that_do_not_follow_a_large_command_age_and_are_refused():
+    continuity = Continuity(ARM)
+    ages = run(continuity, [[0.1] * 6] * 30, [[0.1] * 6] + [[0.5] * 6] * 29)
+    assert ages[5] == 0.0
+    assert ages[20] == pytest.approx(0.95)
+    assert np.all(np.diff(ages[8:]) > 0)
+    assert continuity.accept(1.5, np.full(6, 0.1), np.full(6, 0.5)) == pytest.approx(1.45)
+    with pytest.raises(StaleReplyError, match="the same joint angles for"):
+        continuity.accept(1.6, np.full(6, 0.1), np.full(6, 0.5))
+
+
+def test_one_encoder_step_makes_answers_fresh_again():
+    continuity = Continuity(ARM)
+    run(continuity, [[0.1] * 6] * 20, [[0.1] * 6] + [[0.5] * 6] * 19)
+    assert continuity.accept(1.0, np.full(6, 0.1015), np.full(6, 0.5)) == 0.0
+
+
+@pytest.mark.parametrize("settings", [{"period": (0.0, 0.1)}, {"period": (0.1, 2.0)}, {"speed_percent": 0}])
+def test_settings_that_make_no_sense_are_refused(settings):
+    with pytest.raises(InputError):
+        DriverSettings(**settings)

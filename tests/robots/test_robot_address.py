@@ -1,0 +1,64 @@
+"""Robot addresses: what they mean, and one clear line for those that mean nothing."""
+
+import numpy as np
+import pytest
+
+from rejoint.control.robot import Robot
+from rejoint.errors import AddressError, InputError
+from rejoint.robots import open_robot
+from rejoint.robots.address import EmulatedAddress, SerialAddress, TcpAddress, parse_address
+
+KNOWN = [
+    ("emulated:worn", EmulatedAddress(profile="worn")),
+    ("emulated:worn?seed=7", EmulatedAddress(profile="worn?seed=7")),
+    ("tcp://10.0.0.7:9001", TcpAddress(text="tcp://10.0.0.7:9001", host="10.0.0.7", port=9001)),
+    ("tcp://robot.local", TcpAddress(text="tcp://robot.local", host="robot.local", port=9000)),
+    ("serial:///dev/ttyAMA0", SerialAddress(text="serial:///dev/ttyAMA0", device="/dev/ttyAMA0", baud=1_000_000)),
+    ("serial:///dev/x?baud=115200", SerialAddress(text="serial:///dev/x?baud=115200", device="/dev/x", baud=115_200)),
+]
+
+
+@pytest.mark.parametrize(("text", "address"), KNOWN)
+def test_known_addresses(text, address):
+    assert parse_address(text) == address
+
+
+@pytest.mark.parametrize(
+    "address",
+    [
+        "", "worn", "emulated", "emulated:", "tcp:", "tcp://", "tcp://host:port", "tcp://host:99999", "tcp://host:0",
+        "tcp://host:1/x", "serial:", "serial://", "serial:///", "serial://ttyAMA0", "serial:///dev/x?baud=fast",
+        "serial:///dev/x?speed=1", "http://host:9000", "serial:///dev/x?baud", "tcp://[::1",
+    ],
+)  # fmt: skip
+def test_malformed_addresses_name_the_three_forms(address):
+    with pytest.raises(AddressError, match=r"emulated:PROFILE.*tcp://HOST:PORT.*serial:///dev/"):
+        open_robot(address)
+
+
+@pytest.mark.parametrize("address", ["tcp://127.0.0.1:1", "tcp://nosuchhost.invalid:9000", "serial:///dev/nosuchport"])
+def test_where_nothing_is_the_error_is_one_line(address):
+    with pytest.raises(AddressError, match="nothing answers at") as caught:
+        open_robot(address)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("arguments", [{"count": 0}, {"count": 2}, {"period": (0.0, 0.1)}, {"period": (0.2, 0.1)}])
+def test_what_a_single_arm_cannot_do_is_refused_before_connecting(arguments):
+    with pytest.raises(InputError):
+        open_robot("tcp://127.0.0.1:1", **arguments)
+
+
+def test_emulated_robots_are_opened_as_a_batch():
+    robot = open_robot("emulated:worn", count=3, period=(0.05, 0.05), seed=4)
+    assert isinstance(robot, Robot)
+    assert (robot.count, robot.address) == (3, "emulated:worn")
+    before = robot.read()
+    after = robot.step(before.position)
+    np.testing.assert_allclose(after.time - before.time, 0.05)
+
+
+def test_a_missing_extra_is_named(monkeypatch):
+    monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
+    with pytest.raises(AddressError, match=r"rejoint\[train\]"):
+        open_robot("emulated:worn")
