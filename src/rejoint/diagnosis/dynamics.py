@@ -18,7 +18,7 @@ from rejoint.diagnosis.modulation import Averages, window_averages
 from rejoint.diagnosis.regression import Estimate, Fit, fit_trimmed, mean_of
 from rejoint.diagnosis.segments import ExcitationLog
 
-DELAYS = np.arange(0.005, 0.0801, 0.0025)
+DELAYS = np.arange(0.005, 0.0801, 0.005)
 """[s] delays that are tried: from an idle wire to two periods of a slow one."""
 
 _WINDOW = 0.4
@@ -26,6 +26,9 @@ _WINDOW = 0.4
 
 _TORQUE_WINDOW = 0.2
 """[s] (chosen: half of the shortest time that a weak joint stays at its limit)"""
+
+_MIN_WINDOWS = 40
+"""Windows of multisine that a fit needs: about 4 s (chosen)."""
 
 _ONSET = 0.12
 """[s] of a step that decide about the delay (chosen: until a 0.2 rad step has been sent)."""
@@ -36,38 +39,58 @@ _STEP = 0.0025
 _NOMINAL_DELAY = 0.02
 """[s] with which friction is measured before the delay is known; it hardly matters there (chosen)."""
 
+_MIN_SHARE = 0.006
+"""Share of the time that a joint must be behind (chosen: without saturation 0.003 at most, a limit 20 % above
+the heaviest load 0.008)."""
+
 _MIN_RATIO = 5e-5
 """[s^2] J/k below which a fit is not believed: an oscillation at 22 Hz, stiffer than such a servo is (chosen)."""
 
 
-def multisine_averages(data: ExcitationLog, joint: int) -> Averages:
-    """Window averages of the multisine, for all `DELAYS`."""
-    averages = window_averages(
-        data, data.of_kind("multisine", joint), joint, length=_WINDOW, delays=DELAYS, cut=float(DELAYS[-1])
-    )
-    data.require(len(averages.speed) >= 40, "seconds of multisine", joint)
+def fit_dynamics(data: ExcitationLog, joint: int, delay: float) -> Fit:
+    """Fit the multisine of a joint: coefficients (J/k [s^2], d/k [s], F/k [rad], 1/k [rad/(N m)], offset [rad])."""
+    averages = _multisine(data, joint, np.array([delay]))
+    return fit_trimmed(_design(averages), averages.error[0], averages.cluster)
+
+
+def arm_delay(data: ExcitationLog) -> float:
+    """Time [s] that commands and answers need on their way: the lower quartile over the joints.
+
+    Joints with much friction or play start late for reasons of their own, hardly ever early.
+    """
+    found = []
+    for joint in range(data.arm.joints):
+        averages = _multisine(data, joint, DELAYS)
+        fits = np.asarray(np.linalg.lstsq(_design(averages), averages.error.T, rcond=None)[0][:2].T, dtype=np.float64)
+        sweep = sweep_fit(data, joint, _NOMINAL_DELAY)
+        if sweep is None:  # a joint that does not move has no time of its own
+            continue
+        half_width = max(float(sweep.coefficients[1]), 0.0)
+        found.append(_lowest(_onset_costs(data, joint, fits, half_width)))
+    return float(np.quantile(found, 0.25)) if found else _NOMINAL_DELAY
+
+
+def _multisine(data: ExcitationLog, joint: int, delays: Array) -> Averages:
+    segments = data.of_kind("multisine", joint)
+    averages = window_averages(data, segments, joint, length=_WINDOW, delays=delays, cut=float(DELAYS[-1]))
+    data.require(len(averages.speed) >= _MIN_WINDOWS, "seconds of multisine", joint)
     return averages
 
 
-def fit_dynamics(averages: Averages, delay: int) -> Fit:
-    """Fit the law with delay number ``delay``: coefficients (J/k [s^2], d/k [s], F/k [rad], 1/k, offset)."""
-    design = np.stack(
-        [averages.acceleration, averages.speed, averages.direction, *nuisance(averages)], axis=1
-    )
-    return fit_trimmed(design, averages.error[delay], averages.cluster)
+def _design(averages: Averages) -> Array:
+    return np.stack([averages.acceleration, averages.speed, averages.direction, *nuisance(averages)], axis=1)
 
 
-def delay_index(data: ExcitationLog, multisine: list[Averages]) -> int:
-    """Which of `DELAYS` commands and answers need on their way: the lower quartile over the joints.
-
-    Joints with much friction or play start late for reasons of their own, never early.
-    """
-    found = []
-    for joint, averages in enumerate(multisine):
-        half_width = max(float(sweep_fit(data, joint, _NOMINAL_DELAY).coefficients[1]), 0.0)
-        fits = np.array([fit_dynamics(averages, d).coefficients[:2] for d in range(len(DELAYS))])
-        found.append(int(np.argmin(_onset_costs(data, joint, fits, half_width))))
-    return int(np.quantile(found, 0.25, method="lower"))
+def _lowest(cost: Array) -> float:
+    """Delay [s] at the minimum of the parabola through the lowest cost (D,) and its neighbours."""
+    i = int(np.argmin(cost))
+    if 0 < i < len(cost) - 1 and np.isfinite(cost[i - 1 : i + 2]).all():
+        before, here, after = cost[i - 1 : i + 2]
+        bend = before - 2 * here + after
+        return (
+            float(DELAYS[i] + (DELAYS[1] - DELAYS[0]) * 0.5 * (before - after) / bend) if bend > 0 else float(DELAYS[i])
+        )
+    return float(DELAYS[i])
 
 
 def _onset_costs(data: ExcitationLog, joint: int, fits: Array, half_width: float) -> Array:
@@ -76,10 +99,9 @@ def _onset_costs(data: ExcitationLog, joint: int, fits: Array, half_width: float
     data.require(len(steps) >= 2, "steps", joint)
     offsets = np.arange(0.0, _ONSET, _STEP)
     time = np.array([s.start for s in steps])[:, None] + offsets  # (S, K)
-    held = np.searchsorted(log.time, time - DELAYS[:, None, None], side="right") - 1
     before = np.maximum(np.searchsorted(log.time, time[:, 0]) - 1, 0)
     start = log.position[before, joint]
-    drive = log.command[np.maximum(held, 0), joint] - log.command[before, joint][:, None]  # (D, S, K)
+    drive = data.commanded(joint, time - DELAYS[:, None, None]) - log.command[before, joint][:, None]  # (D, S, K)
     ratio, lag = np.maximum(fits[:, :1], _MIN_RATIO), np.maximum(fits[:, 1:], 0.0)
     way, speed = np.zeros(drive.shape[:2]), np.zeros(drive.shape[:2])
     cost = np.zeros(len(DELAYS))
@@ -118,7 +140,8 @@ class Torque:
     """How much torque a joint was asked for and gave."""
 
     limit: Estimate | None
-    """[N m] where it stayed behind what was asked for; None where it never did"""
+    """[N m] that reached the load where the joint stayed behind its command: the motor's limit, less the friction that
+    held it; None where that never happened"""
     seen: float
     """[N m] largest that it gave: the limit is not lower than this"""
     saturated_share: float
@@ -128,9 +151,9 @@ class Torque:
 def torque_given(data: ExcitationLog, joint: int, law: Law) -> Torque:
     """Compare what a joint's law asks for with what its motion and its load show that it gave.
 
-    A joint counts as saturated where the demand is more than twice what it gave, and exceeds it by more
-    than twice its friction, 0.15 N m, and what 10 ms of wrong timing make of a moving command (chosen:
-    healthy and worn arms without saturation stay below half of it), in two motions at least.
+    A joint counts as behind where the demand is more than twice what it gave, and exceeds it by more than
+    twice its friction, 0.15 N m, and what 10 ms of wrong timing make of a moving command. It is at its
+    limit if that happens in `_MIN_SHARE` of the time, and with near the largest torque that it ever gave.
     """
     segments = [s for s in data.segments if s.kind in ("sweep", "step", "multisine", "hold")]
     averages = window_averages(data, segments, joint, length=_TORQUE_WINDOW, delays=np.array([law.delay]))
@@ -139,10 +162,13 @@ def torque_given(data: ExcitationLog, joint: int, law: Law) -> Torque:
     margin = 2 * law.half_width + 0.010 * np.abs(averages.command_speed)
     excess = np.abs(demand) - np.abs(given)
     behind = (excess > np.abs(given)) & (demand * given > 0) & (excess > law.stiffness * margin + 0.15)
-    clusters = np.unique(averages.cluster[behind])
     seen = float(np.quantile(np.abs(given), 0.995))
     share = float(behind.mean())
-    if len(clusters) < 2:
+    if share < _MIN_SHARE:
         return Torque(limit=None, seen=seen, saturated_share=0.0)
+    clusters = np.unique(averages.cluster[behind])
     limits = [float(np.median(np.abs(given[behind & (averages.cluster == c)]))) for c in clusters]
-    return Torque(limit=mean_of(np.array(limits)), seen=seen, saturated_share=share)
+    limit = mean_of(np.array(limits))
+    if limit.value < 0.5 * seen:  # it could give more than this, and something else held it back
+        return Torque(limit=None, seen=seen, saturated_share=0.0)
+    return Torque(limit=limit, seen=seen, saturated_share=share)

@@ -12,17 +12,20 @@ Segments, in this order:
 
 The plan is piecewise linear in time, so that its speeds are exact, and every posture of it is
 checked by forward kinematics: joints away from their limits, frames above the floor, TCP away from
-the arm's own column.
+the arm's own column, no joint loaded more than at the heaviest target (a worn arm that was brought
+into a posture that it cannot lift itself out of would stay there).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rejoint.arms import Arm, Array, frames, gravity_torque, tcp_position
+from rejoint.arms import Arm, Array, frames, gravity_torque, solve_position, tcp_position
 from rejoint.diagnosis.path import Path, smooth_ramp
 from rejoint.diagnosis.segments import Segment
 from rejoint.errors import InputError
@@ -85,6 +88,9 @@ COLUMN = 0.4
 """Share of the rest posture's reach that the TCP keeps from the vertical base axis (chosen; the arm must
 not hit its own column)."""
 
+_LOAD_MARGIN = 0.02
+"""[N m] that counts as no load at all (chosen: less than the friction of any joint)."""
+
 _SETTLE = 0.3
 """[s] pause at the turning points between segments (chosen)."""
 
@@ -105,7 +111,7 @@ class Excitation:
 
     @property
     def duration(self) -> float:
-        """[s]"""
+        """Length of the plan [s]."""
         return float(self.time[-1])
 
     def command(self, time: float | Array) -> Array:
@@ -145,7 +151,15 @@ def is_safe(arm: Arm, q: Array) -> NDArray[np.bool_]:
     reach = np.linalg.norm(f.tcp_position[..., :2], axis=-1)
     rest_reach = np.linalg.norm(tcp_position(arm, arm.rest)[:2])
     inside = ((q >= arm.lower + LIMIT_MARGIN) & (q <= arm.upper - LIMIT_MARGIN)).all(axis=-1)
-    return inside & (lowest >= arm.floor + CLEARANCE) & (reach >= COLUMN * rest_reach)
+    light = (np.abs(gravity_torque(arm, q)) <= heaviest_load(arm) + _LOAD_MARGIN).all(axis=-1)
+    return inside & light & (lowest >= arm.floor + CLEARANCE) & (reach >= COLUMN * rest_reach)
+
+
+@lru_cache(maxsize=8)
+def heaviest_load(arm: Arm) -> Array:
+    """Largest gravity torque (n,) [N m] of each joint at the corners of the target region."""
+    corners = np.array(list(product(*zip(arm.targets.lower, arm.targets.upper, strict=True))))
+    return np.abs(gravity_torque(arm, solve_position(arm, corners, arm.rest).q)).max(axis=0)
 
 
 def _add_sweeps(path: Path, arm: Arm, plan: Plan) -> None:
@@ -231,7 +245,7 @@ def hold_postures(arm: Arm, plan: Plan, rng: np.random.Generator) -> Array:
 def _line_is_safe(arm: Arm, start: Array, goal: Array) -> NDArray[np.bool_]:
     """Tell whether the straight joint motions (..., n) from ``start`` to ``goal`` stay safe; returns (...)."""
     share = np.linspace(0.0, 1.0, 12)[:, None]
-    return is_safe(arm, start[..., None, :] + share * (goal - start)[..., None, :]).all(axis=-1)
+    return np.asarray(is_safe(arm, start[..., None, :] + share * (goal - start)[..., None, :]).all(axis=-1))
 
 
 def _check(arm: Arm, time: Array, position: Array) -> None:

@@ -39,17 +39,19 @@ _MIN_STEP = 0.02
 """[rad] motion below which an overshoot is not expressed as a fraction of it (chosen)."""
 
 
-def sweep_fit(data: ExcitationLog, joint: int, delay: float) -> Fit:
-    """Fit the sweeps of a joint: coefficients (d/k [s], F/k [rad], 1/k [rad/(N m)], offset [rad]).
+def sweep_fit(data: ExcitationLog, joint: int, delay: float) -> Fit | None:
+    """Fit the sweeps of a joint: coefficients (d/k [s], F/k [rad], J/k [s^2], 1/k [rad/(N m)], offset [rad]).
 
-    Windows in which the joint sticks are left out: friction is then whatever it needs to be. 1/k is a
-    nuisance here; holds measure it far better.
+    Windows in which the joint sticks are left out: friction is then whatever it needs to be. J/k and 1/k
+    are nuisances here; other motions measure them far better. None if the joint hardly moves when it is told to.
     """
     segments = data.of_kind("sweep", joint)
     averages = window_averages(data, segments, joint, length=_SWEEP_WINDOW, delays=np.array([delay]), cut=0.1)
     moving = np.abs(averages.direction) > _MOVING
-    data.require(len(np.unique(averages.cluster[moving])) >= 6, "sweeps", joint)
-    design = np.stack([averages.speed, np.sign(averages.direction), *nuisance(averages)], axis=1)
+    data.require(len(segments) >= 6, "sweeps", joint)
+    if len(np.unique(averages.cluster[moving])) < 6:
+        return None
+    design = np.stack([averages.speed, np.sign(averages.direction), averages.acceleration, *nuisance(averages)], axis=1)
     return fit_trimmed(design[moving], averages.error[0, moving], averages.cluster[moving])
 
 
@@ -71,16 +73,16 @@ class Holds:
     def sag(self) -> tuple[Fit, NDArray[np.bool_]]:
         """Line of the mean of both sides over gravity torque, and the postures (P,) it was fitted on.
 
-        Coefficients (offset [rad], 1/k [rad/(N m)]). Postures far off the line that the others make
-        (more than 6 median absolute deviations and 10 mrad, chosen) are left out: there the servo is
-        at its torque limit or something is in the way, and no stiffness shows.
+        Coefficients (offset [rad], 1/k [rad/(N m)]). Postures far off the line that the others make, or
+        with a far larger gap between both sides (more than 6 median absolute deviations and 10 mrad,
+        chosen), are left out: there the servo is at its torque limit or something is in the way, and
+        no stiffness shows.
         """
         x, y = self.torque.mean(axis=1), self.error.mean(axis=1)
         i, j = np.triu_indices(len(x), 1)
         apart = np.abs(x[i] - x[j]) > 0.1 * np.ptp(x)
         slope = float(np.median((y[j] - y[i])[apart] / (x[j] - x[i])[apart])) if apart.any() else 0.0  # Theil-Sen
-        residual = y - slope * x - np.median(y - slope * x)
-        kept = np.abs(residual) <= max(6 * float(np.median(np.abs(residual))), 0.010)
+        kept = _usual(y - slope * x) & _usual(self.error[:, 0] - self.error[:, 1])
         return fit_line(x[kept], y[kept]), kept
 
 
@@ -113,12 +115,17 @@ def overshoot(data: ExcitationLog, joint: int) -> Estimate:
 
 
 def hunting(data: ExcitationLog, joint: int) -> Estimate:
-    """Rms [rad] of the motion that is left at the end of holds, when all commands have long stood still."""
+    """Rms [rad] of the motion that is left at the end of holds, when all commands have long stood still.
+
+    A joint hunts in some postures and is quiet in others, so this is the mean over the worst quarter
+    of the holds, and its bounds are the least and the most of that quarter.
+    """
     spans = [data.rows(segment, last=SETTLED_LAST) for segment in data.of_kind("hold")]
     spans = [rows for rows in spans if len(rows) >= 4]
-    data.require(len(spans) >= 3, "holds", joint)
+    data.require(len(spans) >= 4, "holds", joint)
     rest = [_without_drift(data.log.time[rows], data.log.position[rows, joint]) for rows in spans]
-    return mean_of(np.array([float(np.sqrt((r**2).mean())) for r in rest]))
+    worst = np.sort([float(np.sqrt((r**2).mean())) for r in rest])[-(len(rest) // 4) :]
+    return Estimate(float(worst.mean()), float(worst[0]), float(worst[-1]))
 
 
 def noise(data: ExcitationLog, joint: int) -> Estimate:
@@ -129,6 +136,11 @@ def noise(data: ExcitationLog, joint: int) -> Estimate:
     power = mean_of(np.array([float((block**2).mean()) / 2 for block in blocks]))
     low, high = max(power.low or 0.0, 0.0), max(power.high or 0.0, 0.0)
     return Estimate(power.value**0.5, low**0.5, high**0.5)
+
+
+def _usual(values: Array) -> NDArray[np.bool_]:
+    off = np.abs(values - np.median(values))
+    return off <= max(6 * float(np.median(off)), 0.010)
 
 
 def _without_drift(time: Array, value: Array) -> Array:

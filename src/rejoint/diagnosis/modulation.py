@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from rejoint.arms import Array
 from rejoint.diagnosis.segments import ExcitationLog, Segment
 
-_GRID = 0.005
-"""[s] readings are interpolated linearly to this grid (chosen: a fifth of a usual period)."""
+_GRID = 0.0025
+"""[s] readings are interpolated linearly to this grid (chosen: a tenth of a usual period)."""
 
 _STILL_SPEED = 0.05
 """[rad/s] below which a joint counts less and less as moving (chosen: one encoder count in 30 ms)."""
@@ -63,8 +63,8 @@ def window_averages(
     if not parts:
         empty = np.zeros(0)
         return Averages(
-            error=np.zeros((len(delays), 0)), command_speed=empty, speed=empty, acceleration=empty, direction=empty, gravity=empty,
-            cluster=empty.astype(np.intp),
+            error=np.zeros((len(delays), 0)), command_speed=empty, speed=empty, acceleration=empty, direction=empty,
+            gravity=empty, cluster=empty.astype(np.intp),
         )  # fmt: skip
     names = ("error", "command_speed", "speed", "acceleration", "direction", "gravity", "cluster")
     return Averages(**{name: np.concatenate([getattr(part, name) for part in parts], axis=-1) for name in names})
@@ -75,7 +75,6 @@ def _averages(
 ) -> Averages:
     log = data.log
     position = np.interp(time, log.time, log.position[:, joint])
-    held = np.searchsorted(log.time, time - delays[:, None], side="right") - 1
     count = round(length / _GRID)
     window, first, second = _window(count)
     hop = max(count // 4, 1)
@@ -83,12 +82,12 @@ def _averages(
     def average(signal: Array, weight: Array) -> Array:
         return sliding_window_view(signal, count, axis=-1)[..., ::hop, :] @ weight / window.sum()
 
-    smooth = np.convolve(np.pad(np.gradient(position, _GRID), 10, mode="edge"), np.full(21, 1 / 21), mode="valid")
+    smooth = np.convolve(np.pad(np.gradient(position, _GRID), 20, mode="edge"), np.full(41, 1 / 41), mode="valid")
     speed = -average(position, first)
     begins = hop * _GRID * np.arange(len(speed))
     duration = _LONG / 2 if time[-1] - time[0] > _LONG else np.inf
     return Averages(
-        error=average(log.command[np.maximum(held, 0), joint] - position, window),
+        error=average(data.commanded(joint, time - delays[:, None]) - position, window),
         command_speed=-average(np.interp(time, log.time, log.command[:, joint]), first),
         speed=speed,
         acceleration=average(position, second),

@@ -51,7 +51,7 @@ class Path:
         self._position.extend(position[1:])
 
     def knots(self) -> tuple[Array, Array]:
-        """Times (K,) [s] and positions (K, n) [rad] so far."""
+        """Return times (K,) [s] and positions (K, n) [rad] so far."""
         return np.array(self._time), np.array(self._position)
 
     def _add(self, duration: float, goal: Array) -> None:

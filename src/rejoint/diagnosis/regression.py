@@ -30,6 +30,11 @@ class Estimate:
     low: float | None
     high: float | None
 
+    def __post_init__(self) -> None:
+        for name in ("value", "low", "high"):  # NumPy scalars are not plain data
+            number = getattr(self, name)
+            object.__setattr__(self, name, None if number is None else float(number))
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Fit:
@@ -75,9 +80,7 @@ def fit_clustered(design: Array, response: Array, cluster: NDArray[np.intp]) -> 
     count, (rows, terms) = len(groups), design.shape
     factor = count / max(count - 1, 1) * (rows - 1) / max(rows - terms, 1)
     covariance = factor * inverse @ (scores.T @ scores) @ inverse
-    return Fit(
-        coefficients=beta / scale, covariance=covariance / np.outer(scale, scale), freedom=max(count - terms, 1)
-    )
+    return Fit(coefficients=beta / scale, covariance=covariance / np.outer(scale, scale), freedom=max(count - terms, 1))
 
 
 def fit_trimmed(design: Array, response: Array, cluster: NDArray[np.intp]) -> Fit:
@@ -89,8 +92,8 @@ def fit_trimmed(design: Array, response: Array, cluster: NDArray[np.intp]) -> Fi
     weight = np.ones(len(response))
     for _ in range(_LAD_ROUNDS):
         root = np.sqrt(weight)
-        fit = fit_clustered(design * root[:, None], response * root, cluster)
-        residual = np.abs(response - design @ fit.coefficients)
+        beta = np.linalg.lstsq(design * root[:, None], response * root, rcond=None)[0]
+        residual = np.abs(response - design @ beta)
         weight = 1 / np.maximum(residual, max(0.01 * float(residual.mean()), 1e-9))
     kept = residual <= 5 * max(1.48 * float(np.median(residual)), 1e-5)
     return fit_clustered(design[kept], response[kept], cluster[kept])

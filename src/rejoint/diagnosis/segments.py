@@ -48,6 +48,8 @@ class ExcitationLog:
     segments: tuple[Segment, ...]
     gravity: Array
     """(T, n) [N m] torque that holds the arm against gravity at the measured postures"""
+    reference: Array
+    """(T, n) [rad] where a servo that ramps to each command at the joint's top speed is, when the next one comes"""
 
     @classmethod
     def of(cls, arm: Arm, log: RunLog) -> ExcitationLog:
@@ -60,7 +62,20 @@ class ExcitationLog:
             segments = msgspec.json.decode(log.extra[_KEY], type=tuple[Segment, ...])
         except msgspec.MsgspecError as error:
             raise InputError(f"run log {log.label}: its segments are damaged ({error}); record it again") from error
-        return cls(arm=arm, log=log, segments=segments, gravity=gravity_torque(arm, log.position))
+        return cls(
+            arm=arm, log=log, segments=segments, gravity=gravity_torque(arm, log.position), reference=_ramp(arm, log)
+        )
+
+    def commanded(self, joint: int, time: Array) -> Array:
+        """Return the reference [rad] of a joint at ``time`` (...) [s]: ramps to each command at its top speed.
+
+        Servos do not jump to a new command; without the ramp a moving command would seem to come later.
+        """
+        log, speed = self.log, float(self.arm.max_speed[joint])
+        row = np.clip(np.searchsorted(log.time, time, side="right") - 1, 0, len(log) - 1)
+        start, goal = self.reference[row, joint], log.command[row, joint]
+        way = speed * np.maximum(time - log.time[row], 0.0)
+        return start + np.clip(goal - start, -way, way)
 
     def of_kind(self, kind: str, joint: int | None = None) -> list[Segment]:
         """Segments of a kind; with ``joint``, only those that judge it."""
@@ -77,3 +92,14 @@ class ExcitationLog:
             raise InputError(
                 f"run log {self.log.label} holds too few {what} of joint {joint + 1}; record the excitation again"
             )
+
+
+def _ramp(arm: Arm, log: RunLog) -> Array:
+    """Return the reference (T, n) [rad] at every row, just before its command takes effect."""
+    reference = np.empty_like(log.command)
+    reference[0] = log.command[0]
+    way = np.diff(log.time)[:, None] * arm.max_speed
+    for k in range(len(log) - 1):
+        step = log.command[k] - reference[k]
+        reference[k + 1] = reference[k] + np.minimum(np.maximum(step, -way[k]), way[k])
+    return reference

@@ -1,0 +1,145 @@
+"""The diagnosis of an arm: everything measured, everything found, and a verdict that an owner understands."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from rejoint.arms import Arm
+from rejoint.control.robot import Robot
+from rejoint.diagnosis.excitation import FULL, Plan
+from rejoint.diagnosis.healthy import HealthyReference
+from rejoint.diagnosis.measurement import Measurement, measure
+from rejoint.diagnosis.open_loop import OpenLoop, open_loop_errors
+from rejoint.diagnosis.record import DiagnosisLogs, OnProgress, record
+from rejoint.diagnosis.verdict import Finding, find
+from rejoint.errors import InputError
+
+HIDDEN_MARGIN_MM = 1.0
+"""Distance between tool and encoders, beyond the healthy range, from which it is called wear (chosen)."""
+
+_KINDS = {
+    "weak_gain": "soft, so that it sags or stops short",
+    "friction": "stiff to turn",
+    "play_in_loop": "loose inside its servo loop, so that it hunts",
+    "torque_limit": "out of torque",
+    "low_damping": "badly damped, so that it rings",
+    "lag": "late",
+    "noise": "restless in its readings",
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Diagnosis:
+    """What is wrong with an arm; plain data that `rejoint.runs.write_json` can write."""
+
+    arm: str
+    robot: str
+    """address"""
+    condition: str
+    """ok, worn or bad"""
+    verdict: str
+    """for the owner, in sentences"""
+    findings: tuple[Finding, ...]
+    """the worst at the tool first"""
+    unseen: tuple[str, ...]
+    """what the encoders cannot tell, in sentences"""
+    open_loop: OpenLoop
+    """ten targets"""
+    measurement: Measurement
+    """every joint in numbers"""
+    healthy: HealthyReference | None
+    """what it was compared with"""
+
+
+def diagnose(
+    robot: Robot,
+    healthy: HealthyReference | None,
+    *,
+    seed: int,
+    plan: Plan = FULL,
+    on_progress: OnProgress | None = None,
+) -> tuple[Diagnosis, DiagnosisLogs]:
+    """Drive one arm through ten targets and the excitation, and judge what it did."""
+    if robot.count != 1:
+        raise InputError(f"a diagnosis is of one arm, {robot.address} has {robot.count}; use `record` for a batch")
+    logs = record(robot, seed=seed, plan=plan, on_progress=on_progress)[0]
+    return judge(robot.arm, logs, healthy), logs
+
+
+def judge(arm: Arm, logs: DiagnosisLogs, healthy: HealthyReference | None) -> Diagnosis:
+    """Judge an arm by its logs alone; InputError if they do not fit the arm or hold too little."""
+    if healthy is not None and healthy.arm != arm.name:
+        raise InputError(f"the healthy reference is of arm {healthy.arm}, expected {arm.name}")
+    measurement = measure(arm, logs.excitation, None if healthy is None else healthy.motors_kg_m2)
+    open_loop = open_loop_errors(arm, logs.targets)
+    findings = find(arm, measurement, logs.targets, healthy)
+    condition = "bad" if any(f.severity == "bad" for f in findings) else "worn" if findings else "ok"
+    return Diagnosis(
+        arm=arm.name,
+        robot=logs.targets.robot,
+        condition=condition,
+        verdict=_verdict(open_loop, findings, healthy),
+        findings=findings,
+        unseen=_unseen(open_loop, measurement, healthy),
+        open_loop=open_loop,
+        measurement=measurement,
+        healthy=healthy,
+    )
+
+
+def _verdict(open_loop: OpenLoop, findings: tuple[Finding, ...], healthy: HealthyReference | None) -> str:
+    error = open_loop.error_mm
+    reference = "" if healthy is None else f"; a healthy arm of this kind: {healthy.error_mm.value:.1f} mm"
+    first = (
+        f"This arm misses its targets by {error.value:.1f} mm (mean of {len(open_loop.targets)}, spread "
+        f"{open_loop.spread_mm:.1f} mm, by its own encoders{reference})."
+    )
+    if not findings:
+        return f"{first} No joint shows wear that its encoder can see."
+    joints = {finding.joint: finding for finding in reversed(findings)}  # the worst finding of a joint wins
+    causes = sorted(joints.values(), key=lambda f: -f.tcp_mm)[:3]
+    named = "; ".join(f"{f.joint} is {_KINDS[f.kind]} ({f.tcp_mm:.1f} mm)" for f in causes)
+    others = len(joints) - len(causes)
+    more = f" {others} more joint{'s show' if others > 1 else ' shows'} wear." if others else ""
+    lead = "Because" if error.value > (healthy.error_mm.high or 0.0 if healthy else 0.0) else "What is worn"
+    return f"{first} {lead}: {named}.{more}"
+
+
+def _unseen(open_loop: OpenLoop, measurement: Measurement, healthy: HealthyReference | None) -> tuple[str, ...]:
+    lines = [_hidden(open_loop, healthy)]
+    guessed = [row.joint for row in measurement.joints if row.stiffness_source == "inertia"]
+    unknown = [row.joint for row in measurement.joints if row.stiffness_source == "none"]
+    if guessed:
+        lines.append(
+            f"Gravity does not load {', '.join(guessed)} enough: their stiffness and friction follow from how they "
+            "accelerate, given the motor inertia of a healthy arm or of the nearest joint that gravity does load."
+        )
+    if unknown:
+        lines.append(f"The stiffness of {', '.join(unknown)} cannot be told from this log.")
+    lines.append(
+        "Play inside the servo loop shows only where the load on a joint changes its side; a joint that always "
+        "carries weight rests on one flank."
+    )
+    free = [f"{row.joint} {row.torque_seen_nm:.2f}" for row in measurement.joints if row.torque_limit_nm is None]
+    if free:
+        lines.append(f"Torque limits that were not reached are only known to be above: {', '.join(free)} N m.")
+    return tuple(lines)
+
+
+def _hidden(open_loop: OpenLoop, healthy: HealthyReference | None) -> str:
+    if open_loop.hidden_mm is None or open_loop.true_error_mm is None:
+        return (
+            "The encoders sit before the gears: play and flex behind them, and so the true error of the tool, cannot "
+            "be seen. A few measured points of the tool would tell."
+        )
+    known = (
+        f"The encoders sit before the gears. The emulator knows where the tool really is: {open_loop.hidden_mm:.1f} mm "
+        f"from where the encoders put it, and {open_loop.true_error_mm.value:.1f} mm from the targets"
+    )
+    usual = healthy.hidden_mm.high if healthy is not None and healthy.hidden_mm is not None else None
+    if usual is not None and open_loop.hidden_mm > usual + HIDDEN_MARGIN_MM:
+        return (
+            f"{known}. There is play or flex behind the encoders; on a real arm nothing in these logs would show it, "
+            "and no controller that relies on the encoders can remove it."
+        )
+    return f"{known}: about as much as in a healthy arm."

@@ -1,0 +1,144 @@
+"""What a healthy arm of the same kind measures, by the same procedure.
+
+The reference of an arm of the catalogue is a file in this package. It is measured on the emulated arm
+with the wear profile ``healthy`` and written again by
+
+    python -m rejoint.diagnosis.healthy mycobot280
+
+A diagnosis of a real arm that is known to be good is the better reference: `reference_from` makes one
+from any number of them.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
+
+import numpy as np
+
+from rejoint.arms import Arm, load_arm
+from rejoint.diagnosis.measurement import JointMetrics, measure
+from rejoint.diagnosis.open_loop import open_loop_errors
+from rejoint.diagnosis.record import DiagnosisLogs, record
+from rejoint.diagnosis.regression import Estimate
+from rejoint.errors import InputError
+from rejoint.robots import open_robot
+from rejoint.runs import read_json, write_json
+
+TOLERANCE = 0.2
+"""Relative spread allowed between healthy arms of a kind, on top of what was seen (chosen: vendors publish none)."""
+
+SIGMAS = 3.0
+"""Standard deviations of repeated diagnoses that still count as healthy (chosen: 6 joints x 7 kinds of finding
+leave 11 % of false alarms at one arm in 400 per number; the tolerance takes care of the rest)."""
+
+OVERSHOOT_ALLOWED = 0.05
+"""Fraction of a step that any healthy arm may shoot over (chosen)."""
+
+ARMS, SEED = 12, 2024
+"""Emulated healthy arms that are measured for the reference (chosen)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class HealthyReference:
+    """Healthy values; every ``Estimate`` holds the mean and the range within which an arm counts as healthy."""
+
+    arm: str
+    source: str
+    """what was measured, in words"""
+    motors_kg_m2: tuple[float | None, ...]
+    """inertia of motor and gear seen from each joint; None where gravity does not load it enough to tell"""
+    joints: tuple[JointMetrics, ...]
+    error_mm: Estimate
+    """of ten targets open loop, by encoder kinematics"""
+    hidden_mm: Estimate | None
+    """between the tool and where the encoders put it; None where nobody knew"""
+
+
+def load_healthy(arm: Arm) -> HealthyReference | None:
+    """Return the package's reference for an arm, None if there is none."""
+    path = Path(str(files("rejoint.diagnosis"))) / f"healthy_{arm.name}.json"
+    return read_json(path, HealthyReference) if path.exists() else None
+
+
+def measure_healthy(arm: Arm, *, count: int = ARMS, seed: int = SEED) -> HealthyReference:
+    """Diagnose ``count`` emulated healthy arms, each with noise and excitation of its own."""
+    logs: list[DiagnosisLogs] = []
+    for offset in range(2):  # two excitations, each on half of the arms
+        robot = open_robot("emulated:healthy", arm=arm, seed=seed + offset, count=count // 2)
+        logs += record(robot, seed=seed + offset)
+    return reference_from(arm, logs, source=f"{len(logs)} emulated arms with wear profile 'healthy'")
+
+
+def reference_from(arm: Arm, logs: Sequence[DiagnosisLogs], *, source: str) -> HealthyReference:
+    """Make a reference from the logs of healthy arms; at least three, for a spread."""
+    if len(logs) < 3:
+        raise InputError(f"a healthy reference needs the logs of at least three diagnoses, got {len(logs)}")
+    first = [measure(arm, entry.excitation) for entry in logs]
+    motors = tuple(_typical([m.joints[joint].motor_inertia_kg_m2 for m in first]) for joint in range(arm.joints))
+    found = [(measure(arm, entry.excitation, motors), open_loop_errors(arm, entry.targets)) for entry in logs]
+    hidden = [loop.hidden_mm for _, loop in found if loop.hidden_mm is not None]
+    return HealthyReference(
+        arm=arm.name,
+        source=source,
+        motors_kg_m2=motors,
+        joints=tuple(_combine(arm, [m.joints[joint] for m, _ in found]) for joint in range(arm.joints)),
+        error_mm=_range([loop.error_mm.value for _, loop in found]),
+        hidden_mm=_range(hidden) if hidden else None,
+    )
+
+
+def _combine(arm: Arm, rows: list[JointMetrics]) -> JointMetrics:
+    def known(name: str) -> list[float]:
+        return [estimate.value for estimate in (getattr(row, name) for row in rows) if estimate is not None]
+
+    def positive(name: str) -> Estimate | None:
+        return _range(known(name)) if known(name) else None
+
+    sources = [row.stiffness_source for row in rows]
+    return JointMetrics(
+        joint=rows[0].joint,
+        stiffness_source=max(set(sources), key=sources.count),
+        stiffness_nm_per_rad=positive("stiffness_nm_per_rad"),
+        coulomb_nm=positive("coulomb_nm"),
+        damping_ratio=positive("damping_ratio"),
+        hysteresis_rad=positive("hysteresis_rad"),
+        lag_s=positive("lag_s"),
+        overshoot=_range_about_zero(known("overshoot"), OVERSHOOT_ALLOWED),
+        hunting_rad=_range_about_zero(known("hunting_rad"), arm.encoder_step),
+        noise_rad=_range_about_zero(known("noise_rad"), arm.encoder_step),
+        torque_limit_nm=None,
+        torque_seen_nm=max(row.torque_seen_nm for row in rows),
+        saturated_share=max(row.saturated_share for row in rows),
+        motor_inertia_kg_m2=_typical([row.motor_inertia_kg_m2 for row in rows]),
+        stuck_rad=max(row.stuck_rad for row in rows),
+    )
+
+
+def _typical(values: Sequence[float | None]) -> float | None:
+    """Median of what is known, if that is at least a third of the values."""
+    known = [value for value in values if value is not None]
+    return float(np.median(known)) if 3 * len(known) >= len(values) else None
+
+
+def _range(values: list[float]) -> Estimate:
+    """Geometric mean and healthy range of a positive quantity: standard deviations and tolerance as factors."""
+    logs = np.log(np.maximum(values, 1e-12))
+    mean, spread = float(logs.mean()), float(logs.std(ddof=1)) if len(logs) > 1 else 0.0
+    half = SIGMAS * spread + np.log1p(TOLERANCE)
+    return Estimate(float(np.exp(mean)), float(np.exp(mean - half)), float(np.exp(mean + half)))
+
+
+def _range_about_zero(values: list[float], allowed: float) -> Estimate:
+    """Mean and healthy range of what is about zero when healthy; ``allowed`` widens it on both sides."""
+    mean, spread = float(np.mean(values)), float(np.std(values, ddof=1)) if len(values) > 1 else 0.0
+    half = SIGMAS * spread + TOLERANCE * abs(mean) + allowed
+    return Estimate(mean, mean - half, mean + half)
+
+
+if __name__ == "__main__":
+    name = sys.argv[1] if len(sys.argv) > 1 else "mycobot280"
+    write_json(Path(__file__).with_name(f"healthy_{name}.json"), measure_healthy(load_arm(name)))

@@ -1,0 +1,227 @@
+"""All measurements of an arm together: one row per joint, from the log of an excitation alone."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rejoint.arms import Arm, Array, frames
+from rejoint.diagnosis import metrics
+from rejoint.diagnosis.dynamics import Law, arm_delay, fit_dynamics, torque_given
+from rejoint.diagnosis.regression import Estimate, Fit, product, reciprocal
+from rejoint.diagnosis.segments import ExcitationLog
+from rejoint.runs import RunLog
+
+GRAVITY_SHARE = 0.35
+"""Relative half width up to which the stiffness from gravity is taken (chosen: wider than what inertia gives)."""
+
+SAME_SERVO = 0.4
+"""Relative error allowed for taking a motor's inertia from a neighbouring joint (chosen: small arms use the same
+servo, or the next size, in neighbouring joints)."""
+
+SAME_KIND = 0.25
+"""Relative error allowed for taking a motor's inertia from a healthy arm of the same kind (chosen: gears and rotors do
+not change with wear, but the inertia of a stiff joint is hard to measure)."""
+
+MOTOR_SHARE = 0.35
+"""Relative half width up to which a motor's inertia counts as known (chosen as for gravity)."""
+
+DELAY_ERROR = 0.003
+"""[s] error of the delay (measured: emulated arms with known delays of 15 to 25 ms); it enters J/k times the lag."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointMetrics:
+    """One joint in numbers; every estimate with its 95 % interval."""
+
+    joint: str
+    stiffness_nm_per_rad: Estimate | None
+    """of the servo loop: torque per radian of following error; None where the log does not tell"""
+    stiffness_source: str
+    """``gravity`` (sag in held postures), ``inertia`` (motion of a joint that gravity does not load) or ``none``"""
+    hysteresis_rad: Estimate | None
+    """full width of the following error between moving up and moving down, lag removed; None if it hardly moves"""
+    coulomb_nm: Estimate | None
+    """friction of a moving joint; None where the stiffness is not known or the joint hardly moves"""
+    lag_s: Estimate | None
+    """following error over speed, beyond the delay that all joints share; None if it hardly moves"""
+    damping_ratio: Estimate | None
+    """of the servo loop, friction left out: 1 aperiodic, 0.3 rings; None where the motion does not tell"""
+    overshoot: Estimate
+    """fraction of a step"""
+    hunting_rad: Estimate
+    """rms motion while every command stands still, in the worst postures"""
+    noise_rad: Estimate
+    """rms of a single reading at rest"""
+    torque_limit_nm: Estimate | None
+    """that reaches the load when the motor gives all it has: its limit less stiction; None where it never did"""
+    torque_seen_nm: float
+    """largest torque seen; the limit is not below"""
+    saturated_share: float
+    """share of the time at the torque limit"""
+    motor_inertia_kg_m2: float | None
+    """of motor and gear, seen from the joint; None where gravity does not load it enough to tell"""
+    stuck_rad: float
+    """farthest that the joint stayed off what its own stiffness explains, in a held posture"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Measurement:
+    """What an excitation says about an arm."""
+
+    joints: tuple[JointMetrics, ...]
+    delay_s: float
+    """of commands and answers on their way"""
+    period_s: float
+    """median time between readings"""
+
+
+def measure(arm: Arm, log: RunLog, motors: Sequence[float | None] | None = None) -> Measurement:
+    """Measure every joint from the log of an excitation; InputError if it does not hold enough of one.
+
+    ``motors`` are the motor inertias [kg m^2] of a healthy arm of the kind, None where unknown. With them
+    the stiffness of joints that gravity does not load is better known than from the log alone.
+    """
+    data = ExcitationLog.of(arm, log)
+    delay = arm_delay(data)
+    dynamics = [fit_dynamics(data, joint, delay) for joint in range(arm.joints)]
+    sags = [metrics.holds(data, joint).sag() for joint in range(arm.joints)]
+    stiffness = _stiffness(arm, [fit for fit, _ in sags], [_inertia_ratio(fit) for fit in dynamics], motors)
+    joints = tuple(_joint(data, joint, delay, dynamics[joint], stiffness[joint]) for joint in range(arm.joints))
+    return Measurement(joints=joints, delay_s=delay, period_s=float(np.median(np.diff(log.time))))
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Stiffness:
+    """Stiffness of a joint, where it comes from, and the motor inertia that goes with it."""
+
+    value: Estimate | None = None
+    source: str = "none"
+    motor: Estimate | None = None
+
+
+def _joint(data: ExcitationLog, joint: int, delay: float, dynamics: Fit, stiffness: _Stiffness) -> JointMetrics:
+    sweep = metrics.sweep_fit(data, joint, delay)
+    lag, half_width = (None, None) if sweep is None else (sweep.estimate(0), sweep.estimate(1))
+    k = stiffness.value
+    row = JointMetrics(
+        joint=data.arm.joint_names[joint],
+        stiffness_nm_per_rad=k,
+        stiffness_source=stiffness.source,
+        hysteresis_rad=None if half_width is None else _scaled(half_width, 2.0),
+        coulomb_nm=None if k is None or half_width is None else _friction(k, half_width),
+        lag_s=lag,
+        damping_ratio=_damping_ratio(dynamics),
+        overshoot=metrics.overshoot(data, joint),
+        hunting_rad=metrics.hunting(data, joint),
+        noise_rad=metrics.noise(data, joint),
+        torque_limit_nm=None,
+        torque_seen_nm=0.0,
+        saturated_share=0.0,
+        motor_inertia_kg_m2=None if stiffness.motor is None else stiffness.motor.value,
+        stuck_rad=_stuck(metrics.holds(data, joint)),
+    )
+    if k is None:
+        return row
+    law = Law(
+        stiffness=k.value, lag=0.0 if lag is None else lag.value,
+        half_width=0.0 if half_width is None else max(half_width.value, 0.0),
+        ratio=max(float(dynamics.coefficients[0]), 0.0), delay=delay,
+    )  # fmt: skip
+    torque = torque_given(data, joint, law)
+    return replace(
+        row, torque_limit_nm=torque.limit, torque_seen_nm=torque.seen, saturated_share=torque.saturated_share
+    )
+
+
+def _stiffness(
+    arm: Arm, sags: list[Fit], ratios: list[Estimate], motors: Sequence[float | None] | None
+) -> list[_Stiffness]:
+    """Stiffness from gravity where that is precise, else from J/k and the motor inertia of the nearest known joint."""
+    links = link_inertia(arm, arm.rest)
+    found = [_from_gravity(sag, ratio, float(link)) for sag, ratio, link in zip(sags, ratios, links, strict=True)]
+    known = {joint: row.motor for joint, row in enumerate(found) if row.motor is not None}
+    if motors is not None and any(motor is not None for motor in motors):
+        known = {joint: _within(motor, SAME_KIND) for joint, motor in enumerate(motors) if motor is not None}
+    if not known:
+        return found
+    for joint, row in enumerate(found):
+        if row.value is not None or ratios[joint].value <= 0:
+            continue
+        near = min(known, key=lambda other: abs(other - joint))
+        motor = known[near] if near == joint else product(known[near], _within(1.0, SAME_SERVO))
+        total = _shifted(motor, float(links[joint]))
+        if total is not None:
+            found[joint] = _Stiffness(value=product(total, reciprocal(ratios[joint])), source="inertia")
+    return found
+
+
+def _from_gravity(sag: Fit, ratio: Estimate, link: float) -> _Stiffness:
+    k = reciprocal(sag.estimate(1)) if sag.coefficients[1] > 0 else None
+    if k is None or k.low is None or k.high is None or k.high - k.low > 2 * GRAVITY_SHARE * k.value:
+        return _Stiffness()
+    motor = _shifted(product(k, ratio), -link) if ratio.value > 0 else None
+    if motor is None or motor.high is None or motor.high - motor.value > MOTOR_SHARE * motor.value:
+        return _Stiffness(value=k, source="gravity")
+    return _Stiffness(value=k, source="gravity", motor=motor)
+
+
+def _inertia_ratio(dynamics: Fit) -> Estimate:
+    """J/k [s^2] of a fit, its interval widened by what the delay may be wrong."""
+    ratio, lag = dynamics.estimate(0), float(dynamics.coefficients[1])
+    half = float(np.hypot((ratio.high or 0.0) - ratio.value, DELAY_ERROR * lag))
+    return Estimate(ratio.value, ratio.value - half, ratio.value + half)
+
+
+def _within(value: float, share: float) -> Estimate:
+    return Estimate(value, value * (1 - share), value * (1 + share))
+
+
+def link_inertia(arm: Arm, q: Array) -> Array:
+    """Moments of inertia (n,) [kg m^2] of all that hangs on each joint, about its axis, at posture ``q`` (n,) [rad]."""
+    f = frames(arm, q)
+    axis = np.einsum("nij,nj->ni", f.rotation, arm.axis)
+    com = f.position + np.einsum("nij,nj->ni", f.rotation, arm.com)
+    inertia = f.rotation @ arm.inertia @ np.swapaxes(f.rotation, -1, -2)
+    own = np.einsum("ji,kil,jl->jk", axis, inertia, axis)
+    lever = np.cross(axis[:, None, :], com[None, :, :] - f.position[:, None, :])
+    about = own + arm.mass * (lever**2).sum(axis=-1)
+    return np.triu(about).sum(axis=1)
+
+
+def _damping_ratio(dynamics: Fit) -> Estimate | None:
+    """(d/k) / (2 sqrt(J/k)); the uncertainty of d/k dominates."""
+    ratio, lag = float(dynamics.coefficients[0]), dynamics.estimate(1)
+    return None if ratio <= 0 else _scaled(lag, 0.5 / ratio**0.5)
+
+
+def _friction(stiffness: Estimate, half_width: Estimate) -> Estimate:
+    """F = k (F/k); a half width that is not above zero gives no friction, with the bound that it allows."""
+    if half_width.value > 0:
+        return product(stiffness, half_width)
+    high = None if half_width.high is None else max(stiffness.value * half_width.high, 0.0)
+    return Estimate(0.0, 0.0, high)
+
+
+def _stuck(held: metrics.Holds) -> float:
+    fit, _ = held.sag()
+    expected = fit.coefficients[0] + fit.coefficients[1] * held.torque.mean(axis=1)
+    return float(np.abs(held.error.mean(axis=1) - expected).max())
+
+
+def _scaled(estimate: Estimate, factor: float) -> Estimate:
+    low, high = estimate.low, estimate.high
+    return Estimate(
+        factor * estimate.value, None if low is None else factor * low, None if high is None else factor * high
+    )
+
+
+def _shifted(estimate: Estimate, offset: float) -> Estimate | None:
+    """Add a number to a positive quantity; None if nothing positive is left."""
+    value = estimate.value + offset
+    if value <= 0:
+        return None
+    low = None if estimate.low is None else max(estimate.low + offset, 0.05 * value)
+    return Estimate(value, low, None if estimate.high is None else estimate.high + offset)

@@ -1,0 +1,96 @@
+"""Ten targets open loop: how far from its targets an arm comes to rest when it is told once where to go.
+
+Park et al. 2024, Figs. 8 and 9: error per target, mean and spread. Their robot reports its own TCP,
+so their error is that of encoder kinematics; where somebody knows the true TCP, its error stands beside.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rejoint.arms import Arm, Array, tcp_position
+from rejoint.diagnosis.regression import Estimate, mean_of
+from rejoint.errors import InputError
+from rejoint.runs import RunLog
+
+TARGETS = 10
+"""Park et al. 2024, section IV-A"""
+
+DWELL = 5.0
+"""[s] per target (chosen: an open-loop arm has come to rest after 3 s; PLANT's healthy arm needs less)."""
+
+SETTLED = 1.0
+"""[s] at the end of each target over which the error is averaged (chosen)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TargetError:
+    """One target."""
+
+    target_mm: tuple[float, float, float]
+    error_mm: float
+    """settled, by encoder kinematics"""
+    sag_mm: float
+    """downward part of it; negative: too high"""
+    true_error_mm: float | None
+    """of the tool itself; None where nobody knows"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class OpenLoop:
+    """Ten targets."""
+
+    targets: tuple[TargetError, ...]
+    error_mm: Estimate
+    """mean over the targets, with its 95 % interval"""
+    spread_mm: float
+    """standard deviation over the targets"""
+    true_error_mm: Estimate | None
+    hidden_mm: float | None
+    """mean distance between the tool and where the encoders put it; None where nobody knows"""
+
+
+def draw_targets(arm: Arm, seed: int) -> Array:
+    """Targets (10, 3) [m], uniform in the arm's target region."""
+    return arm.targets.sample(np.random.default_rng(seed), (TARGETS,))
+
+
+def settled_rows(log: RunLog) -> list[NDArray[np.intp]]:
+    """Find the rows of the last second of every target of a log, in order; InputError if it has no targets."""
+    known = np.asarray(np.isfinite(log.target).all(axis=1))
+    if not known.any():
+        raise InputError(f"run log {log.label} holds no targets; record one with `rejoint diagnose`")
+    change = (log.target[1:] != log.target[:-1]).any(axis=1)
+    parts = np.split(np.arange(len(log)), np.flatnonzero(change) + 1)
+    return [part[log.time[part] >= log.time[part[-1]] - SETTLED] for part in parts if known[part[0]]]
+
+
+def open_loop_errors(arm: Arm, log: RunLog) -> OpenLoop:
+    """Judge the log of an open-loop run."""
+    rows, hidden, found = settled_rows(log), [], []
+    for part in rows:
+        tcp = tcp_position(arm, log.position[part])
+        miss = log.target[part] - tcp
+        true = float(np.linalg.norm(log.target[part] - log.true_tcp[part], axis=1).mean()) * 1e3
+        hidden.append(float(np.linalg.norm(tcp - log.true_tcp[part], axis=1).mean()) * 1e3)
+        x, y, z = (float(value) * 1e3 for value in log.target[part[0]])
+        found.append(
+            TargetError(
+                target_mm=(x, y, z),
+                error_mm=float(np.linalg.norm(miss, axis=1).mean()) * 1e3,
+                sag_mm=float(miss[:, 2].mean()) * 1e3,
+                true_error_mm=true if np.isfinite(true) else None,
+            )
+        )
+    errors = np.array([target.error_mm for target in found])
+    truth = [target.true_error_mm for target in found if target.true_error_mm is not None]
+    return OpenLoop(
+        targets=tuple(found),
+        error_mm=mean_of(errors),
+        spread_mm=float(errors.std(ddof=1)) if len(errors) > 1 else 0.0,
+        true_error_mm=mean_of(np.array(truth)) if truth else None,
+        hidden_mm=float(np.mean(hidden)) if truth else None,
+    )

@@ -1,0 +1,77 @@
+"""Driving an arm for its diagnosis: ten targets open loop, then the excitation, through the one control loop."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from rejoint.control.default import DefaultController
+from rejoint.control.loop import Schedule, move, play, run
+from rejoint.control.recording import Cycle
+from rejoint.control.robot import Robot
+from rejoint.diagnosis.excitation import FULL, Plan, plan_excitation
+from rejoint.diagnosis.open_loop import DWELL, TARGETS, draw_targets
+from rejoint.diagnosis.segments import attach_segments
+from rejoint.runs import RunLog
+
+OnProgress = Callable[[str, float], object]
+"""Called with what is being done and the share of it that is done, 0 to 1."""
+
+TARGETS_LABEL, EXCITATION_LABEL = "diagnosis/targets", "diagnosis/excitation"
+"""Labels of the run logs."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DiagnosisLogs:
+    """What one arm did for its diagnosis."""
+
+    targets: RunLog
+    """ten targets open loop"""
+    excitation: RunLog
+    """the excitation, with its segments in ``extra``"""
+
+
+def record(
+    robot: Robot, *, seed: int, plan: Plan = FULL, on_progress: OnProgress | None = None
+) -> tuple[DiagnosisLogs, ...]:
+    """Drive every arm of ``robot`` through the diagnosis; returns the logs of each.
+
+    GuardTripError or RobotError if the motion had to be ended. ``seed`` draws the targets and the
+    excitation; the arms of a batch get the same ones.
+    """
+    arm = robot.arm
+    extra = {"seed": str(seed)}
+    move(robot, arm.rest)
+    targets = np.tile(draw_targets(arm, seed), (robot.count, 1, 1))
+    open_loop = run(
+        robot, DefaultController(arm), targets, Schedule(dwell=DWELL),
+        on_cycle=_progress("ten targets", TARGETS * DWELL, on_progress, robot),
+    )  # fmt: skip
+    move(robot, arm.rest)
+    excitation = plan_excitation(arm, seed=seed, plan=plan)
+    excited = play(
+        robot, excitation.command, excitation.duration,
+        on_cycle=_progress("excitation", excitation.duration, on_progress, robot),
+    )  # fmt: skip
+    return tuple(
+        DiagnosisLogs(
+            targets=open_loop.log(b, TARGETS_LABEL, extra),
+            excitation=attach_segments(excited.log(b, EXCITATION_LABEL, extra), excitation.segments),
+        )
+        for b in range(robot.count)
+    )
+
+
+def _progress(
+    what: str, duration: float, on_progress: OnProgress | None, robot: Robot
+) -> Callable[[Cycle], object] | None:
+    if on_progress is None:
+        return None
+    begin = float(robot.read().time[0])
+
+    def report(cycle: Cycle) -> None:
+        on_progress(what, min((float(cycle.time[0]) - begin) / duration, 1.0))
+
+    return report

@@ -1,0 +1,262 @@
+"""From numbers to named findings: what is worn, how much it matters at the tool, and a sentence for the owner.
+
+The rule for every kind is the same: a finding is made where the 95 % interval of the measurement lies
+wholly outside the healthy range, on the bad side. Without a healthy reference only what is wrong in
+itself is named: a torque limit that was reached, hunting, ringing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from rejoint.arms import Arm, Array, frames, gravity_torque, position_jacobian
+from rejoint.diagnosis.healthy import OVERSHOOT_ALLOWED, HealthyReference
+from rejoint.diagnosis.measurement import JointMetrics, Measurement
+from rejoint.diagnosis.open_loop import settled_rows
+from rejoint.diagnosis.regression import Estimate
+from rejoint.runs import RunLog
+
+BAD_MM = 3.0
+"""Error at the tool from which a finding is called bad: what the whole of a healthy arm shows (3.09 mm, Park et al.
+2024, section IV-B)."""
+
+RINGING_RATIO = 0.4
+"""Damping ratio below which a joint rings, whatever its reference: 25 % overshoot (second-order step response)."""
+
+QUIET_COUNTS = 2.0
+"""Encoder counts of rms motion at rest that flicker between two counts cannot explain (one count gives half of one)."""
+
+SATURATED = 0.3
+"""Share of the time at the torque limit from which a joint's stiffness and friction cannot be told (chosen)."""
+
+STUCK_COUNTS = 10.0
+"""Encoder counts off what stiffness explains from which a joint is called stuck: a degree (chosen)."""
+
+WORKING_SPEED = 0.5
+"""[rad/s] at which a lag is turned into millimetres (chosen: a joint in the middle of a move)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Finding:
+    """One thing that is wrong with one joint."""
+
+    joint: str
+    kind: str
+    """weak_gain, friction, play_in_loop, torque_limit, low_damping, lag or noise"""
+    severity: str
+    """worn or bad"""
+    quantity: str
+    """what was measured, with its unit, such as ``stiffness_nm_per_rad``"""
+    measured: Estimate
+    healthy: Estimate | None
+    """mean and healthy range; None without a reference"""
+    tcp_mm: float
+    """what it means at the tool, in the ten target postures"""
+    sentence: str
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Case:
+    """One joint with everything that a rule looks at; K targets."""
+
+    row: JointMetrics
+    healthy: JointMetrics | None
+    levers: Array
+    """(K,) [m] way of the TCP per radian in the postures of the targets"""
+    loads: Array
+    """(K,) [N m] size of the gravity torque there"""
+    errors: Array
+    """(K,) [rad] size of the settled following error there"""
+    encoder_step: float
+    """[rad]"""
+    common_lag: float
+    """[s] by which all joints are late"""
+
+    @property
+    def lever(self) -> float:
+        """[m] mean way of the TCP per radian."""
+        return float(self.levers.mean())
+
+    def finding(self, kind: str, quantity: str, measured: Estimate, tcp: float, sentence: str) -> Finding:
+        reference = getattr(self.healthy, quantity) if self.healthy is not None else None
+        return Finding(
+            joint=self.row.joint, kind=kind, severity="bad" if tcp * 1e3 >= BAD_MM else "worn", quantity=quantity,
+            measured=measured, healthy=reference, tcp_mm=tcp * 1e3,
+            sentence=f"{self.row.joint} {sentence} {tcp * 1e3:.1f} mm at the tool.",
+        )  # fmt: skip
+
+    def beyond(self, quantity: str) -> bool:
+        """Whether the whole interval lies above the healthy range."""
+        measured, reference = self._pair(quantity)
+        return bool(measured and reference and measured.low is not None and measured.low > (reference.high or np.inf))
+
+    def below(self, quantity: str) -> bool:
+        """Whether the whole interval lies below the healthy range."""
+        measured, reference = self._pair(quantity)
+        return bool(measured and reference and measured.high is not None and measured.high < (reference.low or -np.inf))
+
+    def _pair(self, quantity: str) -> tuple[Estimate | None, Estimate | None]:
+        return getattr(self.row, quantity), getattr(self.healthy, quantity) if self.healthy is not None else None
+
+
+def find(arm: Arm, measurement: Measurement, targets: RunLog, healthy: HealthyReference | None) -> tuple[Finding, ...]:
+    """Name everything that is wrong, the worst at the tool first."""
+    settled = settled_rows(targets)
+    q = np.array([targets.position[rows].mean(axis=0) for rows in settled])
+    commands = np.array([targets.command[rows].mean(axis=0) for rows in settled])
+    levers = np.linalg.norm(position_jacobian(arm, frames(arm, q)), axis=-2)
+    loads, errors = np.abs(gravity_torque(arm, q)), np.abs(commands - q)
+    common = _common_lag(measurement, healthy)
+    found: list[Finding] = []
+    for joint, row in enumerate(measurement.joints):
+        case = _Case(
+            row=row, healthy=None if healthy is None else healthy.joints[joint], levers=levers[:, joint],
+            loads=loads[:, joint], errors=errors[:, joint], encoder_step=arm.encoder_step, common_lag=common,
+        )  # fmt: skip
+        found += [finding for rule in RULES for finding in rule(case)]
+    return tuple(sorted(found, key=lambda f: (f.severity != "bad", -f.tcp_mm)))
+
+
+def weak_gain(case: _Case) -> Iterator[Finding]:
+    """Tell whether the servo answers a following error with too little torque."""
+    k = case.row.stiffness_nm_per_rad
+    if k is None or not case.below("stiffness_nm_per_rad") or case.row.saturated_share > SATURATED:
+        return
+    friction = case.row.coulomb_nm.value if case.row.coulomb_nm is not None else 0.0
+    weight = float((case.levers * case.loads).mean())
+    tcp = (weight + case.lever * friction) / k.value
+    share = f"{k.value:.1f} N m per radian{_interval(k)}{_against(case, 'stiffness_nm_per_rad', '.0f')}"
+    if weight > case.lever * friction:
+        yield case.finding(
+            "weak_gain", "stiffness_nm_per_rad", k, tcp,
+            f"is soft and sags under the arm's own weight: its servo gives {share}, so it hangs "
+            f"{np.degrees(case.loads.mean() / k.value):.1f} deg low,",
+        )  # fmt: skip
+    else:
+        yield case.finding(
+            "weak_gain", "stiffness_nm_per_rad", k, tcp,
+            f"is soft and stops short of where it is sent: its servo gives {share};",
+        )  # fmt: skip
+
+
+def friction(case: _Case) -> Iterator[Finding]:
+    """Tell whether the joint is hard to move."""
+    force = case.row.coulomb_nm
+    if force is None or not case.beyond("coulomb_nm") or case.row.saturated_share > SATURATED:
+        return
+    half = max(case.row.hysteresis_rad.value, 0.0) / 2 if case.row.hysteresis_rad is not None else 0.0
+    yield case.finding(
+        "friction", "coulomb_nm", force, case.lever * half,
+        f"is stiff to turn: {force.value:.2f} N m of friction{_interval(force, '.2f')}"
+        f"{_against(case, 'coulomb_nm', '.2f')}; it stops up to {np.degrees(half):.2f} deg short on either side,",
+    )  # fmt: skip
+
+
+def play_in_loop(case: _Case) -> Iterator[Finding]:
+    """Tell whether the joint does not come to rest although nothing is asked for."""
+    swing = case.row.hunting_rad
+    counts = QUIET_COUNTS * case.encoder_step
+    if swing.low is None or swing.low <= counts or (case.healthy is not None and not case.beyond("hunting_rad")):
+        return
+    width = np.degrees(2 * 2**0.5 * swing.value)
+    yield case.finding(
+        "play_in_loop", "hunting_rad", swing, case.lever * swing.value * 2**0.5,
+        f"hunts: it swings to and fro over {width:.1f} deg while it should hold still, as a servo does "
+        "that has play between motor and encoder,",
+    )  # fmt: skip
+
+
+def torque_limit(case: _Case) -> Iterator[Finding]:
+    """Tell whether the motor gives all it has and the joint still does not follow."""
+    limit, k, width = case.row.torque_limit_nm, case.row.stiffness_nm_per_rad, case.row.hysteresis_rad
+    if limit is None or k is None:
+        return
+    explained = case.loads / k.value + (0.0 if width is None else max(width.value, 0.0) / 2)
+    tcp = float((case.levers * np.maximum(case.errors - explained, 0.0)).mean())
+    off = case.row.stuck_rad > STUCK_COUNTS * case.encoder_step
+    stuck = f"; in some postures it stays {np.degrees(case.row.stuck_rad):.0f} deg off" if off else ""
+    yield case.finding(
+        "torque_limit", "torque_limit_nm", limit, tcp,
+        f"runs out of torque: no more than {limit.value:.2f} N m{_interval(limit, '.2f')} reach its load, "
+        f"and it spent {case.row.saturated_share * 100:.0f} % of the excitation at that limit{stuck}; "
+        "at its targets this costs",
+    )  # fmt: skip
+
+
+def low_damping(case: _Case) -> Iterator[Finding]:
+    """Tell whether the joint rings after a move; one at its torque limit swings for that reason and is left out."""
+    ratio = case.row.damping_ratio
+    if ratio is None or ratio.high is None or ratio.high >= RINGING_RATIO or case.row.torque_limit_nm is not None:
+        return
+    if case.healthy is not None and not case.below("damping_ratio"):
+        return
+    over = case.row.overshoot.value
+    if over < OVERSHOOT_ALLOWED:  # friction stops it: nothing that an owner would see
+        return
+    yield case.finding(
+        "low_damping", "damping_ratio", ratio, case.lever * over * 0.2,
+        f"rings: its damping ratio is {ratio.value:.2f}{_interval(ratio, '.2f')}"
+        f"{_against(case, 'damping_ratio', '.2f')}; after a step of 0.2 rad it shoots "
+        f"{over * 100:.0f} % too far before it settles,",
+    )  # fmt: skip
+
+
+def lag(case: _Case) -> Iterator[Finding]:
+    """Tell whether the joint follows late. A weak gain has the same effect and is then the cause."""
+    late, reference = case.row.lag_s, case.healthy.lag_s if case.healthy is not None else None
+    if (
+        late is None
+        or late.low is None
+        or reference is None
+        or reference.high is None
+        or case.below("stiffness_nm_per_rad")
+    ):
+        return
+    if late.low - case.common_lag <= reference.high:
+        return
+    tcp = case.lever * WORKING_SPEED * (late.value - case.common_lag - reference.value)
+    yield case.finding(
+        "lag", "lag_s", late, tcp,
+        f"follows late: {late.value * 1e3:.0f} ms behind its command{_against(case, 'lag_s', '.3f')}; "
+        f"in motion at {WORKING_SPEED} rad/s that is",
+    )  # fmt: skip
+
+
+def noise(case: _Case) -> Iterator[Finding]:
+    """Tell whether the readings jump although nothing moves. A joint that hunts does move."""
+    level, swing = case.row.noise_rad, case.row.hunting_rad
+    if not case.beyond("noise_rad") or (swing.low or 0.0) > QUIET_COUNTS * case.encoder_step:
+        return
+    yield case.finding(
+        "noise", "noise_rad", level, case.lever * level.value,
+        f"has a restless encoder: readings scatter by {np.degrees(level.value):.2f} deg at rest,",
+    )  # fmt: skip
+
+
+RULES: tuple[Callable[[_Case], Iterator[Finding]], ...] = (
+    weak_gain, friction, play_in_loop, torque_limit, low_damping, lag, noise,
+)  # fmt: skip
+"""All rules, each for one joint."""
+
+
+def _common_lag(measurement: Measurement, healthy: HealthyReference | None) -> float:
+    """Return what all joints are late by against the reference: the wire or the firmware, not wear."""
+    if healthy is None:
+        return 0.0
+    pairs = [(row.lag_s, good.lag_s) for row, good in zip(measurement.joints, healthy.joints, strict=True)]
+    excess = [late.value - usual.value for late, usual in pairs if late is not None and usual is not None]
+    return max(float(np.median(excess)), 0.0) if excess else 0.0
+
+
+def _interval(estimate: Estimate, digits: str = ".1f") -> str:
+    if estimate.low is None or estimate.high is None:
+        return ""
+    return f" ({estimate.low:{digits}} to {estimate.high:{digits}})"
+
+
+def _against(case: _Case, quantity: str, digits: str) -> str:
+    reference = getattr(case.healthy, quantity) if case.healthy is not None else None
+    return "" if reference is None else f", a healthy one {reference.value:{digits}}"

@@ -1,0 +1,165 @@
+"""The measurements find the parameters of a servo that is simulated here, apart from any other model."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from rejoint.arms import gravity_torque, mycobot280
+from rejoint.diagnosis import EXCITATION_LABEL, ExcitationLog, attach_segments, measure, plan_excitation
+from rejoint.diagnosis.measurement import link_inertia
+from rejoint.errors import InputError
+from rejoint.runs import RunLog, read_log, write_log
+
+ARM = mycobot280()
+STEP = 0.0025  # s
+LATENCY = AGE = 4  # steps: 10 ms each way
+
+STIFFNESS = np.array([20.0, 40.0, 8.0, 10.0, 30.0, 15.0])
+DAMPING = np.array([0.6, 1.0, 0.15, 0.4, 0.5, 0.3])
+COULOMB = np.array([0.10, 0.05, 0.12, 0.03, 0.06, 0.02])
+INERTIA = np.array([0.020, 0.020, 0.016, 0.016, 0.016, 0.016])
+
+
+@pytest.fixture(scope="module")
+def log() -> RunLog:
+    """Six joints, each a PD servo with an inertia, Coulomb friction and gravity, behind a channel with jitter."""
+    excitation = plan_excitation(ARM, seed=7)
+    rng = np.random.default_rng(7)
+    inertia = INERTIA + link_inertia(ARM, ARM.rest)
+    q, v, due, goal, reference = ARM.rest.copy(), np.zeros(6), {}, ARM.rest.copy(), ARM.rest.copy()
+    history, rows, next_row = [q] * (AGE + 1), [], 0
+    for k in range(int(excitation.duration / STEP)):
+        if k == next_row:
+            seen = np.rint(history[-1 - AGE] / ARM.encoder_step) * ARM.encoder_step
+            command = excitation.command(k * STEP)
+            rows.append((k * STEP, seen, command))
+            due[k + LATENCY] = command
+            gravity = gravity_torque(ARM, q)
+            next_row = k + int(rng.integers(8, 13))
+        goal = due.pop(k, goal)
+        reference = reference + np.clip(goal - reference, -STEP * ARM.max_speed, STEP * ARM.max_speed)
+        free = (v + STEP * (STIFFNESS * (reference - q) - gravity) / inertia) / (1 + STEP * DAMPING / inertia)
+        v = np.sign(free) * np.maximum(np.abs(free) - STEP * COULOMB / inertia, 0.0)
+        q = q + STEP * v
+        history.append(q)
+    time, position, command = (np.array(column) for column in zip(*rows, strict=True))
+    nothing = np.full((len(time), 3), np.nan)
+    plain = RunLog(
+        arm=ARM.name, joint_names=ARM.joint_names, robot="here", label=EXCITATION_LABEL, time=time + 5.0,
+        position=position, command=command, target=nothing, true_tcp=nothing,
+    )  # fmt: skip
+    return attach_segments(plain, excitation.segments)
+
+
+@pytest.fixture(scope="module")
+def measured(log):
+    return measure(ARM, log)
+
+
+@pytest.mark.parametrize("joint", [1, 2])
+def test_stiffness_from_gravity(measured, joint):
+    found = measured.joints[joint]
+    assert found.stiffness_source == "gravity"
+    assert found.stiffness_nm_per_rad.value == pytest.approx(STIFFNESS[joint], rel=0.07)
+    assert found.stiffness_nm_per_rad.low * 0.95 < STIFFNESS[joint] < found.stiffness_nm_per_rad.high * 1.05
+
+
+@pytest.mark.parametrize("joint", [0, 4, 5])
+def test_stiffness_from_inertia_where_gravity_does_nothing(measured, joint):
+    found = measured.joints[joint]
+    assert found.stiffness_source == "inertia"
+    assert found.stiffness_nm_per_rad.low < STIFFNESS[joint] < found.stiffness_nm_per_rad.high
+
+
+def test_known_motor_inertias_sharpen_it(log):
+    found = measure(ARM, log, tuple(INERTIA))
+    for joint in (0, 4, 5):
+        assert found.joints[joint].stiffness_nm_per_rad.value == pytest.approx(STIFFNESS[joint], rel=0.3)
+
+
+@pytest.mark.parametrize("joint", range(6))
+def test_hysteresis_and_lag(measured, joint):
+    found = measured.joints[joint]
+    assert found.hysteresis_rad.value == pytest.approx(2 * COULOMB[joint] / STIFFNESS[joint], rel=0.2, abs=6e-4)
+    assert found.lag_s.value == pytest.approx(DAMPING[joint] / STIFFNESS[joint], rel=0.2, abs=0.006)
+
+
+def test_friction_in_newton_metres(measured):
+    for joint in (1, 2):
+        assert measured.joints[joint].coulomb_nm.value == pytest.approx(COULOMB[joint], rel=0.25)
+
+
+def test_damping_ratio(measured):
+    truth = DAMPING / (2 * np.sqrt(STIFFNESS * (INERTIA + link_inertia(ARM, ARM.rest))))
+    for joint in (0, 1, 2, 3):
+        assert measured.joints[joint].damping_ratio.value == pytest.approx(truth[joint], rel=0.3)
+
+
+def test_channel(measured):
+    assert measured.delay_s == pytest.approx(0.020, abs=0.005)
+    assert measured.period_s == pytest.approx(0.025, abs=0.001)
+
+
+def test_nothing_is_saturated_noisy_or_hunting(measured):
+    for found in measured.joints:
+        assert found.torque_limit_nm is None
+        assert found.hunting_rad.value < ARM.encoder_step
+        assert found.noise_rad.value < ARM.encoder_step
+
+
+def test_encoder_noise_is_measured(log):
+    rng = np.random.default_rng(0)
+    noisy = dataclasses.replace(log, position=log.position + rng.normal(scale=0.005, size=log.position.shape))
+    for found in measure(ARM, noisy).joints:
+        assert found.noise_rad.low < 0.005 < found.noise_rad.high
+
+
+def test_a_log_on_disk_is_as_good(tmp_path, log, measured):
+    write_log(tmp_path / "log.parquet", log)
+    assert measure(ARM, read_log(tmp_path / "log.parquet")) == measured
+
+
+def test_link_inertia_is_the_kinetic_energy_of_a_turning_joint():
+    """1/2 I w^2 equals the kinetic energy of the links, from finite differences of their motion."""
+    from rejoint.arms import frames
+
+    def points(q):  # four point masses per link with its mass, centre and inertia would do; here centres only
+        f = frames(ARM, q)
+        return f.position + np.einsum("nij,nj->ni", f.rotation, ARM.com), f.rotation
+
+    for joint in range(6):
+        delta = np.zeros(6)
+        delta[joint] = 1e-6
+        (after, turned), (before, _) = points(ARM.rest + delta), points(ARM.rest - delta)
+        speed = (after - before) / 2e-6
+        axis = np.einsum("ij,j->i", frames(ARM, ARM.rest).rotation[joint], ARM.axis[joint])
+        spin = np.einsum("i,kij,kjl,kml,m->k", axis, turned, ARM.inertia, turned, axis)
+        energy = ARM.mass * (speed**2).sum(axis=1) + np.where(np.arange(6) >= joint, spin, 0.0)
+        assert link_inertia(ARM, ARM.rest)[joint] == pytest.approx(energy.sum(), rel=1e-5)
+
+
+@pytest.mark.parametrize("change", ["arm", "no segments", "damaged segments", "half"])
+def test_unusable_logs_are_refused(log, change):
+    if change == "arm":
+        bad = dataclasses.replace(log, arm="other")
+    elif change == "no segments":
+        bad = dataclasses.replace(log, extra={})
+    elif change == "damaged segments":
+        bad = dataclasses.replace(log, extra={"segments": '[{"name": 3}]'})
+    else:
+        half = {n: getattr(log, n)[: len(log) // 3] for n in ("time", "position", "command", "target", "true_tcp")}
+        bad = dataclasses.replace(log, **half)
+    with pytest.raises(InputError, match=r"other|no excitation|damaged|too few"):
+        measure(ARM, bad)
+
+
+def test_ramp_reaches_each_command_at_top_speed(log):
+    data = ExcitationLog.of(ARM, log)
+    k = int(np.argmax(np.abs(np.diff(log.command[:, 1]))))
+    begin = data.reference[k + 1, 1]
+    way = log.command[k + 1, 1] - begin
+    time = log.time[k + 1]
+    early, late = data.commanded(1, np.array([time + 0.002, time + 0.0199]))
+    assert early == pytest.approx(begin + np.sign(way) * min(abs(way), 0.002 * ARM.max_speed[1]))
+    assert late == pytest.approx(log.command[k + 1, 1], abs=max(abs(way) - 0.0199 * ARM.max_speed[1], 0) + 1e-9)
