@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array
 from rejoint.errors import InputError
-from rejoint.twin.model import TIMESTEP, model_fields, twin_model
+from rejoint.twin.model import TIMESTEP, friction_solref, model_fields, stribeck_friction, twin_model
 from rejoint.twin.parameters import TwinParameters, nominal_parameters
 
 Ids = NDArray[np.integer] | NDArray[np.bool_] | None
@@ -76,7 +76,7 @@ class TwinBatch:
         """Change the time step [s] of every simulation, a number or (nsim,), and what depends on it."""
         self._timestep[:] = timestep
         self._batch.expand("opt.timestep")[:] = self._timestep
-        self._batch.expand("dof_solref")[..., 0] = 2.0 * self._timestep[:, None]
+        self._batch.expand("dof_solref")[:] = friction_solref(self._timestep)[:, None]
 
     def set_friction(self, friction: Array) -> None:
         """Change the dry friction (nsim, n) [N m] of every simulation, for friction that depends on the speed."""
@@ -95,9 +95,22 @@ class TwinBatch:
         """Advance the simulations in ``ids`` (all by default) under the present ``ctrl``."""
         self._batch.step(ids, nstep=substeps)
 
-    def rollout(self, control: Array, ids: Ids = None) -> Array:
-        """Advance by ``control`` (m, steps, n) [rad], one row a step; return positions (m, steps, n) after each."""
-        return self._batch.rollout(control.shape[1], control, record=("qpos",), ids=ids)["qpos"]
+    def rollout(self, control: Array, stiction: float = 1.0) -> Array:
+        """Advance by ``control`` (nsim, steps, n) [rad], one row a step; return positions (nsim, steps, n).
+
+        With ``stiction`` above 1 the dry friction follows the speed (`stribeck_friction`).
+        """
+        steps = control.shape[1]
+        if stiction == 1.0:
+            return self._batch.rollout(steps, control, record=("qpos",))["qpos"]
+        coulomb, positions = self._batch.expand("dof_frictionloss").copy(), np.empty(control.shape)
+        for k in range(steps):
+            self.ctrl[:] = control[:, k]
+            self.set_friction(stribeck_friction(coulomb, stiction, self.qvel))
+            self._batch.step()
+            positions[:, k] = self.qpos
+        self.set_friction(coulomb)
+        return positions
 
     def model(self, index: int) -> mujoco.MjModel:
         """Copy of one simulation's model, for rendering or inspection."""

@@ -29,7 +29,7 @@ from rejoint.twin.parameters import (
 )
 from rejoint.twin.replay import PredictionError, Replay, cut, divide, measured_velocity, prediction_error
 from rejoint.twin.twin import HeldOut, Twin
-from rejoint.twin.uncertainty import uncertainty
+from rejoint.twin.uncertainty import TORQUE_LIMIT, uncertainty
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,21 +94,21 @@ def identify(
     on_progress("intervals", 0.9)
     knowledge = uncertainty(fine, found)
     held_out = _held_out(arm, Replay(arm, logs, unseen, settings.timestep, settings.threads), found.vector)
-    lower, limits_seen = _raise_torque_limit(arm, logs, belief, found)
-    on_progress("done", 1.0)
     twin = Twin(
         arm=arm.name,
         joint_names=arm.joint_names,
         parameters=unpack(found.vector, arm.joints),
         covariance=knowledge.covariance,
-        lower=lower,
+        lower=belief.lower,
         upper=belief.upper,
         narrowing=knowledge.narrowing,
         identified=knowledge.identified,
         held_out=held_out,
         fit_seconds=sum(float(fine.replay.times(i)[-1]) for i in range(len(seen))),
     )
-    return replace(twin, notes=tuple(_notes(arm, twin, found, limits_seen)))
+    twin = replace(twin, lower=_torque_bounds(fine, logs, twin), notes=tuple(_notes(arm, logs, twin, found)))
+    on_progress("done", 1.0)
+    return twin
 
 
 def _starts(arm: Arm, belief: Prior, count: int, rng: np.random.Generator) -> Array:
@@ -135,10 +135,7 @@ def _held_out(arm: Arm, replay: Replay, vector: Array) -> HeldOut:
 
 
 def largest_static_torque(arm: Arm, logs: Sequence[RunLog], coulomb: Array) -> Array:
-    """(n,) [N m] largest gravity torque that each motor was seen to hold still, friction's help taken off.
-
-    A lower bound of the torque limit, which logs without saturation say nothing else about.
-    """
+    """(n,) [N m] largest gravity torque that each motor was seen to hold still, friction's help taken off."""
     largest = np.zeros(arm.joints)
     for log in logs:
         still = np.abs(measured_velocity(log)) < STILL_SPEED
@@ -147,16 +144,28 @@ def largest_static_torque(arm: Arm, logs: Sequence[RunLog], coulomb: Array) -> A
     return largest
 
 
-def _raise_torque_limit(arm: Arm, logs: Sequence[RunLog], belief: Prior, found: Fit) -> tuple[Array, Array]:
-    """Lower bounds (k,) with that of the torque limit raised to what was seen, and what was seen (n,)."""
-    parameters = unpack(found.vector, arm.joints)
-    seen = largest_static_torque(arm, logs, parameters.coulomb)
-    lower = unpack(belief.lower, arm.joints)
-    raised = np.clip(seen, lower.torque_limit, 0.99 * parameters.torque_limit)
-    return pack(replace(lower, torque_limit=raised)), seen
+def largest_drive_torque(problem: Problem, parameters: TwinParameters) -> Array:
+    """(n,) [N m] torque that each servo would give without a limit, exceeded in one row of 200 only."""
+    lead = np.concatenate(problem.replay.references(parameters)) + parameters.offset - problem.measured
+    return np.quantile(np.abs(parameters.stiffness * lead), 0.995, axis=0)
 
 
-def _notes(arm: Arm, twin: Twin, found: Fit, limits_seen: Array) -> list[str]:
+def _torque_bounds(problem: Problem, logs: Sequence[RunLog], twin: Twin) -> Array:
+    """Lower bounds (k,) with that of the torque limit raised to what the arm has shown.
+
+    Where the data identify the limit, that is the gravity torque it has held. Where they do not, the
+    limit was not reached, and it is no lower than the torques that were.
+    """
+    arm, n = problem.replay.arm, problem.joints
+    limited = twin.identified[TORQUE_LIMIT * n : (TORQUE_LIMIT + 1) * n]
+    static = largest_static_torque(arm, logs, twin.parameters.coulomb)
+    shown = np.where(limited, static, np.maximum(static, largest_drive_torque(problem, twin.parameters)))
+    lower = unpack(twin.lower, n)
+    raised = np.clip(shown, lower.torque_limit, 0.99 * twin.parameters.torque_limit)
+    return pack(replace(lower, torque_limit=raised))
+
+
+def _notes(arm: Arm, logs: Sequence[RunLog], twin: Twin, found: Fit) -> list[str]:
     notes, held_out = [], twin.held_out
     if twin.unknown_scale:
         notes.append(
@@ -172,7 +181,7 @@ def _notes(arm: Arm, twin: Twin, found: Fit, limits_seen: Array) -> list[str]:
         notes.append(
             "on motion it has not seen the twin predicts worse than a healthy twin or none: do not train in it"
         )
-    weak = unpack(found.vector, arm.joints).torque_limit < 1.1 * limits_seen
+    weak = twin.parameters.torque_limit < 1.1 * largest_static_torque(arm, logs, twin.parameters.coulomb)
     if weak.any():
         names = ", ".join(name for name, is_weak in zip(arm.joint_names, weak, strict=True) if is_weak)
         notes.append(f"torque limit close to the gravity torque held in the log: {names}")

@@ -3,7 +3,7 @@
 This is the twin's physics. It never imports `rejoint.plant` and shares no code with it, for the
 reason given in `rejoint.twin.parameters`.
 
-Per joint: torque = clip(stiffness (command + offset - q), +-limit) - damping qdot - Coulomb friction.
+Per joint: torque = clip(stiffness (command + offset - q), +-limit) - damping qdot - dry friction.
 Delay and reference ramp act on the command before it reaches the model (`rejoint.twin.reference`).
 Contacts and joint stops are left out: the guard keeps commands away from both.
 
@@ -31,6 +31,18 @@ FRICTION_IMPEDANCE = (0.9999, 0.9999, 0.001, 0.5, 2.0)
 """solimp of the friction constraints (MuJoCo, modelling, solver parameters): nearly rigid"""
 
 TCP_SITE = "tcp"
+
+STICTION = 1.5
+"""Friction of a joint at rest over that of a moving one (chosen: between lubricated gears and dry plastic).
+Ordinary motion cannot tell it, but without it a twin lifts a load at which a weak joint really sticks"""
+
+STRIBECK_SPEED = 0.1
+"""[rad/s] at which friction has fallen to that of motion (chosen: two encoder steps in a control period)"""
+
+
+def stribeck_friction(coulomb: Array, stiction: float | Array, velocity: Array) -> Array:
+    """Dry friction [N m] at a joint velocity [rad/s] (Stribeck 1902, as in Armstrong-Helouvry et al. 1994)."""
+    return coulomb * (1.0 + (stiction - 1.0) * np.exp(-((velocity / STRIBECK_SPEED) ** 2)))
 
 
 def twin_model(
@@ -61,7 +73,6 @@ def model_fields(parameters: TwinParameters, timestep: Array, gravity_scale: Arr
     """
     p, shape = parameters, parameters.stiffness_shape
     timestep = np.broadcast_to(timestep, p.shape)
-    zero = np.zeros(shape)
     gain = np.zeros((*shape, mujoco.mjNGAIN))
     gain[..., 0] = p.stiffness
     bias = np.zeros((*shape, mujoco.mjNBIAS))
@@ -72,9 +83,14 @@ def model_fields(parameters: TwinParameters, timestep: Array, gravity_scale: Arr
     yield "dof_damping", p.damping
     yield "dof_frictionloss", p.coulomb
     yield "dof_armature", p.armature
-    yield "dof_solref", np.stack([zero + 2.0 * timestep[..., None], zero + 1.0], axis=-1)
+    yield "dof_solref", np.broadcast_to(friction_solref(timestep)[..., None, :], (*shape, 2))
     yield "opt.timestep", timestep
     yield "opt.gravity", np.broadcast_to(gravity_scale, p.shape)[..., None] * GRAVITY
+
+
+def friction_solref(timestep: Array) -> Array:
+    """Solref (..., 2) of the friction constraints: as fast as the time step (...) [s] allows, without bounce."""
+    return np.stack([2.0 * timestep, np.ones_like(timestep)], axis=-1)
 
 
 def _spec(arm: Arm) -> mujoco.MjSpec:

@@ -202,6 +202,7 @@ def prior(arm: Arm) -> Prior:
     return Prior(mean=mean, sigma=sigma, lower=lower_, upper=upper_)
 
 
+@lru_cache(maxsize=32)
 def nominal_parameters(arm: Arm) -> TwinParameters:
     """Twin of the prior medians."""
     return unpack(prior(arm).mean, arm.joints)

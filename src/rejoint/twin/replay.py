@@ -19,7 +19,7 @@ from rejoint.arms import Arm, Array, tcp_position
 from rejoint.errors import InputError
 from rejoint.runs import RunLog
 from rejoint.twin.batch import TwinBatch
-from rejoint.twin.model import TIMESTEP
+from rejoint.twin.model import STICTION, TIMESTEP
 from rejoint.twin.parameters import TwinParameters
 from rejoint.twin.reference import Reference
 
@@ -64,6 +64,7 @@ class Replay:
         windows: Sequence[Window],
         timestep: float = TIMESTEP,
         threads: int = 1,
+        stiction: float = STICTION,
     ) -> None:
         for log in logs:
             if log.arm != arm.name or log.position.shape[1] != arm.joints:
@@ -71,7 +72,7 @@ class Replay:
         if not windows:
             raise InputError("replay: no windows; a run log needs at least three rows")
         self.arm, self.logs, self.windows = arm, list(logs), list(windows)
-        self.timestep, self.threads = timestep, threads
+        self.timestep, self.threads, self.stiction = timestep, threads, stiction
         self._velocity = [measured_velocity(log) for log in self.logs]
         spans = [self._log(w).time[w.last - 1] - self._log(w).time[w.first] for w in self.windows]
         self.steps = int(np.ceil(max(spans) / timestep)) + 1
@@ -86,7 +87,7 @@ class Replay:
         start = np.stack([self._log(w).position[w.first] for w in self.windows])
         velocity = np.stack([self._velocity[w.log][w.first] for w in self.windows])
         batch.restart(np.repeat(start, m, axis=0), np.repeat(velocity, m, axis=0))
-        recorded = batch.rollout(self._control(parameters))
+        recorded = batch.rollout(self._control(parameters), self.stiction)
         path = np.concatenate([np.repeat(start, m, axis=0)[:, None], recorded], axis=1)
         return [
             _interpolate(path[i * m : (i + 1) * m], self.timestep, self._log(w).time[w.first : w.last])
@@ -101,6 +102,14 @@ class Replay:
         """Commands (rows, n) [rad] in force when each window's answers were read."""
         return [
             self._log(w).command[np.maximum(np.arange(w.first, w.last) - 1, 0)]  # row k is sent after its answer
+            for w in self.windows
+        ]
+
+    def references(self, parameters: TwinParameters) -> list[Array]:
+        """Compute references (rows, n) [rad] of one twin's servos when each window's answers were read."""
+        references = self._references(parameters.repeat(1))
+        return [
+            references[w.log].sample(self._log(w).time[w.first : w.last], np.atleast_1d(parameters.delay))[0]
             for w in self.windows
         ]
 
@@ -123,10 +132,13 @@ class Replay:
         MuJoCo moves positions by the new velocity, which leads the motion by half a step; a command held from
         the start of a step lags by as much. The two cancel, and the delay does not depend on the time step.
         """
-        references = [Reference(log.time, log.command, parameters.ramp_speed, log.command[0]) for log in self.logs]
+        references = self._references(parameters)
         grid = np.arange(self.steps) * self.timestep
         parts = [references[w.log].sample(self._log(w).time[w.first] + grid, parameters.delay) for w in self.windows]
         return np.concatenate(parts)
+
+    def _references(self, parameters: TwinParameters) -> list[Reference]:
+        return [Reference(log.time, log.command, parameters.ramp_speed, log.command[0]) for log in self.logs]
 
 
 def predict(arm: Arm, parameters: TwinParameters, log: RunLog, timestep: float = TIMESTEP) -> Array:

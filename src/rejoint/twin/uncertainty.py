@@ -16,9 +16,13 @@ from numpy.typing import NDArray
 
 from rejoint.arms import Array
 from rejoint.twin.fit import Fit, Problem, influence
+from rejoint.twin.parameters import JOINT_PARAMETERS
 
 CLUSTER = 3.0
 """[s] longer than a stick-slip cycle and than the slowest oscillation of a worn arm (chosen)"""
+
+TORQUE_LIMIT = next(i for i, p in enumerate(JOINT_PARAMETERS) if p.name == "torque_limit")
+"""Place of the torque limit among a joint's parameters"""
 
 IDENTIFIED = 0.5
 """A parameter counts as identified when the data at least halve its prior standard deviation (chosen)"""
@@ -66,11 +70,16 @@ def strong_correlations(covariance: Array, threshold: float = 0.9) -> list[tuple
 
 
 def _central_differences(problem: Problem, x: Array) -> tuple[Array, Array]:
-    """Residual (rows, n) at ``x`` and sensitivities (rows, n, q), one-sided where a bound is near."""
+    """Residual (rows, n) at ``x`` and sensitivities (rows, n, q), one-sided where a bound is near.
+
+    The torque limit's is upward: of a limit that was never reached, the data only say that it is not lower.
+    """
     ones = np.ones(len(x))
     up, down = problem.inward(x, ones), problem.inward(x, -ones)
     residuals = problem.residuals(np.vstack([x, problem.perturbations(x, up), problem.perturbations(x, down)]))
     base, count = residuals[0], (len(residuals) - 1) // 2
     forward = problem.jacobian(base, residuals[1 : 1 + count], up)
     backward = problem.jacobian(base, residuals[1 + count :], down)
-    return base, 0.5 * (forward + backward)
+    central = 0.5 * (forward + backward)
+    central[..., TORQUE_LIMIT] = forward[..., TORQUE_LIMIT]
+    return base, central
