@@ -49,6 +49,11 @@ class IdealPlant:
         self.limit = speed
 
 
+@pytest.fixture(scope="session")
+def ideal_plant():
+    return IdealPlant
+
+
 @pytest.fixture
 def plant():
     return IdealPlant()

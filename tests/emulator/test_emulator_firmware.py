@@ -315,6 +315,37 @@ def test_no_payload_breaks_the_firmware_or_a_limit(plant, command, payload):
     plant.set_power(np.array([True]))
 
 
+LENGTHS = {
+    **dict.fromkeys((*SWITCHES, *STATES), (0,)),
+    **{command: lengths for command, (lengths, _) in ORDERS.items() if command not in (0x13, 0x54)},
+}
+requests = st.sampled_from(sorted(LENGTHS)).flatmap(
+    lambda command: st.builds(
+        Frame, st.just(command), st.sampled_from(LENGTHS[command]).flatmap(lambda n: st.binary(min_size=n, max_size=n))
+    )
+)
+
+
+@settings(deadline=None, max_examples=80)
+@given(st.lists(st.tuples(requests, st.integers(0, 60)), max_size=25), st.integers(0, 99))
+def test_after_any_commands_the_arm_obeys_the_next(ideal_plant, history, seed):
+    """Whatever was sent, and however fast: limits hold throughout, and a fresh command is carried out exactly."""
+    plant = ideal_plant()
+    firmware = Firmware(plant, ARM, seed=seed)
+    for request, pause_ms in history:
+        answer(firmware, request)
+        firmware.advance(pause_ms * 1e-3)
+        assert np.all((plant.goal >= ARM.lower - 1e-9) & (plant.goal <= ARM.upper + 1e-9))
+    firmware.power(True)
+    firmware.fresh = True
+    wanted = np.clip(THERE, firmware.lower, firmware.upper)
+    assert firmware.move_joints(np.clip(REST, firmware.lower, firmware.upper), 1.0)
+    assert firmware.move_joints(wanted, 1.0)
+    firmware.advance(4.0)
+    np.testing.assert_allclose(plant.position[0], wanted, atol=1e-9)
+    assert not firmware.moving
+
+
 def test_the_worn_arm_starts_at_rest_and_stays(worn):
     before = worn.angles
     worn.advance(2.0)

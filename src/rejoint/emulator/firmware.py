@@ -328,9 +328,11 @@ class Firmware:
 
     def _write(self, speed: float, goal: Array | None = None) -> None:
         """Send a goal (n,) [rad], by default the reference, over the servo bus."""
-        delay_ms = round(1e3 * self._rng.uniform(*COMMAND_DELAY))
+        due_ms = self._clock_ms + round(1e3 * self._rng.uniform(*COMMAND_DELAY))
+        if self._outbox:
+            due_ms = max(due_ms, self._outbox[-1].due_ms)  # a bus does not overtake itself
         target = (self._motion.reference if goal is None else goal) + self.zero
-        self._outbox.append(_Write(self._clock_ms + delay_ms, target, speed))
+        self._outbox.append(_Write(due_ms, target, speed))
 
     def _deliver(self) -> None:
         """Hand the servos the newest of the goals that have arrived."""
