@@ -166,7 +166,7 @@ def test_authority_worked_by_hand():
 
 
 def test_command_law_worked_by_hand():
-    law = CommandLaw()
+    law = CommandLaw(rest_gain=0.0)
     position = ARM.rest[None]
     view = look(ARM, position, tcp_position(ARM, position))._replace(step=np.radians([[2.0, 0, 0, 0, 0, -1.0]]))
     sent = position + np.radians(3.0)
@@ -188,7 +188,7 @@ def test_command_law_bounds_step_lead_and_joint_limits():
 
 
 def test_measured_anchor_forgets_the_last_command():
-    law = CommandLaw(anchor="measured", step_gain=1.0, authority_floor=0.0, authority_slope=0.0)
+    law = CommandLaw(anchor="measured", step_gain=1.0, authority_floor=0.0, authority_slope=0.0, rest_gain=0.0)
     position = ARM.rest[None]
     view = look(ARM, position, tcp_position(ARM, position) + 0.002)
     command = law.command(ARM, view, position, position + 0.3, np.zeros((1, 6)))

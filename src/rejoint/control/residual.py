@@ -36,8 +36,9 @@ class CommandLaw:
     """[rad] largest correction"""
     lead_limit: float = float(np.radians(20.0))
     """[rad] largest distance between command and measured position (anti-windup)"""
-    rest_gain: float = 0.0
-    """fraction of the way back to the rest posture taken each cycle in the null space"""
+    rest_gain: float = 0.02
+    """fraction of the way back to the rest posture taken each cycle in the null space (chosen: a policy without it
+    lets the wrist drift to its limits over a few dozen targets)"""
     rest_distance: float = 0.01
     """[m] TCP distance below which that pull fades, so that it does not disturb a settled arm"""
 

@@ -68,6 +68,7 @@ PAPER = Preset(
             authority_floor=float(np.radians(10.0)),  # measured: with less the worn arm's sag cannot be corrected
             authority_slope=0.0,
             authority_limit=float(np.radians(10.0)),
+            rest_gain=0.0,
         ),
         reward="equation-25",
         hold_steps=250,  # Table 3: maximum time step
