@@ -6,7 +6,15 @@ import numpy as np
 import pytest
 
 from rejoint.arms import Arm, frames, gravity_torque, mycobot280, position_jacobian, so101, solve_position, tcp_position
-from rejoint.arms.workspace import EDGES, LIMIT_MARGIN, derive_rest, derive_targets, derive_workspace, reach
+from rejoint.arms.workspace import (
+    AXIS_CLEARANCE,
+    EDGES,
+    LIMIT_MARGIN,
+    derive_rest,
+    derive_targets,
+    derive_workspace,
+    reach,
+)
 from rejoint.errors import InputError
 
 ARMS = {"mycobot280": mycobot280, "so101": so101}
@@ -39,15 +47,40 @@ def test_the_rest_posture_is_a_good_one(derived: Arm) -> None:
 
 
 def test_every_target_is_reached_with_margins_and_above_the_floor(derived: Arm) -> None:
+    check_targets(derived)
+
+
+def test_near_limits_cut_the_region() -> None:
+    arm = so101()
+    play = np.radians([15.0, 25, 30, 30, 40])
+    tight = replace(arm, lower=arm.rest - play, upper=arm.rest + play)
+    tight = replace(tight, targets=derive_targets(tight))
+    assert ((tight.targets.upper - tight.targets.lower)[:2] < 0.7 * EDGES[:2] * reach(arm)).all()
+    check_targets(tight)
+
+
+def test_a_stretched_arm_cuts_the_region() -> None:
+    forward, upward = [15.0, -50, -45, -20, 0, 0], [15.0, -15, -20, -15, 0, 0]
+    for posture, axis in ((forward, 0), (upward, 2)):
+        arm = replace(mycobot280(), rest=np.radians(posture))
+        arm = replace(arm, targets=derive_targets(arm))
+        assert arm.targets.upper[axis] < tcp_position(arm, arm.rest)[axis] + 0.001  # nothing beyond where it starts
+        check_targets(arm)
+
+
+def check_targets(derived: Arm) -> None:
     targets = np.concatenate([derived.targets.sample(np.random.default_rng(2), (1000,)), corners(derived)])
     solution = solve_position(derived, targets, derived.rest)
     assert solution.converged.all()
     np.testing.assert_allclose(tcp_position(derived, solution.q), targets, atol=2e-5)
+    assert (np.hypot(*targets.T[:2]) > AXIS_CLEARANCE * reach(derived) - 1e-3).all()
     margin = 0.9 * LIMIT_MARGIN * (derived.upper - derived.lower)  # a tenth less than on the grid that was checked
     assert ((solution.q > derived.lower + margin) & (solution.q < derived.upper - margin)).all()
     f = frames(derived, solution.q)
     assert (f.position[..., 2].min(axis=-1) > min(derived.floor, derived.offset[0, 2, 3] - 1e-9)).all()
-    assert derived.targets.contains(tcp_position(derived, derived.rest))
+    start, millimetre = tcp_position(derived, derived.rest), 1e-3  # to which the bounds are rounded
+    assert (derived.targets.lower - millimetre < start).all()
+    assert (start < derived.targets.upper + millimetre).all()
     assert (derived.targets.upper - derived.targets.lower <= EDGES * reach(derived) + 1e-9).all()
 
 
