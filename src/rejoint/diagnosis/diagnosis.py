@@ -18,6 +18,7 @@ HIDDEN_MARGIN_MM = 1.0
 """Distance between tool and encoders, beyond the healthy range, from which it is called wear (chosen)."""
 
 _KINDS = {
+    "stuck": "stuck",
     "weak_gain": "soft, so that it sags or stops short",
     "friction": "stiff to turn",
     "play_in_loop": "loose inside its servo loop, so that it hunts",

@@ -114,6 +114,7 @@ def _combine(arm: Arm, rows: list[JointMetrics]) -> JointMetrics:
         torque_seen_nm=max(row.torque_seen_nm for row in rows),
         saturated_share=max(row.saturated_share for row in rows),
         motor_inertia_kg_m2=_typical([row.motor_inertia_kg_m2 for row in rows]),
+        sweep_gain=min((row.sweep_gain for row in rows if row.sweep_gain is not None), default=None),
         stuck_rad=max(row.stuck_rad for row in rows),
     )
 

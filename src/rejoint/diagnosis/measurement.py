@@ -63,6 +63,8 @@ class JointMetrics:
     """share of the time at the torque limit"""
     motor_inertia_kg_m2: float | None
     """of motor and gear, seen from the joint; None where gravity does not load it enough to tell"""
+    sweep_gain: float | None
+    """share of a slow sweep that the joint follows; None where no sweep could be sent"""
     stuck_rad: float
     """farthest that the joint stayed off what its own stiffness explains, in a held posture"""
 
@@ -121,6 +123,7 @@ def _joint(data: ExcitationLog, joint: int, delay: float, dynamics: Fit, stiffne
         torque_seen_nm=0.0,
         saturated_share=0.0,
         motor_inertia_kg_m2=None if stiffness.motor is None else stiffness.motor.value,
+        sweep_gain=metrics.sweep_gain(data, joint),
         stuck_rad=_stuck(metrics.holds(data, joint)),
     )
     if k is None:
@@ -128,7 +131,7 @@ def _joint(data: ExcitationLog, joint: int, delay: float, dynamics: Fit, stiffne
     law = Law(
         stiffness=k.value, lag=0.0 if lag is None else lag.value,
         half_width=0.0 if half_width is None else max(half_width.value, 0.0),
-        ratio=max(float(dynamics.coefficients[0]), 0.0), delay=delay,
+        delay=delay,
     )  # fmt: skip
     torque = torque_given(data, joint, law)
     return replace(

@@ -35,6 +35,9 @@ _MOVING = 0.7
 _MIN_TORQUE_RANGE = 2e-3
 """[N m] variation of gravity torque below which it is not fitted: the column would only add noise (chosen)."""
 
+_MIN_SWEEP = 0.1
+"""[rad] range of a sweep below which nothing is said about how it was followed (chosen: a third of the plan's)."""
+
 _MIN_STEP = 0.02
 """[rad] motion below which an overshoot is not expressed as a fraction of it (chosen)."""
 
@@ -53,6 +56,13 @@ def sweep_fit(data: ExcitationLog, joint: int, delay: float) -> Fit | None:
         return None
     design = np.stack([averages.speed, np.sign(averages.direction), averages.acceleration, *nuisance(averages)], axis=1)
     return fit_trimmed(design[moving], averages.error[0, moving], averages.cluster[moving])
+
+
+def sweep_gain(data: ExcitationLog, joint: int) -> float | None:
+    """Share of a sweep's range that the joint really covers; None if the sweep was not sent (the guard forbade it)."""
+    rows = np.concatenate([data.rows(segment) for segment in data.of_kind("sweep", joint)])
+    asked = float(np.ptp(data.log.command[rows, joint])) if len(rows) else 0.0
+    return float(np.ptp(data.log.position[rows, joint])) / asked if asked > _MIN_SWEEP else None
 
 
 def nuisance(averages: Averages) -> tuple[Array, Array]:

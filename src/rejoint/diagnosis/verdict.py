@@ -16,7 +16,7 @@ from rejoint.arms import Arm, Array, frames, gravity_torque, position_jacobian
 from rejoint.diagnosis.healthy import OVERSHOOT_ALLOWED, HealthyReference
 from rejoint.diagnosis.measurement import JointMetrics, Measurement
 from rejoint.diagnosis.open_loop import settled_rows
-from rejoint.diagnosis.regression import Estimate
+from rejoint.diagnosis.regression import Estimate, mean_of
 from rejoint.runs import RunLog
 
 BAD_MM = 3.0
@@ -24,13 +24,20 @@ BAD_MM = 3.0
 2024, section IV-B)."""
 
 RINGING_RATIO = 0.4
-"""Damping ratio below which a joint rings, whatever its reference: 25 % overshoot (second-order step response)."""
+"""Damping ratio below which a joint is said to ring without a reference: 25 % overshoot (second order)."""
 
 QUIET_COUNTS = 2.0
 """Encoder counts of rms motion at rest that flicker between two counts cannot explain (one count gives half of one)."""
 
 SATURATED = 0.3
 """Share of the time at the torque limit from which a joint's stiffness and friction cannot be told (chosen)."""
+
+FOLLOWS = 0.3
+"""Share of a slow sweep below which a joint counts as stuck (chosen: a worn one makes 0.7 of it)."""
+
+STUCK_ERROR = 0.17
+"""[rad] of following error at a target from which a joint that does not sweep is stuck (chosen: 10 deg, twice the sag
+of a worn joint)."""
 
 STUCK_COUNTS = 10.0
 """Encoder counts off what stiffness explains from which a joint is called stuck: a degree (chosen)."""
@@ -45,7 +52,7 @@ class Finding:
 
     joint: str
     kind: str
-    """weak_gain, friction, play_in_loop, torque_limit, low_damping, lag or noise"""
+    """stuck, weak_gain, friction, play_in_loop, torque_limit, low_damping, lag or noise"""
     severity: str
     """worn or bad"""
     quantity: str
@@ -80,8 +87,20 @@ class _Case:
         """[m] mean way of the TCP per radian."""
         return float(self.levers.mean())
 
+    @property
+    def moves(self) -> bool:
+        """Whether the joint moves freely enough for its stiffness and friction to show."""
+        return self.row.lag_s is not None and self.row.saturated_share <= SATURATED
+
+    @property
+    def hunts(self) -> bool:
+        """Whether the joint swings while it should hold still."""
+        return (self.row.hunting_rad.low or 0.0) > QUIET_COUNTS * self.encoder_step
+
     def finding(self, kind: str, quantity: str, measured: Estimate, tcp: float, sentence: str) -> Finding:
-        reference = getattr(self.healthy, quantity) if self.healthy is not None else None
+        reference = getattr(self.healthy, quantity, None)
+        if not isinstance(reference, Estimate):
+            reference = None
         return Finding(
             joint=self.row.joint, kind=kind, severity="bad" if tcp * 1e3 >= BAD_MM else "worn", quantity=quantity,
             measured=measured, healthy=reference, tcp_mm=tcp * 1e3,
@@ -120,10 +139,22 @@ def find(arm: Arm, measurement: Measurement, targets: RunLog, healthy: HealthyRe
     return tuple(sorted(found, key=lambda f: (f.severity != "bad", -f.tcp_mm)))
 
 
+def stuck(case: _Case) -> Iterator[Finding]:
+    """Tell whether the joint stands still although it is told to move, or was too far off to be told at all."""
+    gain = case.row.sweep_gain
+    if (gain is not None and gain > FOLLOWS) or case.errors.max() < STUCK_ERROR:
+        return
+    yield case.finding(
+        "stuck", "following_error_rad", mean_of(case.errors), float((case.levers * case.errors).mean()),
+        f"does not follow: it stood up to {np.degrees(case.errors.max()):.0f} deg off where it was sent, so it is "
+        "blocked, or too weak to lift the arm; at its targets this costs",
+    )  # fmt: skip
+
+
 def weak_gain(case: _Case) -> Iterator[Finding]:
     """Tell whether the servo answers a following error with too little torque."""
     k = case.row.stiffness_nm_per_rad
-    if k is None or not case.below("stiffness_nm_per_rad") or case.row.saturated_share > SATURATED:
+    if k is None or not case.below("stiffness_nm_per_rad") or not case.moves:
         return
     friction = case.row.coulomb_nm.value if case.row.coulomb_nm is not None else 0.0
     weight = float((case.levers * case.loads).mean())
@@ -145,7 +176,7 @@ def weak_gain(case: _Case) -> Iterator[Finding]:
 def friction(case: _Case) -> Iterator[Finding]:
     """Tell whether the joint is hard to move."""
     force = case.row.coulomb_nm
-    if force is None or not case.beyond("coulomb_nm") or case.row.saturated_share > SATURATED:
+    if force is None or not case.beyond("coulomb_nm") or not case.moves or case.hunts:
         return
     half = max(case.row.hysteresis_rad.value, 0.0) / 2 if case.row.hysteresis_rad is not None else 0.0
     yield case.finding(
@@ -158,8 +189,7 @@ def friction(case: _Case) -> Iterator[Finding]:
 def play_in_loop(case: _Case) -> Iterator[Finding]:
     """Tell whether the joint does not come to rest although nothing is asked for."""
     swing = case.row.hunting_rad
-    counts = QUIET_COUNTS * case.encoder_step
-    if swing.low is None or swing.low <= counts or (case.healthy is not None and not case.beyond("hunting_rad")):
+    if not case.hunts or (case.healthy is not None and not case.beyond("hunting_rad")):
         return
     width = np.degrees(2 * 2**0.5 * swing.value)
     yield case.finding(
@@ -189,9 +219,9 @@ def torque_limit(case: _Case) -> Iterator[Finding]:
 def low_damping(case: _Case) -> Iterator[Finding]:
     """Tell whether the joint rings after a move; one at its torque limit swings for that reason and is left out."""
     ratio = case.row.damping_ratio
-    if ratio is None or ratio.high is None or ratio.high >= RINGING_RATIO or case.row.torque_limit_nm is not None:
+    if ratio is None or ratio.high is None or case.row.torque_limit_nm is not None or not case.moves:
         return
-    if case.healthy is not None and not case.below("damping_ratio"):
+    if not (case.below("damping_ratio") if case.healthy is not None else ratio.high < RINGING_RATIO):
         return
     over = case.row.overshoot.value
     if over < OVERSHOOT_ALLOWED:  # friction stops it: nothing that an owner would see
@@ -227,8 +257,8 @@ def lag(case: _Case) -> Iterator[Finding]:
 
 def noise(case: _Case) -> Iterator[Finding]:
     """Tell whether the readings jump although nothing moves. A joint that hunts does move."""
-    level, swing = case.row.noise_rad, case.row.hunting_rad
-    if not case.beyond("noise_rad") or (swing.low or 0.0) > QUIET_COUNTS * case.encoder_step:
+    level = case.row.noise_rad
+    if not case.beyond("noise_rad") or case.hunts:
         return
     yield case.finding(
         "noise", "noise_rad", level, case.lever * level.value,
@@ -237,7 +267,7 @@ def noise(case: _Case) -> Iterator[Finding]:
 
 
 RULES: tuple[Callable[[_Case], Iterator[Finding]], ...] = (
-    weak_gain, friction, play_in_loop, torque_limit, low_damping, lag, noise,
+    stuck, weak_gain, friction, play_in_loop, torque_limit, low_damping, lag, noise,
 )  # fmt: skip
 """All rules, each for one joint."""
 
