@@ -1,0 +1,22 @@
+"""How much faster than reality the worn arm is simulated."""
+
+from functools import partial
+
+import numpy as np
+
+from benchmarks.timing import best_of
+from rejoint.arms import mycobot280
+from rejoint.plant.plant import Plant
+from rejoint.plant.wear import load_wear
+
+
+def main() -> None:
+    arm = mycobot280()
+    print(f"{'arms':>6} {'threads':>8} {'times real time':>16} {'per core':>9}")
+    for count, threads in ((1, 1), (64, 1), (512, 1), (512, 2)):
+        plant = Plant(arm, [load_wear(f"worn?seed={i}", arm) for i in range(count)], seed=0, threads=threads)
+        plant.reset(np.tile(arm.rest, (count, 1)))
+        duration = 5.0 if count == 1 else 0.5
+        wall = best_of(3, partial(plant.advance, np.full(count, duration)))
+        speed = count * duration / wall
+        print(f"{count:>6} {threads:>8} {speed:>15.0f}x {speed / threads:>8.0f}x")

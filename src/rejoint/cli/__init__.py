@@ -1,0 +1,69 @@
+"""The command line: one command per stage, and `repair` for the whole chain.
+
+Exit codes: 0 done; 2 input that cannot be used; 3 the guard stopped the motion; 4 the robot failed;
+130 interrupted. Results go to standard output, everything else to standard error.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+
+import msgspec
+import typer
+from click.exceptions import Abort, ClickException
+from click.exceptions import Exit as ClickExit
+from rich.console import Console
+
+from rejoint.cli import chain, serving, stages
+from rejoint.errors import GuardTripError, RejointError
+
+app = typer.Typer(
+    name="rejoint",
+    help="Give a worn robot arm its accuracy back: diagnose it, fit a digital twin, train a policy, prove the gain.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="markdown",
+)
+COMMANDS: tuple[Callable[..., None], ...] = (
+    chain.repair, stages.diagnose, stages.identify, stages.train, stages.compare, stages.deploy, stages.report,
+    serving.emulate,
+)  # fmt: skip
+for command in COMMANDS:
+    app.command(context_settings={"help_option_names": ["-h", "--help"]})(command)
+
+INTERRUPTED = 130
+
+
+def main() -> None:
+    """Run the command line; every expected failure is one clear line and an exit code that means something."""
+    json = "--json" in sys.argv
+    try:
+        result = app(standalone_mode=False)
+        code = result if isinstance(result, int) else 0
+    except RejointError as error:
+        code = _fail(str(error), type(error).__name__, error.exit_code, json=json)
+        if isinstance(error, GuardTripError):
+            _say("The arm was held and stopped. Nothing was powered off; look at it before you go on.")
+    except ClickException as error:
+        code = _fail(error.format_message(), "UsageError", 2, json=json)
+    except ClickExit as error:
+        code = error.exit_code
+    except (Abort, KeyboardInterrupt):
+        code = _fail("interrupted; finished stages are kept, the same command goes on from there", "Interrupted",
+                     INTERRUPTED, json=json)  # fmt: skip
+    except BrokenPipeError:
+        code = 0  # whoever read our output has seen enough
+    sys.exit(code)
+
+
+def _fail(message: str, kind: str, code: int, *, json: bool) -> int:
+    _say(f"error: {message}")
+    if json:
+        sys.stdout.write(msgspec.json.encode({"error": kind, "message": message, "exit_code": code}).decode() + "\n")
+    return code
+
+
+def _say(text: str) -> None:
+    Console(file=sys.stderr, highlight=False, soft_wrap=True).print(text, markup=False)

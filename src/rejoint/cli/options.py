@@ -1,0 +1,44 @@
+"""Options that several commands share, so that they read the same everywhere."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from rejoint.errors import InputError
+
+ROBOT_HELP = "Robot: emulated:PROFILE (in process), tcp://HOST:PORT, or serial:///dev/ttyAMA0."
+
+Robot = Annotated[str, typer.Argument(help=ROBOT_HELP, metavar="ROBOT")]
+Run = Annotated[Path, typer.Argument(help="Run folder.", metavar="RUN")]
+RunOption = Annotated[Path | None, typer.Option("--run", help="Run folder; by default a new one below runs/.")]
+Seed = Annotated[int, typer.Option(help="Seed of everything random.", min=0)]
+Json = Annotated[bool, typer.Option("--json", help="End standard output with one line of JSON.")]
+Preset = Annotated[str, typer.Option(help="Training recipe: default, or paper (the literal method).")]
+Targets = Annotated[Path | None, typer.Option(help="CSV file of targets in mm with the header x,y,z.")]
+Controllers = Annotated[
+    str, typer.Option(help="Comma-separated controllers, or 'all'. The policy takes part where there is one.")
+]
+Period = Annotated[
+    str | None, typer.Option(help="Control period in ms, such as 50 or 20-30; by default what the robot suits.")
+]
+
+
+def period_seconds(text: str | None) -> tuple[float, float] | None:
+    """Read ``50`` or ``20-30`` [ms] as an interval [s]; InputError for anything else."""
+    if text is None:
+        return None
+    try:
+        parts = [float(part) / 1e3 for part in text.split("-")]
+    except ValueError:
+        parts = []
+    if len(parts) not in (1, 2) or not 0.001 <= parts[0] <= parts[-1] <= 1.0:
+        raise InputError(f"--period {text!r}: expected milliseconds such as 50 or 20-30, between 1 and 1000")
+    return parts[0], parts[-1]
+
+
+def controller_names(text: str) -> tuple[str, ...]:
+    """Read a comma-separated list; empty for ``all``."""
+    return () if text == "all" else tuple(name.strip() for name in text.split(",") if name.strip())

@@ -1,0 +1,78 @@
+"""How results look at the terminal."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from rejoint.arms import Array
+from rejoint.cli.console import Terminal
+from rejoint.comparison.recommend import Recommendation
+from rejoint.comparison.result import Comparison
+
+if TYPE_CHECKING:
+    from rejoint.diagnosis.diagnosis import Diagnosis
+    from rejoint.training.train import TrainingResult
+    from rejoint.twin.twin import Twin
+
+
+def diagnosis(terminal: Terminal, result: Diagnosis) -> None:
+    """Print the verdict in words."""
+    terminal.say(result.verdict)
+    for finding in result.findings:
+        terminal.say(f"  - {finding.sentence}")
+    for limit in result.unseen:
+        terminal.say(f"  ? {limit}")
+
+
+def twin(terminal: Terminal, result: Twin) -> None:
+    """Print how well the twin predicts motion it has not seen."""
+    errors = result.held_out
+    terminal.say(
+        f"On {errors.seconds:.0f} s of motion that the fit has not seen, the twin predicts the joints within "
+        f"{np.degrees(errors.twin.joint):.2f} deg and the tool within {1e3 * errors.twin.tcp:.1f} mm rms "
+        f"(no twin: {1e3 * errors.no_twin.tcp:.1f} mm, a healthy arm's twin: "
+        f"{1e3 * errors.healthy_twin.tcp:.1f} mm)."
+    )
+    if result.unknown:
+        terminal.say(f"The data cannot tell: {', '.join(result.unknown)}; they keep their prior range.")
+
+
+def training(terminal: Terminal, result: TrainingResult) -> None:
+    """Print what the training reached."""
+    terminal.say(
+        f"{result.steps / 1e6:.2f} million transitions in {result.wall_s:.0f} s; on randomised twins "
+        f"{100 * result.success_rate:.0f} % of the targets reached, median error {result.error_mm:.2f} mm. "
+        f"Policy: {result.policy}"
+    )
+
+
+def comparison(terminal: Terminal, result: Comparison, advice: Recommendation) -> None:
+    """Print the table of all controllers and the one to use."""
+    from rejoint.report.tables import comparison_table
+
+    headers, rows = comparison_table(result)
+    sets, count = len(result.targets), len(result.targets[0])
+    title = f"{result.robot}: {sets} sets of {count} targets, {result.repetitions} repetitions"
+    terminal.table(title, headers, rows, bold=result.controllers.index(advice.controller))
+    terminal.result(f"Recommended: {advice.controller}. {' '.join(advice.why)}")
+
+
+def verdict(terminal: Terminal, before: Diagnosis, result: Comparison, advice: Recommendation) -> None:
+    """Print what the whole repair came to."""
+    settled = result.row(advice.controller).hold.settled
+    if settled is not None:
+        terminal.result(
+            f"Before: {before.open_loop.error_mm.value:.1f} mm off. After, with '{advice.controller}': "
+            f"{1e3 * settled.mean.value:.2f} mm (both by the arm's own encoders)."
+        )
+
+
+def deployment(terminal: Terminal, targets: Array, errors: Array) -> None:
+    """Print the error that was left at each target."""
+    rows = [
+        [str(i), *(f"{1e3 * value:.1f}" for value in target), f"{1e3 * error:.2f}"]
+        for i, (target, error) in enumerate(zip(targets, errors, strict=True), start=1)
+    ]
+    terminal.table("Error at the end of each target (encoders)", ["target", "x mm", "y mm", "z mm", "error mm"], rows)

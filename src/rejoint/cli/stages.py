@@ -1,0 +1,143 @@
+"""One command per stage."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from rejoint import repair as work
+from rejoint.cli import show
+from rejoint.cli.console import Terminal
+from rejoint.cli.options import (
+    Controllers,
+    Json,
+    Period,
+    Preset,
+    Robot,
+    Run,
+    RunOption,
+    Seed,
+    Targets,
+    controller_names,
+    period_seconds,
+)
+from rejoint.comparison.targets import draw_targets, read_targets
+
+
+def diagnose(
+    robot: Robot = "emulated:worn",
+    run: RunOption = None,
+    period: Period = None,
+    seed: Seed = 0,
+    json: Json = False,
+) -> None:
+    """Find out what is wrong with an arm: ten targets open loop, then an excitation of every joint.
+
+    Example: `rejoint diagnose tcp://192.168.1.20:9000 --run runs/mine`
+    """
+    terminal = Terminal(json=json)
+    path = run or work.newest_or_new(robot, seed)[0]
+    folder = work.begin(path, robot, "mycobot280", seed)
+    info = work.open_run(path)[1]
+    with terminal.progress("diagnosing") as update:
+        diagnosis = work.diagnose_stage(folder, info, period=period_seconds(period), on_progress=update)
+    show.diagnosis(terminal, diagnosis)
+    terminal.result(f"Next: rejoint identify {path}")
+    terminal.finish({"run": str(path), "diagnosis": diagnosis})
+
+
+def identify(run: Run, json: Json = False) -> None:
+    """Fit a digital twin to the excitation log of a run.
+
+    Example: `rejoint identify runs/mine`
+    """
+    terminal = Terminal(json=json)
+    folder, info, _ = work.open_run(run)
+    with terminal.progress("identifying") as update:
+        twin = work.identify_stage(folder, info, on_progress=update)
+    show.twin(terminal, twin)
+    terminal.result(f"Next: rejoint train {run}")
+    terminal.finish({"run": str(run), "twin": str(folder.twin), "held_out": twin.held_out})
+
+
+def train(
+    run: Run,
+    preset: Preset = "default",
+    restart: Annotated[bool, typer.Option("--restart", help="Forget an interrupted training.")] = False,
+    json: Json = False,
+) -> None:
+    """Train a policy on randomised copies of the run's twin.
+
+    Example: `rejoint train runs/mine`
+    """
+    terminal = Terminal(json=json)
+    folder, info, _ = work.open_run(run)
+    if not folder.twin.exists():
+        terminal.say(f"{run} has no twin.toml: training on broad ranges instead of on this arm.")
+    with terminal.progress("training") as update:
+        result = work.train_stage(folder, info, preset=preset, resume=not restart, on_progress=update)
+    show.training(terminal, result)
+    terminal.result(f"Next: rejoint compare {info.robot} {run}")
+    terminal.finish(result)
+
+
+def compare(
+    robot: Robot,
+    run: Run,
+    targets: Targets = None,
+    controllers: Controllers = "all",
+    sets: Annotated[int, typer.Option(help="Target sets of ten targets each.", min=1)] = 10,
+    repetitions: Annotated[int, typer.Option(help="Repetitions of every target set.", min=1)] = 6,
+    period: Period = None,
+    json: Json = False,
+) -> None:
+    """Try every controller on the same arm with the same targets.
+
+    Example: `rejoint compare emulated:worn runs/mine --sets 10 --repetitions 6`
+    """
+    terminal = Terminal(json=json)
+    folder, info, _ = work.open_run(run)
+    trials = work.Trials(controllers=controller_names(controllers), sets=sets, repetitions=repetitions, file=targets)
+    with terminal.progress("comparing") as update:
+        result = work.compare_stage(folder, info, robot, trials, period=period_seconds(period), on_progress=update)
+    show.comparison(terminal, *result)
+    terminal.result(f"Next: rejoint report {run}")
+    terminal.finish({"run": str(run), "recommended": result[1], "comparison": result[0]})
+
+
+def deploy(
+    robot: Robot,
+    run: Run,
+    targets: Targets = None,
+    controller: Annotated[str, typer.Option(help="policy, or one of the baselines.")] = "policy",
+    dwell: Annotated[float, typer.Option(help="Time per target in seconds.", min=0.1)] = 4.0,
+    period: Period = None,
+    json: Json = False,
+) -> None:
+    """Drive an arm to targets with the trained policy (or another controller); ten random ones by default.
+
+    Example: `rejoint deploy tcp://192.168.1.20:9000 runs/mine --targets points.csv`
+    """
+    terminal = Terminal(json=json)
+    folder, info, arm = work.open_run(run)
+    points = draw_targets(arm, sets=1, seed=info.seed)[0] if targets is None else read_targets(targets, arm)
+    errors = work.deploy_stage(
+        folder, info, robot, work.Deployment(controller=controller, targets=points, dwell=dwell), period_seconds(period)
+    )
+    show.deployment(terminal, points, errors)
+    terminal.finish({"run": str(run), "controller": controller, "error_mm": [1e3 * float(e) for e in errors]})
+
+
+def report(run: Run, json: Json = False) -> None:
+    """Write the report of a run: one self-contained page that opens in a browser.
+
+    Example: `rejoint report runs/mine`
+    """
+    from rejoint.report.page import write_report
+
+    terminal = Terminal(json=json)
+    folder, _, _ = work.open_run(run)
+    path = write_report(folder.path)
+    terminal.result(str(path.resolve()))
+    terminal.finish({"run": str(run), "report": str(path.resolve())})
