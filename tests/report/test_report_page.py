@@ -8,7 +8,7 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pytest
-from conftest import SETTLED, make_comparison, write_curves
+from report_samples import SETTLED, make_comparison, write_curves
 
 from rejoint.comparison.recommend import recommend
 from rejoint.errors import FileError
