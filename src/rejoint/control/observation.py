@@ -34,6 +34,7 @@ LIMIT = 8.0
 SUCCESS_DISTANCE = 0.005
 """[m] distance threshold of the success buffer S; Park et al. 2024, section III-D."""
 
+_RIDGE = DAMPING**2 * np.eye(3)
 _LONGEST_WAIT = 2.0  # [s] chosen: later than that the arm should have settled
 _ONE_DEGREE, _FIFTH_OF_A_DEGREE = float(np.radians(1.0)), float(np.radians(0.2))
 
@@ -85,7 +86,7 @@ def look(arm: Arm, position: Array, target: Array) -> View:
     wanted = np.empty((*error.shape, 2))
     wanted[..., 0] = error
     np.matmul(jacobian, away[..., None], out=wanted[..., 1:])
-    both = transpose @ np.linalg.solve(jacobian @ transpose + DAMPING**2 * np.eye(3), wanted)
+    both = transpose @ np.linalg.solve(jacobian @ transpose + _RIDGE, wanted)
     distance = np.sqrt(np.einsum("...i,...i->...", error, error))
     return View(f.tcp_position, error, distance, both[..., 0], away - both[..., 1])
 

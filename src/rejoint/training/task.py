@@ -27,10 +27,8 @@ from rejoint.training.reward import SUCCESS_DISTANCE, paper_reward, residual_rew
 from rejoint.training.truth import fixed_truth, moving_truth, truth_size
 from rejoint.training.wire import Wire
 from rejoint.twin.batch import TwinBatch
+from rejoint.twin.model import stribeck_friction
 from rejoint.twin.reference import approach
-
-STRIBECK_SPEED = 0.1
-"""[rad/s] speed at which friction has mostly fallen from that at rest to that in motion (chosen)."""
 
 SUBSTEPS = 6
 """Physics steps in a control cycle: 3 ms each at the shortest period, 9 ms at the longest."""
@@ -184,17 +182,12 @@ class ReachTask:
         for k in range(SUBSTEPS):
             self._reference = approach(self._reference, goals[:, k], reach)
             self.twins.ctrl[:] = self._reference
-            self.twins.set_friction(self._friction())
+            self.twins.set_friction(stribeck_friction(self._coulomb, self._stiction, self.twins.qvel))
             self.twins.step()
             passed[:, k] = self.twins.qpos
         self._time, self._since = self._time + self._period, self._since + self._period
         self.wire.record(starts + substep[:, None], passed)
         self._measured = self._quantised(self.wire.read(self._time))
-
-    def _friction(self) -> Array:
-        """Dry friction (N, n) [N m] at the present speeds: a joint at rest sticks (Stribeck 1902)."""
-        sticking = np.exp(-((self.twins.qvel / STRIBECK_SPEED) ** 2))
-        return self._coulomb * (1.0 + (self._stiction - 1.0) * sticking)
 
     def _renew(self, ended: Mask, final: Observation, final_truth: Observation) -> tuple[Observation, Observation]:
         """Give new targets, and after the last one new arms, where a target has ended."""

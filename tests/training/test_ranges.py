@@ -1,0 +1,101 @@
+import dataclasses
+
+import numpy as np
+import pytest
+
+from rejoint.arms import mycobot280
+from rejoint.control.policy import load_policy
+from rejoint.training.presets import DEFAULT, PAPER
+from rejoint.training.ranges import BroadRanges, IdentifiedRanges, MixedRanges, PaperRanges
+from rejoint.training.train import TrainingOptions, train, training_ranges
+from rejoint.twin.parameters import nominal_parameters, pack, prior, vector_names
+from rejoint.twin.replay import PredictionError
+from rejoint.twin.twin import HeldOut, Twin
+
+ARM = mycobot280()
+BROAD = BroadRanges(arm=ARM)
+ERROR = PredictionError(joints=np.zeros(6), joint=0.0, tcp=0.0)
+
+
+def make_twin() -> Twin:
+    """A twin whose stiffness and delay are known to 4 % and 1 ms; all else is as vague as the prior."""
+    belief, names = prior(ARM), vector_names(ARM.joint_names)
+    known = np.array([name.startswith(("stiffness", "delay")) for name in names])
+    sigma = np.where(known, [0.04 if "stiffness" in name else 0.001 for name in names], belief.sigma)
+    return Twin(
+        arm=ARM.name, joint_names=ARM.joint_names, parameters=nominal_parameters(ARM), covariance=np.diag(sigma**2),
+        lower=belief.lower, upper=belief.upper, narrowing=sigma / belief.sigma, identified=known,
+        held_out=HeldOut(seconds=1.0, no_twin=ERROR, healthy_twin=ERROR, twin=ERROR), fit_seconds=1.0,
+    )  # fmt: skip
+
+
+def draws(ranges, count=4000, seed=0):
+    return ranges.draw(np.random.default_rng(seed), count)
+
+
+def test_broad_ranges_keep_their_bounds():
+    draw = draws(BROAD)
+    stiffness = draw.twin.stiffness[:, 0]
+    assert 3.0 * 0.75 <= stiffness.min() < 3.2
+    assert 14.0 < stiffness.max() <= 12.0 * 1.25 + 0.01
+    assert abs((draw.twin.coulomb == 0.0).all(axis=1).mean() - 0.2) < 0.03
+    for values, (low, high) in (
+        (draw.command_delay, (0.005, 0.040)),
+        (draw.readback_delay, (0.005, 0.030)),
+        (draw.period, (0.018, 0.055)),
+        (draw.stiction, (1.0, 2.2)),
+    ):
+        width = high - low
+        assert low <= values.min() < low + 0.05 * width
+        assert high - 0.05 * width < values.max() <= high
+
+
+def test_what_is_identified_is_drawn_closely_and_the_rest_broadly():
+    draw = draws(IdentifiedRanges(broad=BROAD, twin=make_twin()))
+    spread = (pack(draw.twin) - pack(nominal_parameters(ARM))).std(axis=0)
+    names = vector_names(ARM.joint_names)
+    stiffness, armature = spread[names.index("stiffness.joint3")], spread[names.index("armature.joint3")]
+    assert 1.5 * 0.04 < stiffness < 2.5 * 0.04  # widened
+    assert armature > 0.3  # as vague as the prior
+    assert (draw.period.min(), draw.period.max()) == pytest.approx((0.018, 0.055), rel=0.01)
+
+
+def test_both_ways_share_the_identified_delay():
+    draw = draws(IdentifiedRanges(broad=BROAD, twin=make_twin()))
+    np.testing.assert_allclose(draw.command_delay + draw.readback_delay, draw.twin.delay)
+    share = draw.command_delay / draw.twin.delay
+    assert 0.3 <= share.min() < 0.32
+    assert 0.68 < share.max() <= 0.7
+
+
+def test_mixed_ranges_take_whole_arms_from_either_side():
+    soft = BroadRanges(arm=ARM, stiffness=(0.5, 0.6), command_delay=(0.001, 0.002))
+    hard = BroadRanges(arm=ARM, stiffness=(3.0, 4.0), command_delay=(0.050, 0.060))
+    draw = draws(MixedRanges(first=soft, second=hard, share=0.25))
+    is_soft = draw.command_delay < 0.01
+    assert abs(is_soft.mean() - 0.25) < 0.03
+    assert draw.twin.stiffness[is_soft, 0].max() < draw.twin.stiffness[~is_soft, 0].min()
+
+
+def test_the_paper_s_ranges_are_those_of_the_paper():
+    draw = draws(PaperRanges(arm=ARM), 3000)
+    p, d = draw.twin.stiffness[:, 0] / 0.06, draw.twin.damping[:, 0] / 0.012
+    assert 50.0 <= p.min() < 51.0
+    assert 199.0 < p.max() <= 200.0
+    assert ((d >= p / 50.0) & (d <= p / 10.0)).all()
+    assert 1 / 60 <= draw.period.min() < draw.period.max() <= 1 / 30
+    assert draw.twin.offset.std() == pytest.approx(np.radians(1.0), rel=0.02)
+
+
+def test_ranges_follow_from_preset_and_twin():
+    twin = make_twin()
+    assert isinstance(training_ranges(ARM, None, DEFAULT), BroadRanges)
+    assert training_ranges(ARM, twin, DEFAULT).first.twin is twin
+    noisy = dataclasses.replace(PAPER, joint_noise=np.radians(5.0))
+    assert training_ranges(ARM, twin, noisy).joint_noise == np.radians(5.0)
+
+
+def test_a_policy_says_which_twin_it_was_trained_on(tmp_path):
+    twin = make_twin()
+    result = train(ARM, twin, out=tmp_path, options=TrainingOptions(agents=8, threads=1, iterations=1))
+    assert load_policy(result.policy, ARM).contract.twin_digest == twin.digest()
