@@ -17,6 +17,7 @@ from rejoint.control.contract import (
     PolicyContract,
     arm_digest,
     check_contract,
+    check_period,
     decode_contract,
     encode_contract,
     probe_observations,
@@ -177,6 +178,14 @@ def test_an_arm_with_a_longer_tool_is_another_arm(policy):
     tip = ARM.tip.copy()
     tip[2, 3] += 0.05
     refused(policy, ContractError, "another geometry", dataclasses.replace(ARM, tip=tip))
+
+
+def test_a_control_period_far_from_training_is_refused():
+    for period in (0.018, 0.030, 0.055, 0.065):
+        check_period(contract(), period)
+    for period in (0.010, 0.100, float("nan")):
+        with pytest.raises(ContractError, match="18 to 55 ms"):
+            check_period(contract(), period)
 
 
 def test_contracts_that_cannot_be_read(tmp_path):

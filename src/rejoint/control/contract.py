@@ -30,6 +30,9 @@ PROBE_TOLERANCE = 1e-4
 """Largest difference between the recorded and the recomputed answer to the probe (chosen: ten times
 what float32 arithmetic on another processor changes)."""
 
+PERIOD_MARGIN = 1.25
+"""Factor by which a control period may leave the range of the training (chosen: a little jitter)."""
+
 _PROBE_ROWS = 8
 _LIMIT_TOLERANCE = 1e-6  # [rad]
 
@@ -126,6 +129,16 @@ def check_contract(contract: PolicyContract, arm: Arm) -> None:
             )
     if contract.arm_digest != arm_digest(arm):
         raise ContractError(f"the policy was trained for another geometry of {arm.name}; {remedy}")
+
+
+def check_period(contract: PolicyContract, period: float) -> None:
+    """Refuse (ContractError) a robot whose mean control period [s] is far from all that was met in training."""
+    low, high = contract.min_period / PERIOD_MARGIN, contract.max_period * PERIOD_MARGIN
+    if not low <= period <= high:
+        raise ContractError(
+            f"the robot's control period is {1e3 * period:.0f} ms, the policy was trained for "
+            f"{1e3 * contract.min_period:.0f} to {1e3 * contract.max_period:.0f} ms; check the connection"
+        )
 
 
 def _degrees(angles: tuple[float, ...] | Array) -> list[float]:
