@@ -25,6 +25,14 @@ def test_what_is_missing_is_said(missing):
     assert spread(1.0, missing) == "1.00"
 
 
+def test_rounding_noise_is_zero():
+    assert number(6.3e-17, 2) == "0.0"
+    assert number(-2e-12, 3) == "0.00"
+    assert interval(-1e-15, 2.4e-14, 2) == "0.0 to 0.0"
+    assert number(0.00213, 3) == "0.00213"
+    assert number(0.000213, 3) == "0.00021", "five decimals at most"
+
+
 def test_units_do_not_break_off():
     assert number(3.0, 2, "mm") == "3.0\N{NO-BREAK SPACE}mm"
 

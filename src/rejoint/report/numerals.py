@@ -6,6 +6,8 @@ import math
 
 UNKNOWN = "not known"
 NEVER = "never"
+MOST_PLACES = 5
+"""Decimals at most: with the units of the page, what is smaller is rounding noise and shown as 0 (chosen)"""
 
 
 def number(value: float | None, digits: int = 3, unit: str = "") -> str:
@@ -45,10 +47,10 @@ def _zero(value: float, places: int) -> str:
 
 def _places(value: float, digits: int) -> int:
     """Return how many decimals show ``digits`` significant digits of the value."""
-    if value == 0:
+    if abs(value) < 10.0**-MOST_PLACES:
         return digits - 1
     rounded = float(f"{value:.{digits - 1}e}")
-    return max(0, digits - 1 - math.floor(math.log10(abs(rounded))))
+    return min(max(0, digits - 1 - math.floor(math.log10(abs(rounded)))), MOST_PLACES)
 
 
 def _suffix(unit: str) -> str:

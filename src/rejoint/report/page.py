@@ -14,7 +14,7 @@ from rejoint.report.embed import theme_css
 from rejoint.report.gallery import Gallery
 from rejoint.report.numerals import UNKNOWN
 from rejoint.report.sections import compared, diagnosed, motion, training, twin
-from rejoint.report.sections.details import details_section
+from rejoint.report.sections.details import commands, details_section
 from rejoint.report.sections.verdict import page_of
 from rejoint.report.view import Page, Section
 from rejoint.runs import write_whole
@@ -59,35 +59,36 @@ def make_page(contents: Contents, gallery: Gallery) -> Page:
 
 def _comparison(contents: Contents, advice: Recommendation | None, gallery: Gallery) -> Section:
     if contents.comparison is None or advice is None:
-        return _missing(compared, "The controllers have not been compared yet", "rejoint compare ROBOT RUN")
+        return _missing(compared, "The controllers have not been compared yet", contents, "compare")
     healthy = None if contents.diagnosis is None else diagnosed.healthy_error(contents.diagnosis)
     return compared.comparison_section(contents.comparison, advice.controller, healthy, gallery)
 
 
 def _motion(contents: Contents, gallery: Gallery) -> Section:
     if not contents.crossing and not contents.hold:
-        return _missing(motion, "No run log of a trial is here yet", "rejoint compare ROBOT RUN")
+        return _missing(motion, "No run log of a trial is here yet", contents, "compare")
     return motion.motion_section(contents.arm, contents.crossing, contents.hold, gallery)
 
 
 def _diagnosis(contents: Contents, gallery: Gallery) -> Section:
     if contents.diagnosis is None:
-        return _missing(diagnosed, "The arm has not been diagnosed yet", "rejoint diagnose ROBOT")
+        return _missing(diagnosed, "The arm has not been diagnosed yet", contents, "diagnose")
     return diagnosed.diagnosis_section(contents.diagnosis, gallery)
 
 
-def _missing(section: ModuleType, what: str, command: str) -> Section:
-    """Keep the place of a section whose stage has not been run."""
-    return Section(key=section.KEY, short=section.SHORT, heading=section.HEADING, missing=f"{what}: {command}")
+def _missing(section: ModuleType, what: str, contents: Contents, stage: str) -> Section:
+    """Keep the place of a section whose ``stage`` has not been run."""
+    how = commands(contents)[stage].line
+    return Section(key=section.KEY, short=section.SHORT, heading=section.HEADING, missing=f"{what}. To do it: {how}")
 
 
 def _twin(contents: Contents, gallery: Gallery) -> Section:
     if contents.twin is None:
-        return _missing(twin, "No twin has been identified yet", "rejoint identify RUN")
+        return _missing(twin, "No twin has been identified yet", contents, "identify")
     return twin.twin_section(contents.arm, contents.twin, gallery)
 
 
 def _training(contents: Contents, gallery: Gallery) -> Section:
     if contents.curves is None and contents.contract is None:
-        return _missing(training, "No policy has been trained yet", "rejoint train RUN")
+        return _missing(training, "No policy has been trained yet", contents, "train")
     return training.training_section(contents.curves, contents.contract, gallery)

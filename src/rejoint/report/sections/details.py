@@ -34,7 +34,7 @@ def details_section(contents: Contents) -> Section:
     parts = [
         Part(facts=_facts(contents)),
         Part(heading="Files of this run", tables=(_files(contents),)),
-        Part(heading="To repeat it", commands=_commands(contents)),
+        Part(heading="To repeat it", commands=tuple(commands(contents).values())),
     ]
     if contents.comparison is not None:
         parts.insert(1, Part(heading="Targets", tables=(_targets(contents.comparison),)))
@@ -88,15 +88,17 @@ def _files(contents: Contents) -> Table:
     return Table(caption="Files", headers=("file", "what it holds", "there"), rows=tuple(rows), words=True)
 
 
-def _commands(contents: Contents) -> tuple[Command, ...]:
+def commands(contents: Contents) -> dict[str, Command]:
+    """Return the command line of every stage."""
     run = shlex.quote(str(contents.folder.path))
     info = contents.info
     robot, seed = ("ROBOT", 0) if info is None else (shlex.quote(info.robot), info.seed)
-    return (
-        Command("Everything, from the beginning:", f"rejoint repair {robot} --seed {seed}"),
-        Command("Measure and judge the arm:", f"rejoint diagnose {robot} --run {run} --seed {seed}"),
-        Command("Fit the twin:", f"rejoint identify {run}"),
-        Command("Train the policy:", f"rejoint train {run}"),
-        Command("Try every controller on the arm:", f"rejoint compare {robot} {run}"),
-        Command("Make this page again:", f"rejoint report {run}"),
-    )
+    diagnose = f"rejoint diagnose {robot} --run {run} --seed {seed}"
+    return {
+        "repair": Command("Everything, from the beginning:", f"rejoint repair {robot} --seed {seed}"),
+        "diagnose": Command("Measure and judge the arm:", diagnose),
+        "identify": Command("Fit the twin:", f"rejoint identify {run}"),
+        "train": Command("Train the policy:", f"rejoint train {run}"),
+        "compare": Command("Try every controller on the arm:", f"rejoint compare {robot} {run}"),
+        "report": Command("Make this page again:", f"rejoint report {run}"),
+    }

@@ -46,8 +46,14 @@ def _headline(advice: Recommendation, comparison: Comparison) -> str:
     if advice.controller == BEFORE:
         return f"Leave the arm as it is: no controller that was tried does measurably better than its own ({after})."
     before = comparison.row(BEFORE).hold.settled if BEFORE in comparison.controllers else None
-    gain = "" if before is None else f", where its own controller leaves {_millimetres(before)}"
-    return f"Use the controller “{name}”: it brings this arm to within {after} of its targets by its encoders{gain}."
+    gain = "" if before is None else f"; its own controller leaves {_millimetres(before)}{_gain(before, best)}"
+    return f"Use the controller “{name}”: it brings this arm to {after} of its targets by its encoders{gain}."
+
+
+def _gain(before: Spread, best: ControllerRow) -> str:
+    if best.hold.settled is None:
+        return ""
+    return f", so that {number((before.mean.value - best.hold.settled.mean.value) * MM, 3, 'mm')} are gained"
 
 
 def _policy(advice: Recommendation, comparison: Comparison) -> tuple[str, ...]:
