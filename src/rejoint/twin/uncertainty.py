@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Array
-from rejoint.twin.fit import Fit, Problem, influence
+from rejoint.twin.fit import STIFFNESS, Fit, Problem, influence
 from rejoint.twin.parameters import JOINT_PARAMETERS
 
 CLUSTER = 3.0
@@ -81,5 +81,7 @@ def _central_differences(problem: Problem, x: Array) -> tuple[Array, Array]:
     forward = problem.jacobian(base, residuals[1 : 1 + count], up)
     backward = problem.jacobian(base, residuals[1 + count :], down)
     central = 0.5 * (forward + backward)
-    central[..., TORQUE_LIMIT] = forward[..., TORQUE_LIMIT]
+    lost = central[..., TORQUE_LIMIT] - forward[..., TORQUE_LIMIT]
+    central[..., TORQUE_LIMIT] -= lost
+    central[..., STIFFNESS] += lost  # the slope along the common scale stays what was simulated
     return base, central

@@ -1,0 +1,128 @@
+"""The twin's physics: sag, friction, saturation and energy have the values they must have."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from rejoint.arms import gravity_torque
+from rejoint.twin.batch import TwinBatch
+from rejoint.twin.model import STRIBECK_SPEED, stribeck_friction, twin_model
+from rejoint.twin.parameters import PARAMETERS, healthy_parameters, nominal_parameters, prior, unpack, vector_names
+
+
+def changed(arm, **values):
+    start = nominal_parameters(arm)
+    fields = {p.name: getattr(start, p.name) for p in PARAMETERS}
+    shaped = {name: np.broadcast_to(value, fields[name].shape) for name, value in values.items()}
+    return type(start)(**(fields | shaped))
+
+
+def settle(arm, parameters, command, seconds=8.0):
+    batch = TwinBatch(arm, 1)
+    batch.write(parameters)
+    batch.restart(command[None])
+    batch.rollout(np.tile(command, (1, int(seconds / 0.005), 1)))
+    return batch
+
+
+def test_static_sag_is_gravity_torque_over_stiffness(arm):
+    parameters = changed(arm, coulomb=1e-9, torque_limit=5.0, offset=0.01, damping=1.0)
+    q = settle(arm, parameters, arm.rest).qpos[0]
+    sag = arm.rest + 0.01 - q
+    np.testing.assert_allclose(sag, gravity_torque(arm, q) / parameters.stiffness, atol=1e-6)
+    assert np.abs(sag).max() > np.radians(1.0)
+
+
+def test_friction_holds_below_its_limit(arm):
+    torque = np.abs(gravity_torque(arm, arm.rest))
+    parameters = changed(arm, stiffness=1e-6, coulomb=1.02 * torque + 0.01)
+    batch = settle(arm, parameters, arm.rest, seconds=1.0)
+    before = batch.qpos.copy()
+    batch.step(200)
+    creep_deg_per_s = np.degrees(np.abs(batch.qpos - before)).max() / (200 * 0.005)
+    assert creep_deg_per_s < 0.01
+
+
+def test_friction_lets_go_above_its_limit(arm):
+    torque = np.abs(gravity_torque(arm, arm.rest))
+    parameters = changed(arm, stiffness=1e-6, coulomb=0.9 * torque + 1e-4)
+    batch = settle(arm, parameters, arm.rest, seconds=1.0)
+    heavy = torque > 0.1
+    assert heavy.any()
+    assert (np.abs(batch.qpos[0] - arm.rest)[heavy] > np.radians(2.0)).all()
+
+
+def test_a_saturated_servo_gives_its_limit(arm):
+    parameters = changed(arm, torque_limit=0.3)
+    model = twin_model(arm, parameters)
+    data = mujoco.MjData(model)
+    data.qpos[:], data.ctrl[:] = arm.rest, arm.rest + 1.0
+    mujoco.mj_forward(model, data)
+    np.testing.assert_allclose(data.actuator_force, 0.3)
+    data.ctrl[:] = arm.rest - 0.01
+    mujoco.mj_forward(model, data)
+    np.testing.assert_allclose(data.actuator_force, -0.01 * parameters.stiffness, rtol=1e-9)
+
+
+def _energy(arm, parameters, steps):
+    model = twin_model(arm, parameters, timestep=0.0005)
+    model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_ENERGY
+    data = mujoco.MjData(model)
+    data.qpos[:], data.qvel[:] = arm.rest, 0.5
+    energy = []
+    for _ in range(steps):
+        mujoco.mj_step(model, data)
+        energy.append(data.energy.sum())
+    return np.array(energy)
+
+
+def test_energy_is_kept_without_friction_and_only_lost_with_it(arm):
+    free = _energy(arm, changed(arm, stiffness=1e-12, damping=1e-12, coulomb=1e-12, armature=0.005), 1000)
+    assert np.ptp(free) < 0.01 * np.abs(free).max()
+    rubbing = _energy(arm, changed(arm, stiffness=1e-12, damping=0.05, coulomb=0.05), 1000)
+    assert (np.diff(rubbing) < 1e-9).all()
+    assert rubbing[0] - rubbing[-1] > 10 * np.ptp(free)
+
+
+def test_stribeck_friction_falls_from_rest_to_motion():
+    assert stribeck_friction(np.array(0.1), 1.5, np.array(0.0)) == pytest.approx(0.15)
+    assert stribeck_friction(np.array(0.1), 1.5, np.array(STRIBECK_SPEED)) == pytest.approx(0.1 + 0.05 / np.e)
+    assert stribeck_friction(np.array(0.1), 1.5, np.array(-1.0)) == pytest.approx(0.1)
+
+
+def test_a_joint_at_rest_sticks_under_a_load_that_a_moving_one_yields_to(arm):
+    parameters = changed(arm, coulomb=0.1, stiffness=5.0, damping=0.2, torque_limit=5.0)
+    lead = np.zeros(6)
+    lead[5] = 0.12 / 5.0  # 0.12 N m on the joint that gravity does not load: between 0.10 and 0.15
+    moved = []
+    for stiction in (1.0, 1.5):
+        batch = TwinBatch(arm, 1)
+        batch.write(parameters)
+        batch.restart(arm.rest[None])
+        moved.append(np.abs(batch.rollout(np.tile(arm.rest + lead, (1, 100, 1)), stiction)[0, -1, 5] - arm.rest[5]))
+    assert moved[0] > 1e-3
+    assert moved[1] < 1e-5
+
+
+def test_changing_the_time_step_equals_writing_with_it(arm):
+    batch, other = TwinBatch(arm, 3), TwinBatch(arm, 3)
+    steps = np.array([0.003, 0.005, 0.009])
+    batch.set_timestep(steps)
+    other.write(nominal_parameters(arm), timestep=steps)
+    for each in (batch, other):
+        each.restart(np.tile(arm.rest, (3, 1)))
+        each.ctrl[:] += 0.2
+        each.step(50)
+    np.testing.assert_array_equal(batch.qpos, other.qpos)
+
+
+def test_prior_scales_with_the_arm_and_contains_its_twins(arm):
+    belief, names = prior(arm), vector_names(arm.joint_names)
+    assert len(names) == len(belief.mean) == 6 * arm.joints + 2
+    assert (belief.lower < belief.mean).all()
+    assert (belief.mean < belief.upper).all()
+    nominal, healthy = nominal_parameters(arm), healthy_parameters(arm)
+    np.testing.assert_allclose(nominal.stiffness, [7, 7, 5.6, 5.6, 5.6, 5.6], rtol=0.02)
+    assert (healthy.stiffness > 3 * nominal.stiffness).all()
+    drawn = unpack(np.clip(belief.mean + 9 * belief.sigma, belief.lower, belief.upper), arm.joints)
+    assert (drawn.stiffness <= 200.1).all()
