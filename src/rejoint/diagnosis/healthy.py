@@ -3,7 +3,7 @@
 The reference of an arm of the catalogue is a file in this package. It is measured on the emulated arm
 with the wear profile ``healthy`` and written again by
 
-    python -m rejoint.diagnosis.healthy mycobot280
+    python -m rejoint.diagnosis mycobot280
 
 A diagnosis of a real arm that is known to be good is the better reference: `reference_from` makes one
 from any number of them.
@@ -11,7 +11,6 @@ from any number of them.
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.resources import files
@@ -19,16 +18,16 @@ from pathlib import Path
 
 import numpy as np
 
-from rejoint.arms import Arm, load_arm
+from rejoint.arms import Arm
 from rejoint.diagnosis.measurement import JointMetrics, measure
 from rejoint.diagnosis.open_loop import open_loop_errors
 from rejoint.diagnosis.record import DiagnosisLogs, record
 from rejoint.diagnosis.regression import Estimate
 from rejoint.errors import InputError
 from rejoint.robots import open_robot
-from rejoint.runs import read_json, write_json
+from rejoint.runs import read_json
 
-TOLERANCE = 0.2
+TOLERANCE = 0.3
 """Relative spread allowed between healthy arms of a kind, on top of what was seen (chosen: vendors publish none)."""
 
 SIGMAS = 3.0
@@ -58,9 +57,14 @@ class HealthyReference:
     """between the tool and where the encoders put it; None where nobody knew"""
 
 
+def reference_path(arm: Arm) -> Path:
+    """Where the package keeps the reference of an arm."""
+    return Path(str(files("rejoint.diagnosis"))) / f"healthy_{arm.name}.json"
+
+
 def load_healthy(arm: Arm) -> HealthyReference | None:
     """Return the package's reference for an arm, None if there is none."""
-    path = Path(str(files("rejoint.diagnosis"))) / f"healthy_{arm.name}.json"
+    path = reference_path(arm)
     return read_json(path, HealthyReference) if path.exists() else None
 
 
@@ -138,8 +142,3 @@ def _range_about_zero(values: list[float], allowed: float) -> Estimate:
     mean, spread = float(np.mean(values)), float(np.std(values, ddof=1)) if len(values) > 1 else 0.0
     half = SIGMAS * spread + TOLERANCE * abs(mean) + allowed
     return Estimate(mean, mean - half, mean + half)
-
-
-if __name__ == "__main__":
-    name = sys.argv[1] if len(sys.argv) > 1 else "mycobot280"
-    write_json(Path(__file__).with_name(f"healthy_{name}.json"), measure_healthy(load_arm(name)))

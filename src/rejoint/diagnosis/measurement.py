@@ -126,13 +126,9 @@ def _joint(data: ExcitationLog, joint: int, delay: float, dynamics: Fit, stiffne
         sweep_gain=metrics.sweep_gain(data, joint),
         stuck_rad=_stuck(metrics.holds(data, joint)),
     )
-    if k is None:
+    if k is None or lag is None or half_width is None:
         return row
-    law = Law(
-        stiffness=k.value, lag=0.0 if lag is None else lag.value,
-        half_width=0.0 if half_width is None else max(half_width.value, 0.0),
-        delay=delay,
-    )  # fmt: skip
+    law = Law(stiffness=k.value, lag=lag.value, half_width=max(half_width.value, 0.0), delay=delay)
     torque = torque_given(data, joint, law)
     return replace(
         row, torque_limit_nm=torque.limit, torque_seen_nm=torque.seen, saturated_share=torque.saturated_share

@@ -128,14 +128,30 @@ def hunting(data: ExcitationLog, joint: int) -> Estimate:
     """Rms [rad] of the motion that is left at the end of holds, when all commands have long stood still.
 
     A joint hunts in some postures and is quiet in others, so this is the mean over the worst quarter
-    of the holds, and its bounds are the least and the most of that quarter.
+    of the holds, and its bounds are the least and the most of that quarter. A motion repeats itself and
+    noise does not: only the share of the power that correlates with earlier readings counts.
     """
     spans = [data.rows(segment, last=SETTLED_LAST) for segment in data.of_kind("hold")]
     spans = [rows for rows in spans if len(rows) >= 4]
     data.require(len(spans) >= 4, "holds", joint)
     rest = [_without_drift(data.log.time[rows], data.log.position[rows, joint]) for rows in spans]
     worst = np.sort([float(np.sqrt((r**2).mean())) for r in rest])[-(len(rest) // 4) :]
-    return Estimate(float(worst.mean()), float(worst[0]), float(worst[-1]))
+    motion = worst * _repeating_share(rest) ** 0.5
+    return Estimate(float(motion.mean()), float(motion[0]), float(motion[-1]))
+
+
+def _repeating_share(pieces: list[Array]) -> float:
+    """Largest correlation, 0 to 1, of the pieces with themselves one to five readings earlier."""
+    power = sum(float((piece**2).sum()) for piece in pieces)
+    if power <= 0.0:
+        return 0.0
+    shares = []
+    for shift in range(1, 6):
+        longer = [piece for piece in pieces if len(piece) > shift]
+        both = sum(float((piece[shift:] * piece[:-shift]).sum()) for piece in longer)
+        base = sum(float((piece[shift:] ** 2).sum() + (piece[:-shift] ** 2).sum()) / 2 for piece in longer)
+        shares.append(abs(both) / base if base > 0.0 else 0.0)
+    return min(max(shares), 1.0)
 
 
 def noise(data: ExcitationLog, joint: int) -> Estimate:
