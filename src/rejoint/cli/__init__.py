@@ -11,8 +11,6 @@ from collections.abc import Callable
 
 import msgspec
 import typer
-from click.exceptions import Abort, ClickException
-from click.exceptions import Exit as ClickExit
 from rich.console import Console
 
 from rejoint.cli import chain, serving, stages
@@ -40,19 +38,18 @@ def main() -> None:
     """Run the command line; every expected failure is one clear line and an exit code that means something."""
     json = "--json" in sys.argv
     try:
-        result = app(standalone_mode=False)
+        result = app(standalone_mode=False)  # the framework turns Ctrl-C into its exit code and returns it
         code = result if isinstance(result, int) else 0
+        if code == INTERRUPTED:
+            message = "interrupted; finished stages are kept, the same command goes on from there"
+            code = _fail(message, "Interrupted", INTERRUPTED, json=json)
     except RejointError as error:
         code = _fail(str(error), type(error).__name__, error.exit_code, json=json)
         if isinstance(error, GuardTripError):
             _say("The arm was held and stopped. Nothing was powered off; look at it before you go on.")
-    except ClickException as error:
-        code = _fail(error.format_message(), "UsageError", 2, json=json)
-    except ClickExit as error:
-        code = error.exit_code
-    except (Abort, KeyboardInterrupt):
-        code = _fail("interrupted; finished stages are kept, the same command goes on from there", "Interrupted",
-                     INTERRUPTED, json=json)  # fmt: skip
+    except typer.TyperException as error:
+        told = getattr(error, "format_message", error.__str__)()  # names the option, which str() does not
+        code = _fail(told, "UsageError", 2, json=json)
     except BrokenPipeError:
         code = 0  # whoever read our output has seen enough
     sys.exit(code)

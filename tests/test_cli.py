@@ -1,0 +1,196 @@
+"""The command line: exit codes, one clear line per error, JSON on the last line, and a chain that resumes."""
+
+import json
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from rejoint import repair as work
+from rejoint.arms import mycobot280
+from rejoint.cli import main
+from rejoint.cli.options import controller_names, period_seconds
+from rejoint.errors import FileError, GuardTripError, InputError
+from rejoint.runs import RunFolder, RunInfo, read_log, write_json
+from rejoint.training.train import TrainingOptions, train
+
+
+def run_cli(*words: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> tuple[int, str, str]:
+    monkeypatch.setattr(sys, "argv", ["rejoint", *words])
+    with pytest.raises(SystemExit) as stopped:
+        main()
+    captured = capsys.readouterr()
+    return int(stopped.value.code or 0), captured.out, captured.err
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
+    """A run with everything up to a policy that has hardly been trained."""
+    path = tmp_path_factory.mktemp("runs") / "one"
+    folder = work.begin(path, "emulated:worn", "mycobot280", 0)
+    _, info, arm = work.open_run(path)
+    work.diagnose_stage(folder, info)
+    twin = work.identify_stage(folder, info)
+    train(arm, twin, out=path, options=TrainingOptions(iterations=2, agents=16, threads=1))
+    return folder
+
+
+def test_repair_goes_on_where_it_stopped(
+    finished: RunFolder, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = {path: path.stat().st_mtime_ns for path in (finished.diagnosis, finished.twin, finished.policy)}
+    options = ("--run", str(finished.path), "--sets", "1", "--repetitions", "1", "--controllers", "default,integrator")
+    code, out, err = run_cli("repair", *options, "--json", capsys=capsys, monkeypatch=monkeypatch)
+    assert code == 0, err
+    assert before == {path: path.stat().st_mtime_ns for path in before}
+    assert err.count("already done") == 3
+    last = json.loads(out.splitlines()[-1])
+    assert last["recommended"]["controller"] == "integrator"
+    assert Path(last["report"]).read_text(encoding="utf-8").startswith("<!DOCTYPE html>")
+    assert out.splitlines()[-2] == last["report"]
+
+
+def test_deploy_logs_what_it_did(
+    finished: RunFolder, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    points = tmp_path / "points.csv"
+    points.write_text("x,y,z\n170,0,200\n180,30,210\n")
+    words = ("deploy", "emulated:worn", str(finished.path), "--controller", "integrator", "--targets", str(points))
+    code, out, _ = run_cli(*words, "--dwell", "6", "--json", capsys=capsys, monkeypatch=monkeypatch)
+    assert code == 0
+    errors = json.loads(out.splitlines()[-1])["error_mm"]
+    assert len(errors) == 2
+    assert max(errors) < 5.0
+    log = read_log(next(path for name, path in finished.logs().items() if name.startswith("deploy")))
+    assert log.time[-1] - log.time[0] == pytest.approx(12.0, abs=0.1)
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (("diagnose", "tcp://nowhere"), "tcp://nowhere"),
+        (("diagnose", "carrier-pigeon:1"), "expected emulated:PROFILE"),
+        (("diagnose", "emulated:brand-new"), "brand-new"),
+        (("identify", "{empty}"), "no run folder"),
+        (("compare", "emulated:worn", "{run}", "--controllers", "magic"), "known controllers"),
+        (("compare", "emulated:worn", "{run}", "--period", "fast"), "expected milliseconds"),
+        (("deploy", "emulated:worn", "{run}", "--targets", "{bad_csv}"), "line 2"),
+        (("deploy", "emulated:worn", "{run}", "--controller", "policy"), "truncated or damaged"),
+        (("train", "{run}", "--preset", "magic"), "magic"),
+        (("repair", "emulated:healthy", "--run", "{run}"), "is a run of emulated:worn"),
+        (("emulate", "--port", "99999"), "--port"),
+        (("frobnicate",), "frobnicate"),
+    ],
+)
+def test_bad_input_is_one_line_and_exit_code_2(
+    words: tuple[str, ...],
+    says: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    folder = work.begin(tmp_path / "run", "emulated:worn", "mycobot280", 0)
+    folder.policy.write_bytes(b"half a policy")
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "bad.csv").write_text("x,y,z\n1,2\n")
+    places = {"{run}": str(folder.path), "{empty}": str(tmp_path / "empty"), "{bad_csv}": str(tmp_path / "bad.csv")}
+    code, _, err = run_cli(*(places.get(word, word) for word in words), capsys=capsys, monkeypatch=monkeypatch)
+    assert code == 2
+    errors = [line for line in err.splitlines() if line.startswith("error: ")]
+    assert errors == [err.splitlines()[-1]]
+    assert says in errors[0]
+
+
+def test_an_error_is_json_too(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    code, out, _ = run_cli("identify", str(tmp_path), "--json", capsys=capsys, monkeypatch=monkeypatch)
+    assert json.loads(out)["exit_code"] == code == 2
+
+
+def test_a_policy_for_another_arm_is_refused_before_anything_moves(tmp_path: Path) -> None:
+    arm = mycobot280()
+    folder = work.begin(tmp_path / "run", "emulated:worn", "mycobot280", 0)
+    tip = arm.tip.copy()
+    tip[2, 3] += 0.01
+    longer = replace(arm, tip=tip)
+    train(longer, None, out=folder.path, options=TrainingOptions(iterations=1, agents=8, threads=1))
+    command = [sys.executable, "-m", "rejoint", "deploy", "emulated:worn", str(folder.path)]
+    result = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert result.returncode == 2
+    assert "another geometry" in result.stderr
+    assert not folder.logs()
+
+
+def test_a_guard_trip_is_exit_code_3(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def trip(*_: object, **__: object) -> None:
+        raise GuardTripError("stale", "the joint state is 0.6 s old")
+
+    monkeypatch.setattr(work, "diagnose_stage", trip)
+    words = ("diagnose", "emulated:worn", "--run", str(tmp_path / "run"))
+    code, _, err = run_cli(*words, capsys=capsys, monkeypatch=monkeypatch)
+    assert code == 3
+    assert "guard trip (stale)" in err
+    assert "Nothing was powered off" in err
+
+
+def test_interruption_is_exit_code_130(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupt(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(work, "diagnose_stage", interrupt)
+    code, _, err = run_cli("repair", "--run", str(tmp_path / "run"), capsys=capsys, monkeypatch=monkeypatch)
+    assert code == 130
+    assert "goes on from there" in err
+
+
+def test_every_command_has_help_with_an_example(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("repair", "diagnose", "identify", "train", "compare", "deploy", "report", "emulate"):
+        code, out, _ = run_cli(name, "--help", capsys=capsys, monkeypatch=monkeypatch)
+        assert code == 0
+        assert "Example" in out
+
+
+def test_a_run_folder_is_never_taken_over(tmp_path: Path) -> None:
+    (tmp_path / "notes.txt").write_text("mine")
+    with pytest.raises(InputError, match="not a run folder and not empty"):
+        work.begin(tmp_path, "emulated:worn", "mycobot280", 0)
+    assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
+
+
+def test_a_damaged_run_is_named(tmp_path: Path) -> None:
+    folder = work.begin(tmp_path / "run", "emulated:worn", "mycobot280", 0)
+    folder.info.write_text("{")
+    with pytest.raises(FileError, match=r"run\.json: damaged"):
+        work.open_run(folder.path)
+
+
+def test_the_newest_unfinished_run_is_resumed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    first, resumed = work.newest_or_new("emulated:worn?seed=3", 0)
+    assert (first, resumed) == (Path("runs/emulated-worn-seed-3-seed0/001"), False)
+    info = RunInfo(robot="emulated:worn?seed=3", arm="mycobot280", seed=0, version="1", created="now")
+    write_json(first / "run.json", info)
+    assert work.newest_or_new("emulated:worn?seed=3", 0) == (first, True)
+    (first / "report.html").write_text("done")
+    assert work.newest_or_new("emulated:worn?seed=3", 0) == (first.with_name("002"), False)
+
+
+def test_options_are_read_as_written() -> None:
+    assert period_seconds(None) is None
+    assert period_seconds("50") == (0.05, 0.05)
+    assert period_seconds("20-30") == (0.02, 0.03)
+    for wrong in ("", "fast", "30-20", "0.5", "5000", "1-2-3", "nan", "20--30"):
+        with pytest.raises(InputError, match="expected milliseconds"):
+            period_seconds(wrong)
+    assert controller_names("all") == ()
+    assert controller_names("default, policy,") == ("default", "policy")
