@@ -40,8 +40,8 @@ _NOMINAL_DELAY = 0.02
 """[s] with which friction is measured before the delay is known; it hardly matters there (chosen)."""
 
 _MIN_SHARE = 0.006
-"""Share of the time that a joint must be behind (chosen: without saturation 0.003 at most, a limit 20 % above
-the heaviest load 0.008)."""
+"""Share of the steady time that a joint must be behind (chosen: on emulated arms it is 0 without saturation and
+0.02 at a torque limit that only the heaviest postures reach)."""
 
 _STEADY = 1.5
 """[rad/s^2] up to which acceleration takes no torque worth counting: 0.05 N m of a joint of 0.03 kg m^2 (chosen)."""

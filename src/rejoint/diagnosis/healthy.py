@@ -31,8 +31,8 @@ TOLERANCE = 0.3
 """Relative spread allowed between healthy arms of a kind, on top of what was seen (chosen: vendors publish none)."""
 
 SIGMAS = 3.0
-"""Standard deviations of repeated diagnoses that still count as healthy (chosen: 6 joints x 7 kinds of finding
-leave 11 % of false alarms at one arm in 400 per number; the tolerance takes care of the rest)."""
+"""Standard deviations of repeated diagnoses that still count as healthy (chosen: an arm is judged by some
+fifty numbers, so two would be too few)."""
 
 OVERSHOOT_ALLOWED = 0.05
 """Fraction of a step that any healthy arm may shoot over (chosen)."""

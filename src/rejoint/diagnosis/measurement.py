@@ -29,7 +29,7 @@ MOTOR_SHARE = 0.35
 """Relative half width up to which a motor's inertia counts as known (chosen as for gravity)."""
 
 DELAY_ERROR = 0.003
-"""[s] error of the delay (measured: emulated arms with known delays of 15 to 25 ms); it enters J/k times the lag."""
+"""[s] error of the delay (measured: its scatter over emulated arms of one channel); it enters J/k times the lag."""
 
 
 @dataclass(frozen=True, kw_only=True)

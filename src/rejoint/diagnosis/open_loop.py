@@ -20,7 +20,7 @@ TARGETS = 10
 """Park et al. 2024, section IV-A"""
 
 DWELL = 5.0
-"""[s] per target (chosen: an open-loop arm has come to rest after 3 s; PLANT's healthy arm needs less)."""
+"""[s] per target (chosen: an arm that is told once where to go has come to rest after 3 s, a worn one too)."""
 
 SETTLED = 1.0
 """[s] at the end of each target over which the error is averaged (chosen)."""
