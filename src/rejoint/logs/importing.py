@@ -1,0 +1,147 @@
+"""Foreign logs in, run logs out: recognise the format, read, check, write all of them or none."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import tempfile
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+from rejoint.arms import Arm
+from rejoint.errors import FileError, InputError
+from rejoint.logs import lerobot, mcapfile, sage, table
+from rejoint.logs.joining import to_log
+from rejoint.logs.options import ImportOptions
+from rejoint.logs.track import Motion
+from rejoint.runs import RunLog, write_log
+
+
+@dataclass(frozen=True, kw_only=True)
+class Imported:
+    """What came out of an import."""
+
+    logs: tuple[RunLog, ...]
+    notes: tuple[str, ...]
+    """what was left out or looks odd; empty where there is nothing to say"""
+
+
+class _Reader(Protocol):
+    def fits(self, source: Path) -> bool: ...
+
+    def motions(self, source: Path, arm: Arm, options: ImportOptions) -> tuple[int, Iterator[Motion]]: ...
+
+
+_READERS: dict[str, _Reader] = {"sage": sage, "csv": table, "mcap": mcapfile, "lerobot": lerobot}
+FORMATS = tuple(_READERS)
+"""Names of the formats that can be imported."""
+
+_EXPECTED = (
+    "a folder with SAGE's state_motor.csv, a CSV file with columns time_s, position.JOINT_rad and command.JOINT_rad, "
+    "an MCAP file, or a folder with LeRobot's meta/info.json"
+)
+
+
+def import_logs(
+    source: Path, arm: Arm, *, out: Path, format: str | None = None,  # noqa: A002
+    options: ImportOptions | None = None, on_progress: Callable[[int, int, str], None] | None = None,
+) -> Imported:  # fmt: skip
+    """Import the logs at ``source`` as run logs of ``arm`` into the new folder ``out``.
+
+    Parameters
+    ----------
+    source
+        a file, a motion's folder, or a folder of several of one format
+    out
+        folder to make; each log becomes ``MOTION.parquet`` in it. It must not exist or be empty.
+    format
+        one of `FORMATS`; None recognises it by content, and refuses where two fit
+    options
+        units, joint names, topics; what a format does not say and nobody declares is an error
+    on_progress
+        called with (logs done, logs in all, name) after each log
+
+    Raises
+    ------
+    FileError
+        for a file that is damaged or contradicts the declarations; it names line, message or column
+    InputError
+        for declarations that cannot be
+
+    Nothing is left behind where an error is raised.
+    """
+    options = options or ImportOptions()
+    options.check_joints(arm)
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise InputError(f"{out} exists already; name a new folder for the imported logs")
+    reader = _READERS[detect(source) if format is None else _known(format)]
+    total, found = reader.motions(source, arm, options)
+    logs: dict[str, RunLog] = {}
+    notes: dict[str, list[str]] = {}
+    for done, motion in enumerate(found, start=1):
+        log, remarks = to_log(motion, arm)
+        name = _file_name(motion.name)
+        if name in logs:
+            raise FileError(motion.state.path, f"a second log with the name {name}", "import it into another folder")
+        logs[name] = log
+        for remark in remarks:
+            notes.setdefault(remark, []).append(name)
+        if on_progress is not None:
+            on_progress(done, total, name)
+    if not logs:
+        raise FileError(source, "holds no log", "take another one")
+    _write_whole(out, logs)
+    return Imported(logs=tuple(logs.values()), notes=_told(notes, len(logs)))
+
+
+def detect(source: Path) -> str:
+    """Name the format of the logs at a path by what they hold; FileError where none or more than one fits."""
+    if not source.exists():
+        raise FileError(source, "no such file or folder", "check the path")
+    try:
+        fitting = [name for name, reader in _READERS.items() if reader.fits(source)]
+    except OSError as error:
+        raise FileError(source, f"not readable ({error})", "check its permissions") from error
+    if len(fitting) > 1:
+        raise FileError(source, f"holds logs of the formats {' and '.join(fitting)}", "say with format which to import")
+    if not fitting:
+        raise FileError(source, f"no log in a known format; expected {_EXPECTED}", "convert it to one of these")
+    return fitting[0]
+
+
+def _known(name: str) -> str:
+    if name not in _READERS:
+        raise InputError(f"format {name!r} is unknown; choose from {', '.join(_READERS)}")
+    return name
+
+
+def _file_name(motion: str) -> str:
+    """Name of a motion as a file name: letters, digits, dots, dashes and underlines."""
+    return re.sub(r"[^\w.+-]+", "-", motion).strip(".")[:100] or "log"
+
+
+def _write_whole(out: Path, logs: dict[str, RunLog]) -> None:
+    """Write the logs into a folder beside ``out`` and move it there when it is complete."""
+    out = out.absolute()
+    out.parent.mkdir(parents=True, exist_ok=True)
+    temporary = Path(tempfile.mkdtemp(dir=out.parent, prefix=f".{out.name}."))
+    try:
+        for name, log in logs.items():
+            write_log(temporary / f"{name}.parquet", log)
+        temporary.chmod(0o755)
+        if out.exists():
+            out.rmdir()
+        temporary.rename(out)
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+
+
+def _told(notes: dict[str, list[str]], total: int) -> tuple[str, ...]:
+    """Put each note's logs in front of it; a note that many share is said once."""
+    told = []
+    for remark, names in notes.items():
+        who = names[0] if len(names) == 1 else f"{len(names)} of {total} logs ({names[0]}, ...)"
+        told.append(f"{who}: {remark}")
+    return tuple(told)

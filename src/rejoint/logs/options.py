@@ -1,0 +1,62 @@
+"""What a user declares about foreign logs: units, joints, topics and clocks."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+from rejoint.arms import Arm
+from rejoint.errors import FileError, InputError
+
+ANGLE_UNITS = ("rad", "deg", "normalised")
+TIME_UNITS = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}
+"""Ticks of each unit in a second."""
+STAMPS = ("header", "log")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImportOptions:
+    """Declarations about the files to import; None leaves it to the file, which then has to say it."""
+
+    angle_unit: str | None = None
+    """``rad``, ``deg``, or ``normalised`` for LeRobot's -100..100 (needs ``calibration``)"""
+    time_unit: str | None = None
+    """``s``, ``ms``, ``us`` or ``ns``"""
+    joint_map: Mapping[str, str] | None = None
+    """name in the file -> joint of the arm"""
+    joint_order: tuple[str, ...] | None = None
+    """names of the columns where the file holds none; names that are no joints of the arm are dropped"""
+    state_topic: str | None = None
+    """MCAP: topic of the measured joint states; default ``/joint_states``"""
+    command_topic: str | None = None
+    """MCAP: topic of the commanded joint states; default ``/joint_commands``"""
+    stamp: str | None = None
+    """MCAP: ``header`` takes the stamps in the messages, ``log`` the times at which they were recorded"""
+    calibration: Path | None = None
+    """LeRobot: the JSON file of the motors' calibration, which normalised values refer to"""
+
+    def __post_init__(self) -> None:
+        for name, known in (("angle_unit", ANGLE_UNITS), ("time_unit", tuple(TIME_UNITS)), ("stamp", STAMPS)):
+            value = getattr(self, name)
+            if value is not None and value not in known:
+                raise InputError(f"{name} {value!r} is unknown; choose from {', '.join(known)}")
+        if (self.angle_unit == "normalised") != (self.calibration is not None):
+            raise InputError("angle_unit normalised and calibration belong together; give both or neither")
+        if self.joint_order is not None and len(set(self.joint_order)) != len(self.joint_order):
+            raise InputError(f"joint_order names a joint twice: {', '.join(self.joint_order)}")
+
+    def check_joints(self, arm: Arm) -> None:
+        """Raise InputError where the joint map leads to a joint that the arm does not have."""
+        for source, joint in (self.joint_map or {}).items():
+            if joint not in arm.joint_names:
+                raise InputError(
+                    f"joint_map sends {source} to {joint!r}, which {arm.name} does not have; "
+                    f"its joints are {', '.join(arm.joint_names)}"
+                )
+
+    def refuse_others(self, path: Path, format_name: str, *allowed: str) -> None:
+        """Raise FileError for a declaration that says nothing about this format."""
+        for field in fields(self):
+            if getattr(self, field.name) is not None and field.name not in allowed:
+                raise FileError(path, f"{field.name} does not apply to a file of format {format_name}", "leave it out")
