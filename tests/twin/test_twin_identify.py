@@ -99,7 +99,7 @@ def test_identification_survives_its_file(twin, arm, tmp_path):
 
 
 def test_block_jacobian_is_the_slope_of_each_joints_own_prediction(arm, truth, log):
-    problem = Problem(Replay(arm, [log], cut([log], 6.0)), prior(arm))
+    problem = Problem(Replay(arm, [log], cut([log], 6.0), stiction=1.0), prior(arm))
     problem.steps[:] *= 0.2  # so that the finite difference itself is small beside what is compared
     x, up = pack(truth), np.ones(6 * arm.joints + 2)
     base = problem.residuals(x[None])[0]

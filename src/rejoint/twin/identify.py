@@ -34,7 +34,7 @@ from rejoint.twin.uncertainty import TORQUE_LIMIT, uncertainty
 
 @dataclass(frozen=True, kw_only=True)
 class IdentifySettings:
-    """How to identify; the defaults take about 15 s on two cores for 130 s of motion (measured)."""
+    """How to identify; the defaults take 12 to 25 s on two free cores for 140 s of motion (measured)."""
 
     window: float = 6.0
     """[s] between restarts from the measured state; 1 to 50 s make no difference (measured on a real arm)"""

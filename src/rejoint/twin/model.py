@@ -32,9 +32,9 @@ FRICTION_IMPEDANCE = (0.9999, 0.9999, 0.001, 0.5, 2.0)
 
 TCP_SITE = "tcp"
 
-STICTION = 1.5
-"""Friction of a joint at rest over that of a moving one (chosen: between lubricated gears and dry plastic).
-Ordinary motion cannot tell it, but without it a twin lifts a load at which a weak joint really sticks"""
+STICTION = 2.0
+"""Friction of a joint at rest over that of a moving one (chosen: dry gears). Ordinary motion hardly tells it, but
+without it a twin lifts a load at which a weak joint really sticks"""
 
 STRIBECK_SPEED = 0.1
 """[rad/s] at which friction has fallen to that of motion (chosen: two encoder steps in a control period)"""
