@@ -113,7 +113,12 @@ class Plant:
         self._qvel[ids], self._applied[ids] = 0.0, 0.0
         torque = np.clip(load, -self._joints["torque_limit"], self._joints["torque_limit"])
         step = self.arm.encoder_step
-        fresh = {"measured": np.rint(position / step) * step, "measured_speed": 0.0, "bristle": 0.0, "torque": torque}
+        fresh: dict[str, Array | float] = {
+            "measured": np.rint(position / step) * step,
+            "measured_speed": 0.0,
+            "bristle": 0.0,
+            "torque": torque,
+        }
         for name, value in fresh.items():
             self._servos[name][ids] = np.broadcast_to(value, position.shape)[ids]
         self._servos["powered"][ids] = True

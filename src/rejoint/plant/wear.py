@@ -19,7 +19,7 @@ _PROFILES = files("rejoint.plant") / "profiles"
 _SPREAD = 0.3
 _SOFTEST_LINK = 10.0
 """[N m/rad] below it the viscous torque of the gear would be unstable in steps of 1 ms."""
-_LIFT_MARGIN = 1.05
+_LIFT_MARGIN = 1.03
 """What a drawn arm has of the torque that lifts it (chosen)."""
 
 
@@ -156,11 +156,8 @@ def draw_wear(wear: Wear, arm: Arm, seed: int) -> Wear:
 
 
 def lifting_torque(wear: Wear, arm: Arm) -> Array:
-    """Motor torque (n,) [N m] that keeps lifting the moving arm in any posture of its target region.
-
-    Starting from standstill takes the stiction on top; a joint without it waits for the others.
-    """
-    return heaviest_load(arm) * (1 + wear.load_friction) + wear.coulomb
+    """Motor torque (n,) [N m] that lifts the arm from standstill in any posture of its target region."""
+    return heaviest_load(arm) * (1 + wear.load_friction) + wear.stiction
 
 
 @lru_cache(maxsize=8)
