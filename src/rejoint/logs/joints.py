@@ -41,28 +41,33 @@ class Match(NamedTuple):
     """columns that are no joints of the arm"""
 
 
-def match_joints(names: Sequence[str], arm: Arm, options: ImportOptions, path: Path, what: str) -> Match:
+def match_joints(
+    names: Sequence[str], arm: Arm, options: ImportOptions, path: Path, what: str, titles: Sequence[str] | None = None
+) -> Match:
     """Find every joint of the arm exactly once among the names in a file.
 
     A name counts as the joint that ``options.joint_map`` gives it, else as the arm's joint of the same
     name (LeRobot's ending ``.pos`` aside), else, for an SO-101, as the joint that SAGE calls so.
-    Names that mean no joint of the arm, such as a gripper, are dropped.
-    Raises FileError where a joint is missing or found twice.
+    Names that mean no joint of the arm, such as a gripper, are dropped. ``titles`` are the full column
+    names where they say more than the joint. Raises FileError where a joint is missing or found twice.
     """
+    titles = names if titles is None else titles
     meanings = [_meaning(name, arm, options.joint_map or {}) for name in names]
-    held = ", ".join(names) or "no names"
     for joint in arm.joint_names:
-        found = [name for name, meaning in zip(names, meanings, strict=True) if meaning == joint]
+        found = [title for title, meaning in zip(titles, meanings, strict=True) if meaning == joint]
         if len(found) > 1:
-            raise FileError(path, f"{what}: {' and '.join(found)} both mean joint {joint}", "set joint_map for them")
-        if not found:
             raise FileError(
-                path, f"{what}: no column for joint {joint} of {arm.name}, only {held}",
-                "say with joint_map which name means which joint",
-            )  # fmt: skip
+                path, f"{what}: {' and '.join(found)} both mean joint {joint}", "set joint_map, or drop one"
+            )
+    missing = [joint for joint in arm.joint_names if joint not in meanings]
+    if missing:
+        raise FileError(
+            path, f"{what}: no column for joint {', '.join(missing)} of {arm.name}, only {', '.join(titles) or 'none'}",
+            "say with joint_map which name means which joint",
+        )  # fmt: skip
     columns = [meanings.index(joint) for joint in arm.joint_names]
-    dropped = tuple(name for name, meaning in zip(names, meanings, strict=True) if meaning is None)
-    return Match(columns, tuple(names[column] for column in columns), dropped)
+    dropped = tuple(title for title, meaning in zip(titles, meanings, strict=True) if meaning is None)
+    return Match(columns, tuple(titles[column] for column in columns), dropped)
 
 
 def _meaning(name: str, arm: Arm, joint_map: Mapping[str, str]) -> str | None:

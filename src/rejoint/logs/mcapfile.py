@@ -198,7 +198,9 @@ def _samples(messages: list[tuple[int, Any]], file: Path, topic: str) -> list[_S
                 names = [_field(joint, "name") for joint in joints]
                 position = [np.nan if (value := _field(joint, "position")) is None else value for joint in joints]
                 stamp = _field(message, "timestamp")
-            values = [float(value) for value in (() if position is None else position)]
+            if position is None:
+                raise ValueError("it has no positions")
+            values = [float(value) for value in position]
             samples.append(_Sample(number, _nanoseconds(stamp), log_ns, tuple(str(name) for name in names), values))
         except (TypeError, ValueError, AttributeError, OverflowError) as error:
             raise FileError(

@@ -86,7 +86,8 @@ def _read(file: Path, arm: Arm, options: ImportOptions) -> Motion:
     tracks, units = {}, []
     for what, group in (("state", "position"), ("command", "command")):
         chosen = [column for column in columns if column.group == group]
-        match = match_joints([column.name for column in chosen], arm, options, file, group)
+        names, full = [column.name for column in chosen], [column.title for column in chosen]
+        match = match_joints(names, arm, options, file, group, full)
         joints = [chosen[index] for index in match.columns]
         raw = values[:, [column.index for column in joints]]
         for unit in {column.unit for column in joints}:
@@ -95,7 +96,7 @@ def _read(file: Path, arm: Arm, options: ImportOptions) -> Motion:
             units.append(unit)
         notes += [f"columns of {group} that are no joints dropped: {', '.join(match.dropped)}"] * bool(match.dropped)
         tracks[what] = Track(
-            path=file, what=what, time=time, value=raw, columns=tuple(column.title for column in joints),
+            path=file, what=what, time=time, value=raw, columns=match.names,
             place="line", number=number,
         )  # fmt: skip
     return Motion(
@@ -191,7 +192,7 @@ def _cells(file: Path) -> tuple[list[str], Array, np.ndarray]:
             numbers.append(reader.line_num)
     except csv.Error as error:
         raise FileError(file, f"line {reader.line_num}: {error}", remedy) from error
-    return titles, np.array(rows, dtype=float).reshape(-1, len(titles)), np.array(numbers, dtype=np.int64)
+    return titles, np.array(rows, dtype=float).reshape(len(rows), len(titles)), np.array(numbers, dtype=np.int64)
 
 
 def _cell(text: str, needed: bool, place: tuple[Path, int, str]) -> float:

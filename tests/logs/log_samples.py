@@ -1,0 +1,74 @@
+"""Motions of an SO-101 whose every number is known, and where the recorded logs of a real one lie."""
+
+import csv
+import json
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rejoint.arms import so101
+from rejoint.runs import Array
+
+ARM = so101()
+SAGE_NAMES = ("Rotation", "Pitch", "Elbow", "Wrist_Pitch", "Wrist_Roll", "Jaw")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Sample:
+    time: Array
+    position: Array
+    command: Array
+
+
+def sample(rows: int = 60, period: float = 0.02) -> Sample:
+    """Five joints on five different sinusoids, states two rows behind the commands."""
+    time = period * np.arange(rows)
+    phase = 2 * np.pi * np.outer(np.arange(rows + 2) - 2, np.array([1.0, 1.7, 2.3, 3.1, 4.3])) / rows
+    moving = 0.6 * np.sin(phase) + 0.05 * np.arange(5)
+    return Sample(time=time, position=moving[:-2], command=moving[2:])
+
+
+def rows_of(values: Array) -> list[list[float]]:
+    """Values with a gripper column behind the joints."""
+    return [[*row, 0.5] for row in values.tolist()]
+
+
+def write_sage(folder: Path, found: Sample, names: tuple[str, ...] = SAGE_NAMES) -> Path:
+    """Write a motion as SAGE does, through the csv and json modules."""
+    folder.mkdir(parents=True)
+    (folder / "joint_list.txt").write_text("\n".join(names) + "\n")
+    order = [SAGE_NAMES.index(name) for name in names]
+    for file, kind, values in (("control.csv", "CONTROL", found.command), ("state_motor.csv", "STATE", found.position)):
+        rest = ["velocities", "torques"] if kind == "STATE" else []
+        with (folder / file).open("w", newline="") as stream:
+            writer = csv.writer(stream)
+            writer.writerow(["type", "timestamp", "positions", *rest])
+            for time, row in zip(found.time, rows_of(values), strict=True):
+                shuffled = json.dumps([row[i] for i in order])
+                writer.writerow([kind, repr(float(time) * 1e6), shuffled, *["[0.0]" for _ in rest]])
+    return folder
+
+
+def write_table(path: Path, found: Sample, titles: dict[str, str] | None = None, scale: float = 1.0) -> Path:
+    """Write a CSV file through the csv module; `titles` renames columns."""
+    columns = {"time_s": found.time}
+    for group in ("position", "command"):
+        for i, name in enumerate(ARM.joint_names):
+            columns[f"{group}.{name}_rad"] = getattr(found, group)[:, i] * scale
+    with path.open("w", newline="") as stream:
+        writer = csv.writer(stream)
+        writer.writerow([(titles or {}).get(title, title) for title in columns])
+        writer.writerows(np.stack(list(columns.values()), axis=1).tolist())
+    return path
+
+
+def recorded() -> Path:
+    """Find the logs of the real arm, or skip the test."""
+    beside = Path(__file__).parents[2].parent / "shared" / "data" / "so101"
+    folder = Path(os.environ.get("REJOINT_SO101", beside))
+    if not (folder / "multisine").is_dir():
+        pytest.skip(f"no recorded SO-101 logs at {folder}; set REJOINT_SO101 to their folder")
+    return folder

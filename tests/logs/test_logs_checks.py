@@ -1,0 +1,130 @@
+"""What the checks catch: clocks, rates, limits, mixed-up and frozen joints."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from log_samples import ARM, Sample, sample
+
+from rejoint.errors import FileError
+from rejoint.logs.joining import to_log
+from rejoint.logs.track import Motion, Track
+from rejoint.runs import Array, RunLog
+
+
+def motion(found: Sample, command_time: Array | None = None, unit: str = "rad") -> Motion:
+    def track(what: str, time: Array, value: Array) -> Track:
+        number = np.arange(len(time)) + 2
+        columns = tuple(f"{what}.{name}" for name in ARM.joint_names)
+        return Track(
+            path=Path("log.csv"), what=what, time=time, value=value, columns=columns, place="line", number=number
+        )
+
+    commands = found.time if command_time is None else command_time
+    return Motion(
+        name="motion", state=track("state", found.time, found.position), robot="csv:motion", angle_unit=unit,
+        command=track("command", commands, found.command),
+    )  # fmt: skip
+
+
+def check(found: Sample, command_time: Array | None = None) -> tuple[RunLog, str]:
+    log, notes = to_log(motion(found, command_time), ARM)
+    return log, " | ".join(notes)
+
+
+def changed(**arrays: Array) -> Sample:
+    found = sample(rows=200)
+    return Sample(**{name: arrays.get(name, getattr(found, name)) for name in ("time", "position", "command")})
+
+
+def test_a_clean_log_has_no_notes():
+    log, notes = check(changed())
+    assert notes == ""
+    assert log.position.tolist() == sample(rows=200).position.tolist()
+
+
+def test_doubled_stamps_are_left_out_and_told():
+    time = sample(rows=200).time.copy()
+    time[[7, 8, 100]] = time[[6, 6, 99]]
+    log, notes = check(changed(time=time))
+    assert len(log) == 197
+    assert log.position.tolist() == np.delete(sample(rows=200).position, [7, 8, 100], axis=0).tolist()
+    assert "state: 3 samples with a doubled stamp left out, first at line 9" in notes
+
+
+def test_a_clock_that_goes_back_is_refused():
+    time = sample(rows=200).time.copy()
+    time[50:] -= 0.5
+    with pytest.raises(FileError, match=r"state, line 52: the clock goes back by 0.48 s"):
+        check(changed(time=time))
+
+
+def test_a_gap_is_told():
+    time = sample(rows=200).time.copy()
+    time[120:] += 1.0
+    assert (
+        "1 gap(s) longer than 5 periods of 0.02 s, the longest 1.02 s before line 122" in check(changed(time=time))[1]
+    )
+
+
+@pytest.mark.parametrize("factor", [1e3, 1e6, 1e-3])
+def test_a_wrong_time_unit_shows_in_the_rate(factor: float):
+    with pytest.raises(FileError, match=r"one sample in .* s, expected 1 to 10000 Hz; set the time unit"):
+        check(changed(time=sample(rows=200).time * factor))
+
+
+def test_two_clocks_are_refused():
+    with pytest.raises(FileError, match="not one clock"):
+        check(changed(), command_time=sample(rows=200).time + 1.7e9)
+
+
+def test_a_clock_from_1970_is_shortened():
+    log, _ = check(changed(time=sample(rows=200).time + 1_700_000_000.25))
+    np.testing.assert_allclose(log.time, sample(rows=200).time + 0.25, atol=3e-7)
+    assert log.extra["clock_origin_s"] == "1700000000"
+
+
+def test_swapped_columns_of_states_are_refused():
+    swapped = sample(rows=200).position[:, [0, 2, 1, 3, 4]]
+    with pytest.raises(FileError, match=r"state of state.shoulder_lift follows the command of state.elbow_flex"):
+        check(changed(position=swapped))
+
+
+def test_a_reversed_axis_is_told():
+    position = sample(rows=200).position * np.array([1, 1, -1, 1, 1])
+    notes = check(changed(position=position))[1]
+    assert "state.elbow_flex moves against its command" in notes
+    assert "shoulder" not in notes
+
+
+def test_joints_outside_their_limits():
+    position = sample(rows=200).position.copy()
+    position[:20, 1] += 1.8
+    assert (
+        f"beyond the limits of joint shoulder_lift in {(position[:, 1] > ARM.upper[1]).sum()} samples"
+        in check(changed(position=position))[1]
+    )
+    with pytest.raises(FileError, match=r"shoulder_lift is mostly outside the limits .*check unit, joint order"):
+        check(changed(position=sample(rows=200).position + np.array([0, np.pi, 0, 0, 0])))
+
+
+def test_frozen_readings_are_told_but_not_rest():
+    position = sample(rows=200).position.copy()
+    position[60:110] = position[60]
+    assert (
+        "the readings freeze 1 time(s) while the command moves on, longest for 0.98 s from 1.2 s"
+        in check(changed(position=position))[1]
+    )
+    resting = np.zeros((200, 5))
+    step = np.where(np.arange(200)[:, None] < 195, 0.0, 0.3) * np.ones(5)
+    notes = check(changed(position=resting, command=step))[1]
+    assert "freeze" not in notes
+    assert "no joint moves" in notes
+
+
+def test_too_little_is_refused():
+    found = sample(rows=200)
+    one = replace(motion(found), state=motion(found).state.take(np.arange(200) == 3))
+    with pytest.raises(FileError, match=r"state: 1 sample\(s\), a log needs at least 2"):
+        to_log(one, ARM)

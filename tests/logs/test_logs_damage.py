@@ -1,0 +1,118 @@
+"""Whatever happens to a file: it is imported, or a FileError says why, and never is half a folder left."""
+
+import os
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from log_samples import ARM, sample, write_sage, write_table
+from test_logs_lerobot import DATA, DATASET
+from test_logs_mcap import write_foxglove, write_json
+
+from rejoint.errors import FileError
+from rejoint.logs import ImportOptions, export_log, import_logs
+from rejoint.runs import RunLog, read_log
+
+EXAMPLES = int(os.environ.get("REJOINT_EXAMPLES", "100"))
+
+mutations = st.one_of(
+    st.tuples(st.just("cut"), st.floats(0, 1), st.just(0)),
+    st.tuples(st.just("set"), st.floats(0, 1), st.integers(0, 255)),
+    st.tuples(st.just("drop"), st.floats(0, 1), st.integers(1, 30)),
+    st.tuples(st.just("double"), st.floats(0, 1), st.integers(1, 30)),
+)
+
+
+def mutated(data: bytes, changes: list[tuple[str, float, int]]) -> bytes:
+    for kind, where, value in changes:
+        at = min(int(where * len(data)), max(len(data) - 1, 0))
+        if kind == "cut":
+            data = data[:at]
+        elif kind == "set":
+            data = data[:at] + bytes([value]) + data[at + 1 :]
+        elif kind == "drop":
+            data = data[:at] + data[at + value :]
+        else:
+            data = data[: at + value] + data[at:]
+    return data
+
+
+def write_ros2(path: Path, found) -> Path:
+    log = RunLog(
+        arm="so101", joint_names=ARM.joint_names, robot="emulated:worn", label="log", time=found.time,
+        position=found.position, command=found.command, target=found.position[:, :3], true_tcp=found.position[:, :3],
+    )  # fmt: skip
+    export_log(log, path)
+    return path
+
+
+def copy_dataset(folder: Path) -> Path:
+    return Path(shutil.copytree(DATASET, folder / "m"))
+
+
+MAKERS: dict[str, tuple[Callable[[Path], Path], str, ImportOptions]] = {
+    "sage-state": (lambda f: write_sage(f / "m", sample()), "state_motor.csv", ImportOptions()),
+    "sage-control": (lambda f: write_sage(f / "m", sample()), "control.csv", ImportOptions()),
+    "sage-joints": (lambda f: write_sage(f / "m", sample()), "joint_list.txt", ImportOptions()),
+    "csv": (lambda f: write_table(f / "m.csv", sample()), "", ImportOptions()),
+    "mcap-cdr": (lambda f: write_ros2(f / "m.mcap", sample()), "", ImportOptions()),
+    "mcap-json": (lambda f: write_json(f / "m.mcap", sample()), "", ImportOptions()),
+    "mcap-protobuf": (lambda f: write_foxglove(f / "m.mcap", sample()), "", ImportOptions()),
+    "lerobot-info": (copy_dataset, "meta/info.json", ImportOptions(angle_unit="deg")),
+    "lerobot-data": (copy_dataset, str(DATA), ImportOptions(angle_unit="deg")),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", MAKERS)
+def test_damage_never_crashes_and_never_leaves_half(tmp_path: Path, kind: str):
+    make, part, options = MAKERS[kind]
+    source = make(tmp_path)
+    file = source / part if part else source
+    whole = file.read_bytes()
+    fates = {"imported": 0, "refused": 0}
+    name = kind.partition("-")[0]
+
+    @settings(max_examples=EXAMPLES, deadline=None, derandomize=True, database=None)
+    @given(st.lists(mutations, min_size=1, max_size=3))
+    def attempt(changes: list[tuple[str, float, int]]) -> None:
+        file.write_bytes(mutated(whole, changes))
+        out = tmp_path / "logs"
+        try:
+            imported = import_logs(source, ARM, out=out, format=name, options=options)
+        except FileError as error:
+            fates["refused"] += 1
+            kept = f"{error.path}: {error.problem}; {error.remedy}"
+            assert str(error) == kept  # noqa: PT017 - either outcome is allowed
+            assert sorted(path.name for path in tmp_path.iterdir()) == [source.name]
+        else:
+            fates["imported"] += 1
+            assert len(imported.logs) == len(list(out.iterdir())) > 0
+            for path in out.iterdir():
+                read_log(path)
+            shutil.rmtree(out)
+
+    attempt()
+    assert fates["refused"] > 0
+
+
+def test_a_failing_disk_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    for name in ("a", "b"):
+        write_sage(tmp_path / "in" / name, sample())
+    import rejoint.logs.importing as importing
+
+    written = []
+
+    def full_disk(path: Path, log: RunLog) -> None:
+        written.append(path)
+        if len(written) == 2:
+            raise OSError("No space left on device")
+        path.write_bytes(b"log")
+
+    monkeypatch.setattr(importing, "write_log", full_disk)
+    with pytest.raises(OSError, match="No space"):
+        import_logs(tmp_path / "in", ARM, out=tmp_path / "logs")
+    assert len(written) == 2
+    assert [path.name for path in tmp_path.iterdir()] == ["in"]

@@ -1,0 +1,126 @@
+"""Logs on their way out and back, and through the readers of other projects."""
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from log_samples import ARM, sample
+from mcap.reader import make_reader
+from rosbags.typesys import Stores, get_typestore
+
+from rejoint.errors import InputError
+from rejoint.logs import export_log, import_logs
+from rejoint.runs import RunLog
+
+
+def run_log(seed: int = 0, time: np.ndarray | None = None) -> RunLog:
+    found = sample()
+    rng = np.random.default_rng(seed)
+    target, tcp = rng.normal(size=(2, 60, 3))
+    target[:10] = np.nan
+    return RunLog(
+        arm="so101", joint_names=ARM.joint_names, robot="emulated:worn", label="hold/policy/0/2",
+        time=found.time + np.cumsum(rng.uniform(0, 1e-3, 60)) if time is None else time,
+        position=found.position + rng.normal(0, 1e-4, (60, 5)), command=found.command, target=target, true_tcp=tcp,
+        extra={"seed": "7", "profile": "worn"},
+    )  # fmt: skip
+
+
+def same_bits(a: np.ndarray, b: np.ndarray) -> bool:
+    return a.shape == b.shape and a.tobytes() == b.tobytes()
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_csv_comes_back_bit_for_bit(tmp_path: Path, seed: int):
+    log = run_log(seed)
+    export_log(log, tmp_path / "log.csv")
+    back = import_logs(tmp_path / "log.csv", ARM, out=tmp_path / "logs").logs[0]
+    for name in ("time", "position", "command", "target", "true_tcp"):
+        assert same_bits(getattr(log, name), getattr(back, name)), name
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_mcap_comes_back_bit_for_bit(tmp_path: Path, seed: int):
+    log = run_log(seed)
+    export_log(log, tmp_path / "log.mcap")
+    imported = import_logs(tmp_path / "log.mcap", ARM, out=tmp_path / "logs")
+    back = imported.logs[0]
+    assert imported.notes == ()
+    for name in ("position", "command", "target", "true_tcp"):
+        assert same_bits(getattr(log, name), getattr(back, name)), name
+    assert np.abs(log.time - back.time).max() <= 0.5e-9
+    assert (back.arm, back.robot, back.label, back.extra) == (log.arm, log.robot, log.label, log.extra)
+    assert [path.name for path in (tmp_path / "logs").iterdir()] == ["hold-policy-0-2.parquet"]
+    export_log(back, tmp_path / "again.mcap")
+    again = import_logs(tmp_path / "again.mcap", ARM, out=tmp_path / "more").logs[0]
+    assert same_bits(back.time, again.time)
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.lists(st.integers(0, 10**13), min_size=60, max_size=60, unique=True), st.integers(0, 2**32 - 1))
+def test_whole_nanoseconds_come_back_bit_for_bit(tmp_path_factory, stamps: list[int], seed: int):
+    folder = tmp_path_factory.mktemp("exact")
+    # the rate has to be one of a robot: 60 stamps within about ten seconds
+    time = np.array(sorted(stamp // 1000 for stamp in stamps)) / 1e9
+    if (np.diff(time) <= 0).any() or not 1e-4 < np.median(np.diff(time)) < 1:
+        return
+    log = run_log(seed, time)
+    export_log(log, folder / "log.mcap")
+    assert same_bits(import_logs(folder / "log.mcap", ARM, out=folder / "logs").logs[0].time, log.time)
+
+
+def test_rosbags_reads_the_mcap_with_its_own_definitions(tmp_path: Path):
+    log = run_log()
+    export_log(log, tmp_path / "log.mcap")
+    store = get_typestore(Stores.ROS2_JAZZY)
+    found: dict[str, list] = {}
+    with (tmp_path / "log.mcap").open("rb") as stream:
+        reader = make_reader(stream, validate_crcs=True)
+        assert reader.get_header().profile == "ros2"
+        for schema, channel, message in reader.iter_messages():
+            assert (channel.message_encoding, schema.encoding) == ("cdr", "ros2msg")
+            content = store.deserialize_cdr(message.data, schema.name)
+            stamp = content.header.stamp
+            assert stamp.sec * 10**9 + stamp.nanosec == message.log_time
+            found.setdefault(channel.topic, []).append(content)
+    assert [list(state.name) for state in found["/joint_states"]] == [list(ARM.joint_names)] * 60
+    for topic, values in (("/joint_states", log.position), ("/joint_commands", log.command)):
+        assert same_bits(np.array([state.position for state in found[topic]]), values)
+    points = np.array([[p.point.x, p.point.y, p.point.z] for p in found["/target"]])
+    assert same_bits(points, log.target[10:])
+    # the definition in the file is the one that ROS 2 ships
+    kind = "sensor_msgs/msg/JointState"
+    own = get_typestore(Stores.EMPTY)
+    from rosbags.typesys import get_types_from_msg
+
+    own.register(get_types_from_msg(schemas(tmp_path / "log.mcap")[kind], kind))
+    assert own.hash_rihs01(kind) == store.hash_rihs01(kind)
+
+
+def schemas(path: Path) -> dict[str, str]:
+    with path.open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    return {schema.name: schema.data.decode() for schema in summary.schemas.values()}
+
+
+def test_csv_says_its_units(tmp_path: Path):
+    export_log(run_log(), tmp_path / "log.csv")
+    with (tmp_path / "log.csv").open(newline="") as lines:
+        rows = list(csv.DictReader(lines))
+    assert list(rows[0])[:2] == ["time_s", "position.shoulder_pan_rad"]
+    assert float(rows[12]["command.elbow_flex_rad"]) == run_log().command[12, 2]
+    assert rows[3]["target.x_m"] == ""
+    assert float(rows[12]["true_tcp.z_m"]) == run_log().true_tcp[12, 2]
+
+
+def test_what_cannot_be_exported_leaves_nothing(tmp_path: Path):
+    with pytest.raises(InputError, match=r"exported to .csv or .mcap, not to .xlsx"):
+        export_log(run_log(), tmp_path / "log.xlsx")
+    with pytest.raises(InputError, match="less than a nanosecond apart"):
+        export_log(run_log(time=1e-11 * np.arange(60)), tmp_path / "log.mcap")
+    with pytest.raises(InputError, match="do not fit a ROS stamp"):
+        export_log(run_log(time=np.arange(60) - 5.0), tmp_path / "log.mcap")
+    assert list(tmp_path.iterdir()) == []

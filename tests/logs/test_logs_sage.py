@@ -1,0 +1,120 @@
+"""SAGE folders, as SAGE wrote them and with one thing changed."""
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from log_samples import ARM, recorded, sample, write_sage
+
+from rejoint.errors import FileError, InputError
+from rejoint.logs import ImportOptions, detect, import_logs
+from rejoint.runs import read_log
+
+
+def test_recorded_logs_arrive_bit_for_bit(tmp_path: Path):
+    folder = recorded()
+    steps = []
+    imported = import_logs(folder, ARM, out=tmp_path / "logs", on_progress=lambda *step: steps.append(step))
+    assert len(imported.logs) == len(list(folder.glob("*/state_motor.csv"))) == 44
+    assert [step[:2] for step in steps] == [(k, 44) for k in range(1, 45)]
+    assert sum(len(log) for log in imported.logs) == 198040
+    for motion in ("multisine", "hold_under_gravity"):
+        log = read_log(tmp_path / "logs" / f"{motion}.parquet")
+        for file, values in (("state_motor", log.position), ("control", log.command)):
+            with (folder / motion / f"{file}.csv").open(newline="") as lines:
+                rows = list(csv.DictReader(lines))
+            assert values.tolist() == [json.loads(row["positions"])[:5] for row in rows]
+            assert log.time.tolist() == [float(row["timestamp"]) / 1e6 for row in rows]
+        assert log.joint_names == ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll")
+        assert np.isnan(log.target).all()
+        assert (log.arm, log.label, log.robot) == ("so101", motion, f"sage:{motion}")
+    assert any("Jaw" in note for note in imported.notes)
+
+
+def test_joint_order_is_that_of_the_list(tmp_path: Path):
+    shuffled = ("Elbow", "Jaw", "Wrist_Roll", "Rotation", "Wrist_Pitch", "Pitch")
+    plain = import_logs(write_sage(tmp_path / "a", sample()), ARM, out=tmp_path / "1").logs[0]
+    other = import_logs(write_sage(tmp_path / "b", sample(), shuffled), ARM, out=tmp_path / "2").logs[0]
+    assert plain.position.tolist() == other.position.tolist() == sample().position.tolist()
+    assert plain.command.tolist() == other.command.tolist() == sample().command.tolist()
+
+
+def test_the_command_in_force_is_held(tmp_path: Path):
+    found = sample(rows=6, period=0.02)
+    folder = write_sage(tmp_path / "held", found)
+    # seven commands on a clock of their own: the first two between the states, then two within one period
+    stamps = [0.030, 0.041, 0.045, 0.060, 0.099, 0.100, 0.120]
+    rows = [f'CONTROL,{1e6 * t:.0f},"{json.dumps([0.1 * k] * 6)}"' for k, t in enumerate(stamps)]
+    (folder / "control.csv").write_text("type,timestamp,positions\n" + "\n".join(rows) + "\n")
+    imported = import_logs(folder, ARM, out=tmp_path / "logs")
+    log = imported.logs[0]
+    assert log.time.tolist() == pytest.approx([0.04, 0.06, 0.08, 0.10])
+    assert log.command[:, 0].tolist() == [0.0, 0.1 * 3, 0.1 * 3, 0.5]
+    assert log.position.tolist() == found.position[2:].tolist()
+    notes = " ".join(imported.notes)
+    assert "2 samples before the first command" in notes
+    assert "3 of 7 were replaced before the next state" in notes
+
+
+def test_a_joint_map_names_other_joints(tmp_path: Path):
+    folder = write_sage(tmp_path / "named", sample())
+    (folder / "joint_list.txt").write_text("J1\nJ2\nJ3\nJ4\nJ5\nJ6\n")
+    with pytest.raises(FileError, match=r"no column for joint shoulder_pan.*J1, J2.*joint_map"):
+        import_logs(folder, ARM, out=tmp_path / "logs")
+    names = dict(zip(("J1", "J2", "J3", "J4", "J5"), ARM.joint_names, strict=True))
+    log = import_logs(folder, ARM, out=tmp_path / "logs", options=ImportOptions(joint_map=names)).logs[0]
+    assert log.position.tolist() == sample().position.tolist()
+    twice = ImportOptions(joint_map=names | {"J2": "shoulder_pan"})
+    with pytest.raises(FileError, match="J1 and J2 both mean joint shoulder_pan"):
+        import_logs(folder, ARM, out=tmp_path / "other", options=twice)
+    with pytest.raises(InputError, match="'hip', which so101 does not have"):
+        import_logs(folder, ARM, out=tmp_path / "other", options=ImportOptions(joint_map={"J1": "hip"}))
+    assert not (tmp_path / "other").exists()
+
+
+@pytest.mark.parametrize(
+    ("file", "line", "text", "message"),
+    [
+        ("control.csv", 7, 'CONTROL,120000,"[0.1, 0.2, 0.3]"', "line 7: 3 positions, but joint_list.txt names 6"),
+        ("control.csv", 7, 'CONTROL,soon,"[0, 0, 0, 0, 0, 0]"', "line 7: timestamp 'soon'"),
+        ("control.csv", 7, 'CONTROL,12,"[0, 0, 0, 0, 0, 0]"', "command, line 7: the clock goes back"),
+        ("state_motor.csv", 9, 'STATE,140000,"[0, 0, NaN, 0, 0, 0]",x,y', "line 9: Elbow is nan"),
+        ("state_motor.csv", 9, "STATE,140000", "line 9: 2 columns, expected 5"),
+        ("state_motor.csv", 9, 'STATE,140000,"[0, 0,",x,y', "line 9: positions"),
+        ("state_motor.csv", 9, 'STATE,140000,"[0, 0, null, 0, 0, 0]",x,y', "line 9: positions"),
+        ("control.csv", 1, "time,values", "line 1: columns time, values"),
+    ],
+)
+def test_a_bad_line_is_named(tmp_path: Path, file: str, line: int, text: str, message: str):
+    folder = write_sage(tmp_path / "in" / "bad", sample())
+    write_sage(tmp_path / "in" / "a_good_one", sample())
+    lines = (folder / file).read_text().splitlines()
+    lines[line - 1] = text
+    (folder / file).write_text("\n".join(lines) + "\n")
+    with pytest.raises(FileError, match=message) as caught:
+        import_logs(tmp_path / "in", ARM, out=tmp_path / "out" / "logs")
+    assert caught.value.path == folder / file
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["in"]
+
+
+def test_a_missing_file_is_named(tmp_path: Path):
+    folder = write_sage(tmp_path / "cut", sample())
+    (folder / "control.csv").unlink()
+    assert detect(folder) == "sage"
+    with pytest.raises(FileError, match=r"control.csv: no such file"):
+        import_logs(folder, ARM, out=tmp_path / "logs")
+
+
+def test_units_can_be_declared_but_nothing_foreign(tmp_path: Path):
+    found = sample()
+    folder = write_sage(tmp_path / "deg", type(found)(
+        time=found.time, position=np.rad2deg(found.position), command=np.rad2deg(found.command)
+    ))  # fmt: skip
+    with pytest.raises(FileError, match="surely degrees"):
+        import_logs(folder, ARM, out=tmp_path / "logs")
+    log = import_logs(folder, ARM, out=tmp_path / "logs", options=ImportOptions(angle_unit="deg")).logs[0]
+    np.testing.assert_allclose(log.position, found.position, rtol=0, atol=1e-15)
+    with pytest.raises(FileError, match="state_topic does not apply to a file of format sage"):
+        import_logs(folder, ARM, out=tmp_path / "x", options=ImportOptions(state_topic="/a"))

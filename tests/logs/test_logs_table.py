@@ -1,0 +1,160 @@
+"""CSV files with named columns: units are read from names or options, never guessed."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from log_samples import ARM, sample, write_sage, write_table
+
+from rejoint.errors import FileError, InputError
+from rejoint.logs import ImportOptions, detect, import_logs
+
+
+def test_every_number_arrives(tmp_path: Path):
+    found = sample()
+    source = write_table(tmp_path / "wave.csv", found)
+    assert detect(source) == "csv"
+    imported = import_logs(source, ARM, out=tmp_path / "logs")
+    log = imported.logs[0]
+    assert imported.notes == ()
+    assert log.time.tolist() == found.time.tolist()
+    assert log.position.tolist() == found.position.tolist()
+    assert log.command.tolist() == found.command.tolist()
+    assert [path.name for path in (tmp_path / "logs").iterdir()] == ["wave.parquet"]
+
+
+def test_a_unit_may_stand_in_each_name(tmp_path: Path):
+    lines = [
+        "time_ms,command.b_deg,position.a_rad,command.a_rad,position.b_deg,true_tcp.x_mm,true_tcp.y_m,true_tcp.z_m"
+    ]
+    lines += [f"{20 * k},{9 * k},{0.1 * k},{0.2 * k},{18 * k},{100 * k},{k},{-k}" for k in range(4)]
+    names = {"a": "shoulder_pan", "b": "wrist_roll"}
+    two = {"shoulder_lift": "c", "elbow_flex": "d", "wrist_flex": "e"}
+    wide = [lines[0] + "".join(f",position.{n}_rad,command.{n}_rad" for n in two.values())]
+    wide += [line + ",0,0" * 3 for line in lines[1:]]
+    (tmp_path / "mixed.csv").write_text("\n".join(wide) + "\n")
+    options = ImportOptions(joint_map=names | {name: joint for joint, name in two.items()})
+    log = import_logs(tmp_path / "mixed.csv", ARM, out=tmp_path / "logs", options=options).logs[0]
+    k = np.arange(4)
+    np.testing.assert_allclose(log.time, 0.02 * k)
+    np.testing.assert_allclose(log.position, np.outer(k, [0.1, 0, 0, 0, np.pi / 10]))
+    np.testing.assert_allclose(log.command, np.outer(k, [0.2, 0, 0, 0, np.pi / 20]))
+    np.testing.assert_allclose(log.true_tcp, np.outer(k, [0.1, 1.0, -1.0]))
+
+
+@pytest.mark.parametrize("unit", ["s", "ms", "us", "ns"])
+def test_a_declared_time_unit_is_taken(tmp_path: Path, unit: str):
+    ticks = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}[unit]
+    found = sample()
+    scaled = type(found)(time=found.time * ticks, position=found.position, command=found.command)
+    source = write_table(tmp_path / "wave.csv", scaled, {"time_s": "time"})
+    with pytest.raises(FileError, match=r"column time does not say its unit; rename it time_s or .* or set time_unit"):
+        import_logs(source, ARM, out=tmp_path / "logs")
+    log = import_logs(source, ARM, out=tmp_path / "logs", options=ImportOptions(time_unit=unit)).logs[0]
+    np.testing.assert_allclose(log.time, found.time, rtol=1e-15)
+
+
+def test_an_ambiguous_angle_names_its_column(tmp_path: Path):
+    source = write_table(tmp_path / "wave.csv", sample(), {"position.elbow_flex_rad": "position.elbow_flex"})
+    with pytest.raises(FileError, match=r"column position.elbow_flex does not say its unit; .*_rad or .*angle_unit"):
+        import_logs(source, ARM, out=tmp_path / "logs")
+    log = import_logs(source, ARM, out=tmp_path / "logs", options=ImportOptions(angle_unit="rad")).logs[0]
+    assert log.position.tolist() == sample().position.tolist()
+    with pytest.raises(FileError, match=r"column position.shoulder_pan_rad is in rad by its name, but angle_unit says"):
+        import_logs(source, ARM, out=tmp_path / "other", options=ImportOptions(angle_unit="deg"))
+
+
+def test_degrees_called_radians_are_refused(tmp_path: Path):
+    source = write_table(tmp_path / "wave.csv", sample(), scale=180 / np.pi)
+    with pytest.raises(FileError, match=r"position.*_rad is .* rad, beyond two turns; the values are surely degrees"):
+        import_logs(source, ARM, out=tmp_path / "logs")
+
+
+def test_radians_called_degrees_are_noted(tmp_path: Path):
+    names = {f"{g}.{j}_rad": f"{g}.{j}_deg" for g in ("position", "command") for j in ARM.joint_names}
+    imported = import_logs(write_table(tmp_path / "wave.csv", sample(), names), ARM, out=tmp_path / "logs")
+    assert any("set angle_unit rad if the file holds radians" in note for note in imported.notes)
+
+
+@pytest.mark.parametrize(
+    ("titles", "message"),
+    [
+        ({"time_s": "stamp"}, "none of the columns stamp, .* says the time"),
+        ({"position.elbow_flex_rad": "time_ms"}, "time_s and time_ms"),
+        ({"command.wrist_flex_rad": "command.wrist_rad"}, "command: no column for joint wrist_flex"),
+        (
+            {"position.wrist_flex_rad": "position.wrist_roll_deg"},
+            "position.wrist_roll_deg and position.wrist_roll_rad both mean joint wrist_roll",
+        ),
+        ({"command.wrist_flex_rad": "position.wrist_roll_rad"}, "position.wrist_roll_rad stands there twice"),
+    ],
+)
+def test_wrong_columns_are_named(tmp_path: Path, titles: dict[str, str], message: str):
+    source = write_table(tmp_path / "wave.csv", sample(), titles)
+    with pytest.raises(FileError, match=message):
+        import_logs(source, ARM, out=tmp_path / "logs")
+    assert not (tmp_path / "logs").exists()
+
+
+@pytest.mark.parametrize(
+    ("line", "cell", "message"),
+    [
+        (5, "warm", "line 5, column position.shoulder_pan_rad: 'warm' is no number"),
+        (5, "", "line 5: position.shoulder_pan_rad is nan"),
+        (5, "inf", "line 5: position.shoulder_pan_rad is inf"),
+        (5, "0.1,0.2", "line 5: 12 columns, the header has 11"),
+    ],
+)
+def test_a_bad_cell_is_named(tmp_path: Path, line: int, cell: str, message: str):
+    source = write_table(tmp_path / "wave.csv", sample())
+    lines = source.read_text().splitlines()
+    cells = lines[line - 1].split(",")
+    lines[line - 1] = ",".join([cells[0], cell, *cells[2:]])
+    source.write_text("\n".join(lines))
+    with pytest.raises(FileError, match=message):
+        import_logs(source, ARM, out=tmp_path / "logs")
+
+
+def test_a_point_needs_three_axes(tmp_path: Path):
+    source = write_table(tmp_path / "wave.csv", sample())
+    lines = [f"{line},0.1" for line in source.read_text().splitlines()]
+    lines[0] = lines[0].removesuffix("0.1") + "target.x_m"
+    source.write_text("\n".join(lines))
+    with pytest.raises(FileError, match="columns of target are not x, y and z"):
+        import_logs(source, ARM, out=tmp_path / "logs")
+
+
+def test_other_columns_are_left_out_and_named(tmp_path: Path):
+    source = write_table(tmp_path / "wave.csv", sample())
+    lines = [f"{line},warm" for line in source.read_text().splitlines()]
+    lines[0] = lines[0].removesuffix("warm") + "comment"
+    source.write_text("\n".join(lines))
+    imported = import_logs(source, ARM, out=tmp_path / "logs")
+    assert imported.notes == ("wave: columns ignored: comment",)
+    assert imported.logs[0].position.tolist() == sample().position.tolist()
+
+
+def test_two_formats_in_one_folder_are_told_apart_by_the_user(tmp_path: Path):
+    folder = write_sage(tmp_path / "both", sample())
+    write_table(folder / "wave.csv", sample())
+    with pytest.raises(FileError, match="formats sage and csv; say with format"):
+        import_logs(folder, ARM, out=tmp_path / "logs")
+    assert import_logs(folder, ARM, out=tmp_path / "logs", format="csv").logs[0].label == "wave"
+    with pytest.raises(InputError, match="'xls' is unknown; choose from sage, csv, mcap, lerobot"):
+        import_logs(folder, ARM, out=tmp_path / "other", format="xls")
+
+
+def test_a_full_folder_is_never_written_into(tmp_path: Path):
+    source = write_table(tmp_path / "wave.csv", sample())
+    (tmp_path / "logs").mkdir()
+    import_logs(source, ARM, out=tmp_path / "logs")
+    with pytest.raises(InputError, match="exists already"):
+        import_logs(source, ARM, out=tmp_path / "logs")
+
+
+def test_what_is_no_log_is_refused(tmp_path: Path):
+    (tmp_path / "a.txt").write_text("hello\n")
+    with pytest.raises(FileError, match=r"no log in a known format; expected .*SAGE.*CSV.*MCAP.*LeRobot"):
+        import_logs(tmp_path / "a.txt", ARM, out=tmp_path / "logs")
+    with pytest.raises(FileError, match="no such file"):
+        import_logs(tmp_path / "b", ARM, out=tmp_path / "logs")
