@@ -37,3 +37,16 @@ def test_no_twin_is_the_limit_of_a_fast_ramp():
     time, command = np.array([0.0, 1.0, 2.0]), np.array([[0.0], [1.0], [2.0]])
     r = Reference(time, command, np.array([1e9]), np.array([0.0]))
     np.testing.assert_allclose(r.sample(np.array([0.5, 1.5, 2.5]), np.array([0.0]))[0, :, 0], [0, 1, 2], atol=1e-6)
+
+
+def test_skipping_what_is_reached_changes_nothing():
+    rng = np.random.default_rng(3)
+    time = np.cumsum(rng.uniform(0.01, 0.03, 400))
+    command = np.cumsum(rng.normal(0, 0.02, (400, 3)), axis=0) + np.repeat(rng.normal(0, 0.2, (8, 3)), 50, axis=0)
+    speeds = np.array([5.0, 1.5, 5.0, 40.0])
+    r = Reference(time, command, speeds, command[0] + 0.1)
+    expected = np.empty((400, 4, 3))
+    expected[0] = command[0] + 0.1
+    for k in range(399):
+        expected[k + 1] = approach(expected[k], command[k], speeds[:, None] * (time[k + 1] - time[k]))
+    np.testing.assert_allclose(r.sample(time, np.zeros(4)).swapaxes(0, 1), expected, atol=1e-12)

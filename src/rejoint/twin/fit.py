@@ -13,6 +13,7 @@ autocorrelation time, so that prior and data are weighed fairly.
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
@@ -70,9 +71,13 @@ class Fit:
 
 
 class Problem:
-    """Residuals, costs and Jacobians of one set of windows under one prior."""
+    """Residuals, costs and Jacobians of one set of windows under one prior.
 
-    def __init__(self, replay: Replay, prior: Prior) -> None:
+    Parameters named in ``frozen`` stay where a fit starts: none of them is simulated, and what is
+    believed of them is the prior.
+    """
+
+    def __init__(self, replay: Replay, prior: Prior, frozen: Collection[str] = ()) -> None:
         self.replay, self.prior = replay, prior
         self.joints = replay.arm.joints
         self.measured = np.concatenate(replay.measured())
@@ -86,6 +91,11 @@ class Problem:
             if not p.log:
                 place = slice(index * n, (index + 1) * n) if p.per_joint else split + index - len(JOINT_PARAMETERS)
                 self.steps[place] = DIFFERENCE[p.name]
+        table = (*JOINT_PARAMETERS, *ARM_PARAMETERS)
+        self._live = [index for index, p in enumerate(table) if p.name not in frozen]
+        self.frozen = np.ones(len(prior.mean), dtype=bool)
+        for index in self._live:
+            self.frozen[self._groups()[index]] = False
 
     def residuals(self, vectors: Array) -> Array:
         """Predicted minus measured positions (m, rows, n) [rad] for parameter vectors (m, k)."""
@@ -115,10 +125,9 @@ class Problem:
         moved = np.tile(vector, (len(groups), 1))
         for row, group in enumerate(groups):
             moved[row, group] += (signs * self.steps)[group]
-        for row in range(len(JOINT_PARAMETERS)):
-            if row != STIFFNESS and JOINT_PARAMETERS[row].log:  # the first direction scales all torques
-                moved[STIFFNESS, groups[row]] += (signs * self.steps)[groups[STIFFNESS]]
-        return np.clip(moved, self.prior.lower, self.prior.upper)
+        for row in self._scaled():
+            moved[STIFFNESS, groups[row]] += (signs * self.steps)[groups[STIFFNESS]]
+        return np.clip(moved[self._live], self.prior.lower, self.prior.upper)
 
     def inward(self, vector: Array, signs: Array) -> Array:
         """Turn those ``signs`` (k,) round whose step would leave the bounds."""
@@ -128,15 +137,16 @@ class Problem:
     def jacobian(self, base: Array, moved: Array, signs: Array) -> Array:
         """Sensitivities (rows, n, q) of each joint to its own parameters and, last, the arm's.
 
-        ``base`` (rows, n) and ``moved`` (q, rows, n) are residuals at the point and at `perturbations`.
+        ``base`` (rows, n) and ``moved`` (p, rows, n) are residuals at the point and at `perturbations`;
+        the sensitivities to frozen parameters are zero.
         """
-        steps = np.empty((len(moved), self.joints))
-        for row, group in enumerate(self._groups()):
-            steps[row] = (signs * self.steps)[group]
-        slopes = (moved - base) / steps[:, None]
-        for row in range(len(JOINT_PARAMETERS)):
-            if row != STIFFNESS and JOINT_PARAMETERS[row].log:
-                slopes[STIFFNESS] -= slopes[row]
+        groups = self._groups()
+        slopes = np.zeros((len(groups), *base.shape))
+        for row, residual in zip(self._live, moved, strict=True):
+            steps = np.broadcast_to((signs * self.steps)[groups[row]], base.shape[1:])
+            slopes[row] = (residual - base) / steps
+        for row in self._scaled():
+            slopes[STIFFNESS] -= slopes[row]
         return np.moveaxis(slopes, 0, -1)
 
     def system(self, jacobian: Array, residual: Array, weights: Weights) -> tuple[Array, Array]:
@@ -161,6 +171,10 @@ class Problem:
         keys = np.stack([self.window, (time // length).astype(int)], axis=1)
         return np.unique(keys, axis=0, return_inverse=True)[1].ravel()
 
+    def _scaled(self) -> list[int]:
+        """Rows of the live joint parameters that share the stiffness's direction: it scales all torques."""
+        return [i for i in self._live if i != STIFFNESS and i < len(JOINT_PARAMETERS) and JOINT_PARAMETERS[i].log]
+
     def _groups(self) -> list[NDArray[np.integer]]:
         n, split = self.joints, len(JOINT_PARAMETERS) * self.joints
         joint_groups = [np.arange(i * n, (i + 1) * n) for i in range(len(JOINT_PARAMETERS))]
@@ -170,7 +184,7 @@ class Problem:
 def fit(problem: Problem, start: Array, iterations: int) -> Fit:
     """Descend from ``start`` (k,) until a step gains almost nothing."""
     x = np.clip(start, problem.prior.lower, problem.prior.upper)
-    fixed = np.zeros(len(x), dtype=bool)
+    fixed = problem.frozen
     converged, iteration = False, 0
     while not converged and iteration < iterations:
         iteration += 1
@@ -181,14 +195,21 @@ def fit(problem: Problem, start: Array, iterations: int) -> Fit:
         curvature, gradient = problem.system(jacobian, residuals[0], weights)
         curvature += np.diag(problem.prior.sigma**-2)
         gradient += (x - problem.prior.mean) / problem.prior.sigma**2
-        fixed = _pressed(problem.prior, x, gradient)
+        fixed = problem.frozen | _pressed(problem.prior, x, gradient)
         trials = _steps(problem, x, curvature, gradient, fixed)
         x, gained = line_up(problem, np.vstack([x, trials]), residuals[:1], weights)
         converged = gained < LEAST_GAIN
     residual = problem.residuals(x[None])
     weights = problem.weights(residual[0])
     final = float(problem.costs(x[None], residual, weights)[1][0])
-    return Fit(vector=x, cost=final, iterations=iteration, converged=converged, at_bound=fixed, weights=weights)
+    return Fit(
+        vector=x,
+        cost=final,
+        iterations=iteration,
+        converged=converged,
+        at_bound=fixed & ~problem.frozen,
+        weights=weights,
+    )
 
 
 def search(problem: Problem, starts: Array, rng: np.random.Generator, rounds: int = 3) -> Array:
@@ -204,7 +225,9 @@ def search(problem: Problem, starts: Array, rng: np.random.Generator, rounds: in
         best = int(np.argmin(loss(residuals).sum(axis=(1, 2))))
         weights = problem.weights(residuals[best])
         x, _ = line_up(problem, candidates, residuals, weights)
-        spread = prior.sigma * 0.5**i * rng.choice([0.0, 1.0], size=(len(starts) - 1, len(x)))
+        spread = (
+            np.where(problem.frozen, 0.0, prior.sigma) * 0.5**i * rng.choice([0.0, 1.0], size=(len(starts) - 1, len(x)))
+        )
         around = x + spread * rng.standard_normal(spread.shape)
         candidates = np.clip(np.vstack([x, around]), prior.lower, prior.upper)
         known = problem.residuals(x[None])

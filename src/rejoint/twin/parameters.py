@@ -187,12 +187,12 @@ class Prior:
     upper: Array
 
 
-def prior(arm: Arm) -> Prior:
-    """Prior of an arm from the table, its largest gravity torque and its link inertias."""
+def prior(arm: Arm, table: tuple[Parameter, ...] = PARAMETERS) -> Prior:
+    """Prior of an arm from a table, its largest gravity torque and its link inertias."""
     load = largest_gravity_torque(arm) / REFERENCE_LOAD
     wrist = _wrist(arm)
     rows: list[tuple[float, float, float, float]] = []
-    for p in PARAMETERS:
+    for p in table:
         scale = load if p.by_load else 1.0
         for is_wrist in wrist if p.per_joint else [False]:
             values = np.array([p.nominal * (p.wrist if is_wrist else 1.0), p.lower, p.upper]) * scale

@@ -11,6 +11,9 @@ import numpy as np
 
 from rejoint.arms import Array
 
+REACHED = 1e-12
+"""[rad] from its command at which a reference has arrived: rounding"""
+
 
 class Reference:
     """References of m twins that follow one record of commands, each with its own delay and speed."""
@@ -19,21 +22,28 @@ class Reference:
         """Take sending times (T,) [s], commands (T, n) [rad], speeds (m,) [rad/s] and where to start (n,)."""
         self.time = time
         self.command = command
-        self.ramp_speed = np.asarray(ramp_speed)[:, None]
-        rows, n = command.shape
+        speeds, self.which = np.unique(np.asarray(ramp_speed), return_inverse=True)
+        self.ramp_speed = speeds[:, None]
         # Reference at the sending of each command: what is left of each step is carried into the next.
-        self.at = np.empty((rows, len(self.ramp_speed), n))
+        self.at = np.repeat(np.concatenate([command[:1], command[:-1]])[:, None], len(speeds), axis=1)
         self.at[0] = start
-        for k in range(rows - 1):
+        steps = speeds[0] * np.diff(time)  # the slowest decides what can be skipped
+        jumps = np.abs(np.diff(command[:-1], axis=0)).max(axis=1) > steps[1:]
+        ahead = np.append(np.flatnonzero(jumps) + 1, len(time) - 1)  # rows whose command is not reached in time
+        k = 0
+        while k < len(time) - 1:
             self.at[k + 1] = approach(self.at[k], command[k], self.ramp_speed * (time[k + 1] - time[k]))
+            k += 1
+            if np.abs(self.at[k] - command[k - 1]).max() < REACHED:
+                k = int(ahead[min(np.searchsorted(ahead, k), len(ahead) - 1)])
 
     def sample(self, time: Array, delay: Array) -> Array:
         """Return references (m, s, n) [rad] at ``time`` (s,) [s] for delays (m,) [s]; at first the start."""
         late = time - np.asarray(delay)[:, None]
         row = np.clip(np.searchsorted(self.time, late, side="right") - 1, 0, len(self.time) - 1)
         elapsed = np.maximum(late - self.time[row], 0.0)
-        twin = np.arange(len(self.ramp_speed))[:, None]
-        return approach(self.at[row, twin], self.command[row], (self.ramp_speed * elapsed)[..., None])
+        twin = self.which[:, None]
+        return approach(self.at[row, twin], self.command[row], (self.ramp_speed[self.which] * elapsed)[..., None])
 
 
 def approach(reference: Array, goal: Array, step: Array | float) -> Array:

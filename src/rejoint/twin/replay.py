@@ -137,8 +137,10 @@ class Replay:
         parts = [references[w.log].sample(self._log(w).time[w.first] + grid, parameters.delay) for w in self.windows]
         return np.concatenate(parts)
 
-    def _references(self, parameters: TwinParameters) -> list[Reference]:
-        return [Reference(log.time, log.command, parameters.ramp_speed, log.command[0]) for log in self.logs]
+    def _references(self, parameters: TwinParameters) -> dict[int, Reference]:
+        """References by the number of the log, for logs that a window shows."""
+        shown = {w.log: self.logs[w.log] for w in self.windows}
+        return {i: Reference(l.time, l.command, parameters.ramp_speed, l.command[0]) for i, l in shown.items()}
 
 
 def predict(arm: Arm, parameters: TwinParameters, log: RunLog, timestep: float = TIMESTEP) -> Array:

@@ -40,12 +40,15 @@ class Uncertainty:
     """(k,)"""
 
 
-def uncertainty(problem: Problem, fit: Fit) -> Uncertainty:
-    """Estimate the covariance of a fit from central differences and clustered scores."""
+def uncertainty(problem: Problem, fit: Fit, clusters: NDArray[np.integer] | None = None) -> Uncertainty:
+    """Estimate the covariance of a fit from central differences and clustered scores.
+
+    ``clusters`` (rows,) number the stretches of motion taken as independent, by default of `CLUSTER` seconds.
+    """
     prior, k = problem.prior, len(fit.vector)
     residual, jacobian = _central_differences(problem, fit.vector)
     curvature, _ = problem.system(jacobian, residual, fit.weights)
-    scores, clusters = np.zeros((k, k)), problem.clusters(CLUSTER)
+    scores, clusters = np.zeros((k, k)), problem.clusters(CLUSTER) if clusters is None else clusters
     count = int(clusters.max()) + 1
     for joint in range(problem.joints):
         place = problem.columns(joint)
@@ -57,7 +60,7 @@ def uncertainty(problem: Problem, fit: Fit) -> Uncertainty:
     inverse = np.linalg.inv(curvature + precision)
     covariance = inverse @ (0.5 * (scores + curvature) + precision) @ inverse
     narrowing = np.sqrt(np.diag(covariance)) / prior.sigma
-    identified = (narrowing < IDENTIFIED) & ~fit.at_bound
+    identified = (narrowing < IDENTIFIED) & ~fit.at_bound & ~problem.frozen
     return Uncertainty(covariance=0.5 * (covariance + covariance.T), narrowing=narrowing, identified=identified)
 
 
