@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
 
-from rejoint.arms import dls, frames, mycobot280, position_jacobian, tcp_position
+from rejoint.arms import dls, frames, mycobot280, position_jacobian, solve_position, tcp_position
 from rejoint.control.controller import Situation
 from rejoint.control.observation import Observer, layout_size, layout_slots, look
-from rejoint.control.residual import CommandLaw
+from rejoint.control.residual import CommandLaw, working_envelope
 from rejoint.control.robot import JointState
 from rejoint.errors import InputError
 
@@ -185,6 +185,23 @@ def test_command_law_bounds_step_lead_and_joint_limits():
     command = law.command(ARM, view, position, sent, rng.uniform(-3.0, 3.0, (200, 6)))
     assert (np.abs(command - position) <= law.lead_limit + 1e-12).all()
     assert ((command >= ARM.lower) & (command <= ARM.upper)).all()
+
+
+def test_the_envelope_holds_what_the_targets_need_and_keeps_the_arm_from_folding():
+    margin = np.radians(35.0)
+    lower, upper = working_envelope(ARM, margin)
+    targets = ARM.targets.sample(np.random.default_rng(9), (300,))
+    postures = solve_position(ARM, targets, ARM.rest).q
+    assert ((postures > lower + 0.9 * margin) & (postures < upper - 0.9 * margin)).all()
+    assert ((lower >= ARM.lower) & (upper <= ARM.upper)).all()
+    folded = np.radians([[15.0, -100.0, 151.0, -130.0, 90.0, -30.0]])
+    law = CommandLaw()
+    commands, position = folded, folded
+    view = look(ARM, position, targets[:1])
+    for _ in range(40):
+        commands = law.command(ARM, view, position, commands, np.ones((1, 6)))
+        position = commands
+    assert ((commands >= lower - 1e-9) & (commands <= upper + 1e-9)).all()
 
 
 def test_measured_anchor_forgets_the_last_command():

@@ -60,6 +60,21 @@ def test_what_is_identified_is_drawn_closely_and_the_rest_broadly():
     assert (draw.period.min(), draw.period.max()) == pytest.approx((0.018, 0.055), rel=0.01)
 
 
+def test_some_joints_are_nearly_powerless():
+    for ranges in (
+        BROAD,
+        IdentifiedRanges(broad=dataclasses.replace(BROAD, torque_limit=(1.0, 1.0)), twin=make_twin()),
+    ):
+        limit = draws(ranges).twin.torque_limit / nominal_parameters(ARM).torque_limit
+        strong = draws(dataclasses.replace(BROAD, weak_joints=0.0)).twin.torque_limit
+        assert strong.min() > 0.7 * nominal_parameters(ARM).torque_limit.min()
+        assert 0.03 < (limit < 0.3).mean() < 0.12
+    weak = BROAD.weaken(np.random.default_rng(0), 5000)
+    assert abs((weak < 1.0).mean() - 0.08) < 0.01
+    assert weak.min() >= 0.05
+    assert weak[weak < 1.0].max() <= 0.5
+
+
 def test_both_ways_share_the_identified_delay():
     draw = draws(IdentifiedRanges(broad=BROAD, twin=make_twin()))
     np.testing.assert_allclose(draw.command_delay + draw.readback_delay, draw.twin.delay)

@@ -9,13 +9,16 @@ integrates, which is what removes the sag.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Literal
 
 import numpy as np
 
-from rejoint.arms import Arm, Array, clip_norm
+from rejoint.arms import Arm, Array, clip_norm, solve_position
 from rejoint.control.law import GAIN, STEP_LIMIT, limit_lead, limit_position
 from rejoint.control.observation import View
+
+_ENVELOPE_TARGETS = 120  # chosen: with the corners they span the postures to within a degree
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,11 +39,15 @@ class CommandLaw:
     """[rad] largest correction"""
     lead_limit: float = float(np.radians(20.0))
     """[rad] largest distance between command and measured position (anti-windup)"""
-    rest_gain: float = 0.02
+    rest_gain: float = 0.05
     """fraction of the way back to the rest posture taken each cycle in the null space (chosen: a policy without it
     lets the wrist drift to its limits over a few dozen targets)"""
     rest_distance: float = 0.01
     """[m] TCP distance below which that pull fades, so that it does not disturb a settled arm"""
+
+    envelope_margin: float = float(np.radians(35.0))
+    """[rad] how far beyond the postures that its targets need the arm may be commanded, see `working_envelope`
+    (chosen); a full turn leaves only the joint limits"""
 
     def authority(self, step: Array) -> Array:
         """Largest correction (B, 1) [rad] at the damped least-squares steps ``step`` (B, n) [rad]."""
@@ -59,4 +66,22 @@ class CommandLaw:
         if self.rest_gain:
             fade = self.rest_gain * np.minimum(view.distance / self.rest_distance, 1.0)
             wanted = wanted + fade[:, None] * clip_norm(view.homing, self.step_limit)
+        lower, upper = working_envelope(arm, self.envelope_margin)
+        wanted = np.minimum(np.maximum(wanted, lower), upper)
         return limit_position(arm, limit_lead(wanted, position, self.lead_limit))
+
+
+@lru_cache(maxsize=32)
+def working_envelope(arm: Arm, margin: float) -> tuple[Array, Array]:
+    """Lowest and highest posture (n,), (n,) [rad] that the arm's target region needs, and ``margin`` [rad] more.
+
+    An arm with more joints than its task needs wanders in the null space over many targets, and in the end
+    folds over: a posture that was never trained, and from which a policy does not return. The
+    postures are those of inverse kinematics from the rest posture, over targets spread in the region.
+    """
+    corners = np.stack(np.meshgrid(*zip(arm.targets.lower, arm.targets.upper, strict=True)), axis=-1).reshape(-1, 3)
+    spread = arm.targets.sample(np.random.default_rng(0), (_ENVELOPE_TARGETS,))
+    postures = solve_position(arm, np.concatenate([corners, spread]), arm.rest).q
+    lower = np.minimum(postures.min(axis=0), arm.rest) - margin
+    upper = np.maximum(postures.max(axis=0), arm.rest) + margin
+    return np.maximum(lower, arm.lower), np.minimum(upper, arm.upper)

@@ -69,6 +69,7 @@ PAPER = Preset(
             authority_slope=0.0,
             authority_limit=float(np.radians(10.0)),
             rest_gain=0.0,
+            envelope_margin=float(np.radians(360.0)),
         ),
         reward="equation-25",
         hold_steps=250,  # Table 3: maximum time step

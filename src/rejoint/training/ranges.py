@@ -10,7 +10,7 @@ on arms it had not met. Breadth matters more than the centre.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Protocol
 
 import numpy as np
@@ -21,7 +21,7 @@ from rejoint.twin.twin import Twin
 
 Interval = tuple[float, float]
 
-TWIN_SHARE = 0.65
+TWIN_SHARE = 0.5
 """Fraction of the arms that are drawn around the identified twin (chosen: with 0.8 the policy is a little faster on
 the arm itself, with 0.5 a little steadier on one whose gears play inside the loop)."""
 
@@ -73,6 +73,10 @@ class BroadRanges:
     """friction at rest over friction in motion (chosen: lubricated gears up to dry plastic)"""
     torque_limit: Interval = (0.65 / 0.92, 1.3 / 0.92)
     """0.65 to 1.3 N m: some arms can barely lift themselves"""
+    weak_joints: float = 0.08
+    """chance that a joint is nearly powerless: the others must then do its work (chosen: one in every second arm)"""
+    weakness: Interval = (0.05, 0.5)
+    """factor on the torque limit of such a joint: from stuck to slow"""
     ramp_speed: Interval = (0.7, 1.31)
     """80 to 150 deg/s"""
     offset: float = float(np.radians(0.5))
@@ -95,7 +99,7 @@ class BroadRanges:
             damping=base.damping * _log_uniform(rng, self.damping, one) * rng.uniform(*self.damping_spread, joints),
             coulomb=base.coulomb * friction,
             armature=base.armature * _log_uniform(rng, self.armature, joints),
-            torque_limit=base.torque_limit * rng.uniform(*self.torque_limit, joints),
+            torque_limit=base.torque_limit * rng.uniform(*self.torque_limit, joints) * self.weaken(rng, count),
             offset=rng.normal(0.0, self.offset, joints),
             delay=np.zeros(count),
             ramp_speed=base.ramp_speed * rng.uniform(*self.ramp_speed, whole),
@@ -109,13 +113,19 @@ class BroadRanges:
             period=rng.uniform(*self.period, whole),
         )
 
+    def weaken(self, rng: np.random.Generator, count: int) -> Array:
+        """Draw factors (count, n) on the torque limits that make some joints nearly powerless."""
+        shape = (count, self.arm.joints)
+        return np.where(rng.random(shape) < self.weak_joints, rng.uniform(*self.weakness, shape), 1.0)
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class IdentifiedRanges:
     """Draws from the correlated covariance of an identified twin, widened.
 
     Parameters that the data could not tell apart keep their prior range in `Twin.sample`. What a twin
-    does not hold (gravity, period, the way out's share of the delay) is drawn from ``broad``.
+    does not hold (gravity, period, the way out's share of the delay) is drawn from ``broad``, and so are
+    powerless joints: an excitation that never needs a joint's full torque does not show them.
     """
 
     broad: BroadRanges
@@ -130,7 +140,7 @@ class IdentifiedRanges:
         free, twins = self.broad.draw(rng, count), self.twin.sample(rng, count, self.widening)
         share = rng.uniform(*self.outward, count)
         return Draw(
-            twin=twins,
+            twin=replace(twins, torque_limit=twins.torque_limit * self.broad.weaken(rng, count)),
             command_delay=share * twins.delay,
             readback_delay=(1.0 - share) * twins.delay,
             stiction=free.stiction,
