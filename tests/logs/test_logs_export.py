@@ -60,13 +60,10 @@ def test_mcap_comes_back_bit_for_bit(tmp_path: Path, seed: int):
 
 
 @settings(max_examples=15, deadline=None)
-@given(st.lists(st.integers(0, 10**13), min_size=60, max_size=60, unique=True), st.integers(0, 2**32 - 1))
-def test_whole_nanoseconds_come_back_bit_for_bit(tmp_path_factory, stamps: list[int], seed: int):
+@given(st.lists(st.integers(200_000, 500_000_000), min_size=60, max_size=60), st.integers(0, 2**32 - 1))
+def test_whole_nanoseconds_come_back_bit_for_bit(tmp_path_factory, steps: list[int], seed: int):
     folder = tmp_path_factory.mktemp("exact")
-    # the rate has to be one of a robot: 60 stamps within about ten seconds
-    time = np.array(sorted(stamp // 1000 for stamp in stamps)) / 1e9
-    if (np.diff(time) <= 0).any() or not 1e-4 < np.median(np.diff(time)) < 1:
-        return
+    time = np.cumsum(steps) / 1e9
     log = run_log(seed, time)
     export_log(log, folder / "log.mcap")
     assert same_bits(import_logs(folder / "log.mcap", ARM, out=folder / "logs").logs[0].time, log.time)

@@ -1,10 +1,12 @@
 """MCAP files written by the Foxglove SDK, by rosbags and by the libraries of mcap.dev."""
 
 import json
+import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import foxglove
+import mcap.reader
 import numpy as np
 import pytest
 from foxglove.channels import JointStatesChannel
@@ -244,6 +246,25 @@ def test_names_can_be_declared_where_there_are_none(tmp_path: Path):
     np.testing.assert_array_equal(log.position[3], [0.0, 0.03, 0.1 * 3, 0.0, 0.2])
     with pytest.raises(InputError, match="joint_order names a joint twice"):
         ImportOptions(joint_order=("elbow_flex", "elbow_flex"))
+
+
+def test_a_missing_library_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    source = write_json(tmp_path / "bag.mcap", sample())
+    monkeypatch.setitem(sys.modules, "mcap_ros2.decoder", None)
+    with pytest.raises(InputError, match=r"install rejoint\[logs\]"):
+        import_logs(source, ARM, out=tmp_path / "logs")
+
+
+def test_a_reader_that_loses_messages_is_noticed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    source = write_json(tmp_path / "bag.mcap", sample())
+    whole = mcap.reader.SeekingReader.iter_decoded_messages
+
+    def lossy(self: object, **options: object) -> Iterator[object]:
+        return (message for i, message in enumerate(whole(self, **options)) if i != 17)
+
+    monkeypatch.setattr(mcap.reader.SeekingReader, "iter_decoded_messages", lossy)
+    with pytest.raises(FileError, match="59 messages on /joint_commands, its statistics promise 60"):
+        import_logs(source, ARM, out=tmp_path / "logs")
 
 
 def state(row: int, stamp: int) -> dict[str, object]:

@@ -29,6 +29,10 @@ STALE_TRAVEL = 0.1
 """[rad] chosen: more than friction holds back in the worst joint known to the project."""
 LAGS = (0.0, 0.05, 0.1, 0.15, 0.2, 0.3)
 """[s] chosen: lags at which states are compared with commands."""
+RELATED = (0.3, 0.9)
+"""chosen: correlations below which a state does not follow a command, and above which it surely does."""
+RESTING = 1e-3
+"""[rad] chosen: below one step of a 12-bit encoder, a joint that moves less (rms) is at rest."""
 
 _TIME_REMEDY = "set the time unit (option time_unit), or take another file"
 
@@ -131,35 +135,41 @@ def _check_limits(state: Track, arm: Arm) -> list[str]:
 def check_agreement(state: Track, command: Array) -> list[str]:
     """Compare states with the commands ``(T, n)`` [rad] in force: the same joints should move, the same way."""
     notes = []
-    likeness = _likeness(state, command)
+    lowest, highest = _correlations(state, command)
     for joint, name in enumerate(state.columns):
-        own, best = likeness[joint, joint], int(np.argmax(likeness[joint]))
-        if own < 0.3 and likeness[joint, best] > 0.9:
+        own, best = highest[joint, joint], int(np.argmax(highest[joint]))
+        if own >= RELATED[0]:
+            continue
+        if highest[joint, best] > RELATED[1]:
             raise FileError(
                 state.path, f"the state of {name} follows the command of {state.columns[best]} "
-                f"(correlation {likeness[joint, best]:.2f}), not its own ({own:.2f})",
+                f"(correlation {highest[joint, best]:.2f}), not its own ({own:.2f})",
                 "give the true joint order of states and commands",
             )  # fmt: skip
-        if own < -0.9:
-            notes.append(f"state: {name} moves against its command (correlation {own:.2f}); is its axis turned around?")
+        if lowest[joint, joint] < -RELATED[1]:
+            notes.append(
+                f"state: {name} moves against its command (correlation {lowest[joint, joint]:.2f}); "
+                "is its axis turned around?"
+            )
     return notes + _stale(state, command)
 
 
-def _likeness(state: Track, command: Array) -> Array:
-    """Best correlation over `LAGS` of each state (rows) with each command (columns); 0 where one rests."""
+def _correlations(state: Track, command: Array) -> tuple[Array, Array]:
+    """Lowest and highest correlation over `LAGS` of each state (rows) with each command; 0 where one rests."""
     period = float(np.median(np.diff(state.time)))
-    n = state.value.shape[1]
-    best = np.zeros((n, n))
+    n, rows = state.value.shape[1], len(state)
+    found = []
     for lag in sorted({round(lag / period) for lag in LAGS}):
-        if len(state) - lag < 20:
-            break
-        moved = np.concatenate([state.value[lag:], command[: len(command) - lag]], axis=1)
-        moved = moved - moved.mean(axis=0)
-        scale = np.linalg.norm(moved, axis=0)
-        scale[scale < 1e-3 * np.sqrt(len(moved))] = np.inf
-        found = (moved.T @ moved / np.outer(scale, scale))[:n, n:]
-        best = np.where(np.abs(found) > np.abs(best), found, best)
-    return best
+        # over little of the log any two smooth motions look alike
+        if rows - lag >= max(20, 0.8 * rows):
+            moved = np.concatenate([state.value[lag:], command[: rows - lag]], axis=1)
+            moved = moved - moved.mean(axis=0)
+            scale = np.linalg.norm(moved, axis=0)
+            scale[scale < RESTING * np.sqrt(len(moved))] = np.inf
+            found.append((moved.T @ moved / np.outer(scale, scale))[:n, n:])
+    if not found:
+        return np.zeros((n, n)), np.ones((n, n))
+    return np.min(found, axis=0), np.max(found, axis=0)
 
 
 def _stale(state: Track, command: Array) -> list[str]:

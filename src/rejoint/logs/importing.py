@@ -77,10 +77,21 @@ def import_logs(
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise InputError(f"{out} exists already; name a new folder for the imported logs")
     reader = _READERS[detect(source) if format is None else _known(format)]
-    total, found = reader.motions(source, arm, options)
+    total, motions = reader.motions(source, arm, options)
+    logs, notes = _checked(motions, arm, lambda done, name: on_progress and on_progress(done, total, name))
+    if not logs:
+        raise FileError(source, "holds no log", "take another one")
+    _write_whole(out, logs)
+    return Imported(logs=tuple(logs.values()), notes=_told(notes, len(logs)))
+
+
+def _checked(
+    motions: Iterator[Motion], arm: Arm, on_log: Callable[[int, str], object]
+) -> tuple[dict[str, RunLog], dict[str, list[str]]]:
+    """Turn motions into logs by file name; returns them and, by note, the logs that it is about."""
     logs: dict[str, RunLog] = {}
     notes: dict[str, list[str]] = {}
-    for done, motion in enumerate(found, start=1):
+    for done, motion in enumerate(motions, start=1):
         log, remarks = to_log(motion, arm)
         name = _file_name(motion.name)
         if name in logs:
@@ -88,12 +99,8 @@ def import_logs(
         logs[name] = log
         for remark in remarks:
             notes.setdefault(remark, []).append(name)
-        if on_progress is not None:
-            on_progress(done, total, name)
-    if not logs:
-        raise FileError(source, "holds no log", "take another one")
-    _write_whole(out, logs)
-    return Imported(logs=tuple(logs.values()), notes=_told(notes, len(logs)))
+        on_log(done, name)
+    return logs, notes
 
 
 def detect(source: Path) -> str:
