@@ -13,7 +13,7 @@ from foxglove.channels import JointStatesChannel
 from foxglove.messages import JointState, JointStates, Timestamp
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from log_samples import ARM, Sample, rows_of, sample
-from mcap.writer import Writer
+from mcap.writer import CompressionType, IndexType, Writer
 from mcap_protobuf.writer import Writer as ProtobufWriter
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as BagWriter
@@ -22,6 +22,11 @@ from rosbags.typesys import Stores, get_typestore
 from rejoint.errors import FileError, InputError
 from rejoint.logs import ImportOptions, detect, import_logs
 
+BARE = {
+    "use_chunking": False, "index_types": IndexType.NONE, "use_statistics": False, "use_summary_offsets": False,
+    "repeat_channels": False, "repeat_schemas": False,
+}  # fmt: skip
+"""Layout of an MCAP file that has no summary at all."""
 EPOCH_NS = 1_750_000_000_123_456_789
 NAMES = [*ARM.joint_names, "gripper"]
 
@@ -267,15 +272,34 @@ def test_a_reader_that_loses_messages_is_noticed(tmp_path: Path, monkeypatch: py
         import_logs(source, ARM, out=tmp_path / "logs")
 
 
+def test_a_changed_digit_is_found_by_its_checksum(tmp_path: Path):
+    topics = {name: [state(k, k) for k in range(8)] for name in ("/joint_states", "/joint_commands")}
+    source = messages(tmp_path / "bag.mcap", topics, compression=CompressionType.NONE)
+    data = source.read_bytes()
+    assert data.count(b"[0.5, 0.5,") == 2
+    source.write_bytes(data.replace(b"[0.5, 0.5,", b"[0.6, 0.5,", 1))
+    with pytest.raises(FileError, match="damaged or not readable"):
+        import_logs(source, ARM, out=tmp_path / "logs")
+
+
+@pytest.mark.parametrize(
+    "layout", [{"use_chunking": False}, {"index_types": IndexType.NONE, "use_statistics": False}, BARE], ids=str
+)
+def test_an_index_is_not_needed(tmp_path: Path, layout: dict[str, object]):
+    topics = {name: [state(k, k) for k in range(8)] for name in ("/joint_states", "/joint_commands")}
+    log = import_logs(messages(tmp_path / "bag.mcap", topics, **layout), ARM, out=tmp_path / "logs").logs[0]
+    np.testing.assert_array_equal(log.position, np.outer(0.1 * np.arange(8), np.ones(5)))
+
+
 def state(row: int, stamp: int) -> dict[str, object]:
     time = {"sec": 0, "nsec": 20_000_000 * stamp}
     return {"header": {"stamp": time}, "name": list(ARM.joint_names), "position": [0.1 * row] * 5}
 
 
-def messages(path: Path, topics: dict[str, list[object]]) -> Path:
+def messages(path: Path, topics: dict[str, list[object]], **layout: object) -> Path:
     """Write JSON messages 20 ms apart through the mcap library."""
     with path.open("wb") as stream:
-        writer = Writer(stream)
+        writer = Writer(stream, **layout)
         writer.start()
         schema = writer.register_schema("sensor_msgs/JointState", "jsonschema", b"{}")
         for topic, contents in topics.items():
