@@ -102,6 +102,11 @@ def test_contract_survives_its_text():
     check_contract(decode_contract(encode_contract(contract())), ARM)
 
 
+def test_constants_may_be_numpy_numbers():
+    law = CommandLaw(lead_limit=np.radians(10.0))
+    assert decode_contract(encode_contract(contract(law=law))).law == law
+
+
 def test_commands_are_observation_network_and_law(policy):
     commands = drive(load_policy(policy, ARM), 1, 4)
     observer, law, feed = Observer(ARM, 4), CommandLaw(), situations(1, 4)

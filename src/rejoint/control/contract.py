@@ -94,7 +94,7 @@ def arm_digest(arm: Arm) -> str:
 
 def encode_contract(contract: PolicyContract) -> str:
     """Return the contract as JSON text."""
-    return msgspec.json.encode(contract).decode()
+    return msgspec.json.encode(contract, enc_hook=float).decode()  # NumPy scalars become plain numbers
 
 
 def decode_contract(text: str) -> PolicyContract:
