@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import mujoco
 import numpy as np
 from mujoco.batch import Batch
@@ -11,6 +13,7 @@ from rejoint.arms import Arm, Array
 from rejoint.errors import InputError
 from rejoint.twin.model import TIMESTEP, friction_solref, model_fields, stribeck_friction, twin_model
 from rejoint.twin.parameters import TwinParameters, nominal_parameters
+from rejoint.twin.table import TIP, Table, table_fields, table_pose
 
 Ids = NDArray[np.integer] | NDArray[np.bool_] | None
 
@@ -22,12 +25,12 @@ class TwinBatch:
     next step.
     """
 
-    def __init__(self, arm: Arm, nsim: int, timestep: float = TIMESTEP, threads: int = 1) -> None:
+    def __init__(self, arm: Arm, nsim: int, timestep: float = TIMESTEP, threads: int = 1, table: bool = False) -> None:
         if nsim < 1 or threads < 1:
             raise InputError(f"twin batch: {nsim} simulations on {threads} threads, expected at least one of each")
         self.arm = arm
         start = nominal_parameters(arm)
-        self._batch = Batch(twin_model(arm, start, timestep), nsim=nsim, nthread=threads)
+        self._batch = Batch(twin_model(arm, start, timestep, table=table), nsim=nsim, nthread=threads)
         self.qpos: Array = self._batch.bind("qpos")
         self.qvel: Array = self._batch.bind("qvel")
         self.ctrl: Array = self._batch.bind("ctrl")
@@ -71,6 +74,18 @@ class TwinBatch:
         for name, value in model_fields(parameters, self._timestep[chosen], np.asarray(gravity_scale)):
             self._batch.expand(name)[chosen] = value
         self._batch.set_const(chosen.astype(np.int32))
+
+    def put_tables(self, tables: Sequence[Table]) -> None:
+        """Put each simulation of a batch made with ``table`` on its table; after `write`, whose masses it needs."""
+        if len(tables) != self.nsim:
+            raise InputError(f"twin batch: {len(tables)} tables, expected {self.nsim}")
+        model = self._batch.model
+        inverse_mass = self._batch.expand("body_invweight0")[:, model.geom(TIP).bodyid[0], 0]
+        position, turn = self._batch.bind("mocap_pos"), self._batch.bind("mocap_quat")
+        for i, table in enumerate(tables):
+            position[i, 0], turn[i, 0] = table_pose(table)
+            for name, value in table_fields(table, self._timestep[i], inverse_mass[i]):
+                self._batch.expand(name)[i, model.geom(TIP).id] = value
 
     def set_timestep(self, timestep: float | Array) -> None:
         """Change the time step [s] of every simulation, a number or (nsim,), and what depends on it."""

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -113,18 +114,18 @@ def table_height(arm: Arm, logs: Sequence[RunLog]) -> float | None:
 
 
 def free_runs(free: Rows, time: Array, shortest: float) -> list[tuple[int, int]]:
-    """Runs of rows (first, last exclusive) that are free, without gaps in time, of at least ``shortest`` [s]."""
+    """Find runs of rows (first, last exclusive) that are free, without gaps in time, of at least ``shortest`` [s]."""
     if len(time) < 2:
         return []
     gap = np.diff(time) > 5 * np.median(np.diff(time))
     breaks = np.flatnonzero(gap | (free[1:] != free[:-1])) + 1
     edges = [0, *breaks.tolist(), len(time)]
-    runs = [(a, b) for a, b in zip(edges, edges[1:], strict=False) if free[a]]
+    runs = [(a, b) for a, b in pairwise(edges) if free[a]]
     return [(a, b) for a, b in runs if time[b - 1] - time[a] >= shortest]
 
 
 def _travel(logs: Sequence[RunLog]) -> tuple[Array, Array]:
-    """Ends (n,) [rad] of the travel that the logs show."""
+    """Find the ends (n,) [rad] of the travel that the logs show."""
     lowest = np.min([log.position.min(axis=0) for log in logs], axis=0)
     return lowest, np.max([log.position.max(axis=0) for log in logs], axis=0)
 

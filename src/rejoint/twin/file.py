@@ -8,19 +8,22 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Sequence
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import tomlkit
 from tomlkit.items import Array as TomlArray
-from tomlkit.items import Table
+from tomlkit.items import Table as TomlTable
 
 from rejoint.arms import Arm, Array
 from rejoint.errors import FileError, InputError
 from rejoint.runs import write_whole
+from rejoint.twin.model import STICTION
 from rejoint.twin.parameters import PARAMETERS, TwinParameters
 from rejoint.twin.replay import PredictionError
+from rejoint.twin.table import Table
 from rejoint.twin.twin import HeldOut, Twin
 
 FORMAT = 1
@@ -66,6 +69,7 @@ def _document(twin: Twin) -> tomlkit.TOMLDocument:
     document.add("digest", tomlkit.item(twin.digest()).comment("of parameters, bounds and covariance"))
     document.add("fit_seconds", tomlkit.item(twin.fit_seconds).comment("s, motion that the fit has seen"))
     document.add("notes", _row(twin.notes))
+    document.add("stiction", tomlkit.item(twin.stiction).comment("friction at rest over friction in motion"))
     document.add("held_out", _held_out_table(twin.held_out))
     place = 0
     for p in PARAMETERS:
@@ -84,10 +88,12 @@ def _document(twin: Twin) -> tomlkit.TOMLDocument:
         document.add(p.name, table)
         place += count
     document.add("covariance", _covariance_table(twin))
+    if twin.table is not None:
+        document.add("table", _table_table(twin.table))
     return document
 
 
-def _held_out_table(held_out: HeldOut) -> Table:
+def _held_out_table(held_out: HeldOut) -> TomlTable:
     table = tomlkit.table()
     table.comment("errors on motion that the fit has not seen, root mean square")
     table.add("seconds", held_out.seconds)
@@ -101,7 +107,15 @@ def _held_out_table(held_out: HeldOut) -> Table:
     return table
 
 
-def _covariance_table(twin: Twin) -> Table:
+def _table_table(table: Table) -> TomlTable:
+    found = tomlkit.table()
+    found.comment("what the tip leaned on in the logs: m in the base frame, N/m; no part of the arm")
+    for field in fields(table):
+        found.add(field.name, getattr(table, field.name))
+    return found
+
+
+def _covariance_table(twin: Twin) -> TomlTable:
     table = tomlkit.table()
     table.comment("of the logarithms of the positive parameters, and of offset and delay as they are")
     table.add("order", _row(twin.names))
@@ -156,6 +170,8 @@ def _twin(data: dict[str, Any]) -> Twin:
         held_out=HeldOut(seconds=float(held_out["seconds"]), **errors),
         fit_seconds=float(data["fit_seconds"]),
         notes=tuple(str(note) for note in data["notes"]),
+        stiction=float(data.get("stiction", STICTION)),
+        table=Table(**{key: float(value) for key, value in data["table"].items()}) if "table" in data else None,
     )
 
 

@@ -5,7 +5,8 @@ reason given in `rejoint.twin.parameters`.
 
 Per joint: torque = clip(stiffness (command + offset - q), +-limit) - damping qdot - dry friction.
 Delay and reference ramp act on the command before it reaches the model (`rejoint.twin.reference`).
-Contacts and joint stops are left out: the guard keeps commands away from both.
+Contacts and joint stops are left out, since the guard keeps commands away from both; a table can be put
+under the tip, to replay logs of an arm that has touched its own (`rejoint.twin.table`).
 
 Two settings matter. Dry friction must hold: with MuJoCo's default solver settings a joint creeps about
 1 deg/s near the friction limit (measured), with these below 0.01 deg/s. And the constraint Jacobian
@@ -23,6 +24,7 @@ from rejoint.arms import Arm, Array
 from rejoint.arms.kinematics import GRAVITY
 from rejoint.errors import InputError
 from rejoint.twin.parameters import TwinParameters
+from rejoint.twin.table import add_table
 
 TIMESTEP = 0.005
 """[s] chosen: half of it changes predictions by less than an encoder step"""
@@ -46,14 +48,21 @@ def stribeck_friction(coulomb: Array, stiction: float | Array, velocity: Array) 
 
 
 def twin_model(
-    arm: Arm, parameters: TwinParameters, timestep: float = TIMESTEP, gravity_scale: float = 1.0
+    arm: Arm,
+    parameters: TwinParameters,
+    timestep: float = TIMESTEP,
+    gravity_scale: float = 1.0,
+    table: bool = False,
 ) -> mujoco.MjModel:
-    """Compile the model of one twin; actuators and joints are in the arm's order, with its names."""
+    """Compile the model of one twin; actuators and joints are in the arm's order, with its names.
+
+    With ``table`` it stands on a plane, to be placed with `rejoint.twin.table.table_fields`.
+    """
     if parameters.shape or parameters.joints != arm.joints:
         raise InputError(
             f"twin: parameters of shape {parameters.stiffness_shape}, expected one twin of {arm.joints} joints"
         )
-    model = _spec(arm).compile()
+    model = _spec(arm, table).compile()
     for name, value in model_fields(parameters, np.asarray(timestep), np.asarray(gravity_scale)):
         if name == "opt.timestep":
             model.opt.timestep = float(value)
@@ -93,7 +102,7 @@ def friction_solref(timestep: Array) -> Array:
     return np.stack([2.0 * timestep, np.ones_like(timestep)], axis=-1)
 
 
-def _spec(arm: Arm) -> mujoco.MjSpec:
+def _spec(arm: Arm, table: bool = False) -> mujoco.MjSpec:
     spec = mujoco.MjSpec()
     spec.modelname = arm.name
     option = spec.option
@@ -116,6 +125,8 @@ def _spec(arm: Arm) -> mujoco.MjSpec:
         servo = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
         servo.set_to_position(kp=1.0)
         servo.forcelimited, servo.forcerange = True, (-1.0, 1.0)
+    if table:
+        add_table(spec, body, arm.tip[:3, 3])
     body.add_site(name=TCP_SITE, pos=arm.tip[:3, 3], quat=_quaternion(arm.tip[:3, :3]))
     return spec
 

@@ -35,7 +35,7 @@ class Reference:
             self.at[k + 1] = approach(self.at[k], command[k], self.ramp_speed * (time[k + 1] - time[k]))
             k += 1
             if np.abs(self.at[k] - command[k - 1]).max() < REACHED:
-                k = int(ahead[min(np.searchsorted(ahead, k), len(ahead) - 1)])
+                k = int(ahead[min(int(np.searchsorted(ahead, k)), len(ahead) - 1)])
 
     def sample(self, time: Array, delay: Array) -> Array:
         """Return references (m, s, n) [rad] at ``time`` (s,) [s] for delays (m,) [s]; at first the start."""

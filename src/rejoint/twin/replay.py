@@ -22,6 +22,7 @@ from rejoint.twin.batch import TwinBatch
 from rejoint.twin.model import STICTION, TIMESTEP
 from rejoint.twin.parameters import TwinParameters
 from rejoint.twin.reference import Reference
+from rejoint.twin.table import Table
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -65,6 +66,8 @@ class Replay:
         timestep: float = TIMESTEP,
         threads: int = 1,
         stiction: float = STICTION,
+        *,
+        on_table: bool = False,
     ) -> None:
         for log in logs:
             if log.arm != arm.name or log.position.shape[1] != arm.joints:
@@ -72,18 +75,23 @@ class Replay:
         if not windows:
             raise InputError("replay: no windows; a run log needs at least three rows")
         self.arm, self.logs, self.windows = arm, list(logs), list(windows)
-        self.timestep, self.threads, self.stiction = timestep, threads, stiction
+        self.timestep, self.threads, self.stiction, self.on_table = timestep, threads, stiction, on_table
         self._velocity = [measured_velocity(log) for log in self.logs]
         spans = [self._log(w).time[w.last - 1] - self._log(w).time[w.first] for w in self.windows]
         self.steps = int(np.ceil(max(spans) / timestep)) + 1
         self._batches: dict[int, TwinBatch] = {}
 
-    def predict(self, parameters: TwinParameters) -> list[Array]:
-        """Positions (m, rows, n) [rad] for each window, for twins of leading shape (m,)."""
+    def predict(self, parameters: TwinParameters, tables: Sequence[Table] = ()) -> list[Array]:
+        """Positions (m, rows, n) [rad] for each window, for twins of leading shape (m,).
+
+        A replay that is made ``on_table`` needs m ``tables``.
+        """
         m, count = parameters.shape[0], len(self.windows)
         batch = self._simulations(m * count)
         which = np.tile(np.arange(m), count)  # simulation = window * m + twin
         batch.write(parameters[which])
+        if self.on_table:
+            batch.put_tables([tables[i] for i in which])
         start = np.stack([self._log(w).position[w.first] for w in self.windows])
         velocity = np.stack([self._velocity[w.log][w.first] for w in self.windows])
         batch.restart(np.repeat(start, m, axis=0), np.repeat(velocity, m, axis=0))
@@ -123,7 +131,7 @@ class Replay:
 
     def _simulations(self, count: int) -> TwinBatch:
         if count not in self._batches:
-            self._batches[count] = TwinBatch(self.arm, count, self.timestep, self.threads)
+            self._batches[count] = TwinBatch(self.arm, count, self.timestep, self.threads, self.on_table)
         return self._batches[count]
 
     def _control(self, parameters: TwinParameters) -> Array:
@@ -138,9 +146,9 @@ class Replay:
         return np.concatenate(parts)
 
     def _references(self, parameters: TwinParameters) -> dict[int, Reference]:
-        """References by the number of the log, for logs that a window shows."""
+        """Compute the references by the number of the log, for logs that a window shows."""
         shown = {w.log: self.logs[w.log] for w in self.windows}
-        return {i: Reference(l.time, l.command, parameters.ramp_speed, l.command[0]) for i, l in shown.items()}
+        return {i: Reference(log.time, log.command, parameters.ramp_speed, log.command[0]) for i, log in shown.items()}
 
 
 def predict(arm: Arm, parameters: TwinParameters, log: RunLog, timestep: float = TIMESTEP) -> Array:

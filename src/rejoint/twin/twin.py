@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass, field
+from dataclasses import astuple, dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array
 from rejoint.errors import ContractError, InputError
+from rejoint.twin.model import STICTION
 from rejoint.twin.parameters import (
     JOINT_PARAMETERS,
     PARAMETERS,
@@ -20,6 +21,7 @@ from rejoint.twin.parameters import (
     vector_names,
 )
 from rejoint.twin.replay import PredictionError
+from rejoint.twin.table import Table
 from rejoint.twin.uncertainty import strong_correlations
 
 WIDEN = 1.5
@@ -70,6 +72,10 @@ class Twin:
     """[s] length of the motion that the fit has seen"""
     notes: tuple[str, ...] = field(default=())
     """what a user of the twin should know, in words"""
+    stiction: float = STICTION
+    """friction at rest over friction in motion"""
+    table: Table | None = None
+    """what the arm leaned on in the logs, if anything; no part of the arm"""
 
     def __post_init__(self) -> None:
         k = len(self.names)
@@ -94,6 +100,8 @@ class Twin:
         values = np.linalg.eigvalsh(self.covariance)
         if values.min() < -1e-6 * max(values.max(), 1e-12):
             raise InputError(f"twin: the covariance must not have negative eigenvalues, found {values.min():.3g}")
+        if not 1.0 <= self.stiction < np.inf:
+            raise InputError(f"twin: friction at rest over that in motion must be at least 1, got {self.stiction}")
         if (self.lower >= self.upper).any():
             raise InputError("twin: every lower bound must be below the upper one")
 
@@ -170,6 +178,10 @@ class Twin:
         values = [getattr(self.parameters, p.name) for p in PARAMETERS]
         for array in (*values, self.covariance, self.lower, self.upper, self.identified.astype(float)):
             h.update(np.ascontiguousarray(array, dtype="<f8").tobytes())
+        if self.stiction != STICTION:
+            h.update(np.array(self.stiction, dtype="<f8").tobytes())
+        if self.table is not None:
+            h.update(np.array(astuple(self.table), dtype="<f8").tobytes())
         return h.hexdigest()[:16]
 
 
