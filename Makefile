@@ -28,7 +28,7 @@ format: $(READY)
 # A half-made environment has no `ready` file and is made again.
 $(READY): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[train,report,dev]"
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[train,report,logs,dev]"
 	touch $(READY)
 
 clean:

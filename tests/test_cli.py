@@ -29,12 +29,11 @@ def run_cli(*words: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest
 def finished(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
     """A run with everything up to a policy that has hardly been trained."""
     path = tmp_path_factory.mktemp("runs") / "one"
-    folder = work.begin(path, "emulated:worn", "mycobot280", 0)
-    _, info, arm = work.open_run(path)
-    work.diagnose_stage(folder, info)
-    twin = work.identify_stage(folder, info)
-    train(arm, twin, out=path, options=TrainingOptions(iterations=2, agents=16, threads=1))
-    return folder
+    run = work.begin(path, "emulated:worn", mycobot280(), 0)
+    work.diagnose_stage(run)
+    twin = work.identify_stage(run)
+    train(run.arm, twin, out=path, options=TrainingOptions(iterations=2, agents=16, threads=1))
+    return run.folder
 
 
 def test_repair_goes_on_where_it_stopped(
@@ -78,6 +77,9 @@ def test_deploy_logs_what_it_did(
         (("compare", "emulated:worn", "{run}", "--period", "fast"), "expected milliseconds"),
         (("deploy", "emulated:worn", "{run}", "--targets", "{bad_csv}"), "line 2"),
         (("deploy", "emulated:worn", "{run}", "--controller", "policy"), "truncated or damaged"),
+        (("import", "{empty}", "{run}/logs"), "empty"),
+        (("export", "{run}/logs/none.parquet", "out.csv"), "no such file"),
+        (("repair", "emulated:worn", "--arm", "robot.urdf"), "robot.urdf"),
         (("train", "{run}", "--preset", "magic"), "magic"),
         (("repair", "emulated:healthy", "--run", "{run}"), "is a run of emulated:worn"),
         (("emulate", "--port", "99999"), "--port"),
@@ -92,16 +94,22 @@ def test_bad_input_is_one_line_and_exit_code_2(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    folder = work.begin(tmp_path / "run", "emulated:worn", "mycobot280", 0)
+    folder = work.begin(tmp_path / "run", "emulated:worn", mycobot280(), 0).folder
     folder.policy.write_bytes(b"half a policy")
     (tmp_path / "empty").mkdir()
     (tmp_path / "bad.csv").write_text("x,y,z\n1,2\n")
     places = {"{run}": str(folder.path), "{empty}": str(tmp_path / "empty"), "{bad_csv}": str(tmp_path / "bad.csv")}
-    code, _, err = run_cli(*(places.get(word, word) for word in words), capsys=capsys, monkeypatch=monkeypatch)
+    code, _, err = run_cli(*(_fill(word, places) for word in words), capsys=capsys, monkeypatch=monkeypatch)
     assert code == 2
     errors = [line for line in err.splitlines() if line.startswith("error: ")]
     assert errors == [err.splitlines()[-1]]
     assert says in errors[0]
+
+
+def _fill(word: str, places: dict[str, str]) -> str:
+    for name, place in places.items():
+        word = word.replace(name, place)
+    return word
 
 
 def test_an_error_is_json_too(
@@ -113,7 +121,7 @@ def test_an_error_is_json_too(
 
 def test_a_policy_for_another_arm_is_refused_before_anything_moves(tmp_path: Path) -> None:
     arm = mycobot280()
-    folder = work.begin(tmp_path / "run", "emulated:worn", "mycobot280", 0)
+    folder = work.begin(tmp_path / "run", "emulated:worn", mycobot280(), 0).folder
     tip = arm.tip.copy()
     tip[2, 3] += 0.01
     longer = replace(arm, tip=tip)
@@ -123,6 +131,15 @@ def test_a_policy_for_another_arm_is_refused_before_anything_moves(tmp_path: Pat
     assert result.returncode == 2
     assert "another geometry" in result.stderr
     assert not folder.logs()
+
+
+def test_a_period_that_the_policy_never_met_is_refused(
+    finished: RunFolder, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    words = ("deploy", "emulated:worn", str(finished.path), "--period", "400")
+    code, _, err = run_cli(*words, capsys=capsys, monkeypatch=monkeypatch)
+    assert code == 2
+    assert "control period is 400 ms" in err
 
 
 def test_a_guard_trip_is_exit_code_3(
@@ -154,7 +171,18 @@ def test_interruption_is_exit_code_130(
 def test_every_command_has_help_with_an_example(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for name in ("repair", "diagnose", "identify", "train", "compare", "deploy", "report", "emulate"):
+    for name in (
+        "repair",
+        "diagnose",
+        "identify",
+        "train",
+        "compare",
+        "deploy",
+        "report",
+        "import",
+        "export",
+        "emulate",
+    ):
         code, out, _ = run_cli(name, "--help", capsys=capsys, monkeypatch=monkeypatch)
         assert code == 0
         assert "Example" in out
@@ -163,26 +191,35 @@ def test_every_command_has_help_with_an_example(
 def test_a_run_folder_is_never_taken_over(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("mine")
     with pytest.raises(InputError, match="not a run folder and not empty"):
-        work.begin(tmp_path, "emulated:worn", "mycobot280", 0)
+        work.begin(tmp_path, "emulated:worn", mycobot280(), 0)
     assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
 
 
 def test_a_damaged_run_is_named(tmp_path: Path) -> None:
-    folder = work.begin(tmp_path / "run", "emulated:worn", "mycobot280", 0)
+    folder = work.begin(tmp_path / "run", "emulated:worn", mycobot280(), 0).folder
     folder.info.write_text("{")
     with pytest.raises(FileError, match=r"run\.json: damaged"):
         work.open_run(folder.path)
 
 
+def test_an_arm_from_a_file_travels_with_its_run(tmp_path: Path) -> None:
+    arm = replace(mycobot280(), name="mine", floor=0.05)
+    work.begin(tmp_path / "run", "emulated:worn", arm, 0)
+    found = work.open_run(tmp_path / "run").arm
+    assert (found.name, found.floor) == ("mine", 0.05)
+    with pytest.raises(InputError, match=r"is a run of emulated:worn \(mine"):
+        work.begin(tmp_path / "run", "emulated:worn", mycobot280(), 0)
+
+
 def test_the_newest_unfinished_run_is_resumed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    first, resumed = work.newest_or_new("emulated:worn?seed=3", 0)
-    assert (first, resumed) == (Path("runs/emulated-worn-seed-3-seed0/001"), False)
+    first, resumed = work.newest_or_new("emulated:worn?seed=3", mycobot280(), 0)
+    assert (first, resumed) == (Path("runs/mycobot280-emulated-worn-seed-3-seed0/001"), False)
     info = RunInfo(robot="emulated:worn?seed=3", arm="mycobot280", seed=0, version="1", created="now")
     write_json(first / "run.json", info)
-    assert work.newest_or_new("emulated:worn?seed=3", 0) == (first, True)
+    assert work.newest_or_new("emulated:worn?seed=3", mycobot280(), 0) == (first, True)
     (first / "report.html").write_text("done")
-    assert work.newest_or_new("emulated:worn?seed=3", 0) == (first.with_name("002"), False)
+    assert work.newest_or_new("emulated:worn?seed=3", mycobot280(), 0) == (first.with_name("002"), False)
 
 
 def test_options_are_read_as_written() -> None:

@@ -110,6 +110,11 @@ class RunFolder:
         """Robot, arm and seed (`RunInfo`)."""
         return self.path / "run.json"
 
+    def arm(self, name: str) -> str:
+        """Return what the arm of this run is built from: its own description, or ``name`` in the catalogue."""
+        own = self.path / "arm.toml"
+        return str(own) if own.exists() else name
+
     @property
     def diagnosis(self) -> Path:
         """What is wrong with the arm."""

@@ -11,17 +11,34 @@ import typer
 from rejoint import repair as work
 from rejoint.cli import show
 from rejoint.cli.console import Terminal
-from rejoint.cli.options import Controllers, Json, Period, Preset, Robot, RunOption, Seed, Targets, controller_names
+from rejoint.cli.options import (
+    ArmOption,
+    Base,
+    Controllers,
+    Json,
+    Period,
+    Preset,
+    Robot,
+    RunOption,
+    Seed,
+    Targets,
+    Tip,
+    choose_arm,
+    controller_names,
+)
 from rejoint.cli.options import period_seconds as seconds
 from rejoint.comparison.recommend import Recommendation, recommend
 from rejoint.comparison.result import Comparison
 from rejoint.diagnosis.diagnosis import Diagnosis
-from rejoint.runs import RunFolder, RunInfo, read_json
+from rejoint.runs import read_json
 
 
 def repair(
     robot: Robot = "emulated:worn",
     run: RunOption = None,
+    arm: ArmOption = "mycobot280",
+    base: Base = None,
+    tip: Tip = None,
     preset: Preset = "default",
     targets: Targets = None,
     controllers: Controllers = "all",
@@ -43,11 +60,11 @@ def repair(
         controllers=controller_names(controllers), file=targets,
         sets=sets or (3 if emulated else 1), repetitions=repetitions or (2 if emulated else 1),
     )  # fmt: skip
-    path, resumed = (run, run.exists()) if run else work.newest_or_new(robot, seed)
-    folder = work.begin(path, robot, "mycobot280", seed)
-    info = work.open_run(path)[1]
+    chosen = choose_arm(terminal, arm, base, tip)
+    path, resumed = (run, run.exists()) if run else work.newest_or_new(robot, chosen, seed)
+    job = work.begin(path, robot, chosen, seed)
     terminal.say(f"{'Going on with' if resumed else 'Starting'} the repair of {robot} in {path}")
-    chain = _Chain(terminal, folder, info, seconds(period))
+    chain = _Chain(terminal, job, seconds(period))
     diagnosis = chain.diagnose()
     chain.identify()
     chain.train(preset)
@@ -55,51 +72,49 @@ def repair(
     report = chain.report()
     show.verdict(terminal, diagnosis, comparison, advice)
     terminal.result(str(report))
-    terminal.finish({"run": str(path), "recommended": advice, "policy": str(folder.policy), "report": str(report)})
+    terminal.finish({"run": str(path), "recommended": advice, "policy": str(job.folder.policy), "report": str(report)})
 
 
 class _Chain:
     """Stages that are done only where their file is not there yet."""
 
-    def __init__(self, terminal: Terminal, folder: RunFolder, info: RunInfo, period: work.Period | None) -> None:
-        self.terminal, self.folder, self.info, self.period = terminal, folder, info, period
+    def __init__(self, terminal: Terminal, job: work.Run, period: work.Period | None) -> None:
+        self.terminal, self.job, self.period = terminal, job, period
 
     def diagnose(self) -> Diagnosis:
         self.terminal.stage("1/5  Diagnosis: ten targets open loop, then an excitation of every joint")
-        if self._done(self.folder.diagnosis):
-            result = read_json(self.folder.diagnosis, Diagnosis)
+        if self._done(self.job.folder.diagnosis):
+            result = read_json(self.job.folder.diagnosis, Diagnosis)
         else:
             with self.terminal.progress("diagnosing") as update:
-                result = work.diagnose_stage(self.folder, self.info, period=self.period, on_progress=update)
+                result = work.diagnose_stage(self.job, period=self.period, on_progress=update)
         show.diagnosis(self.terminal, result)
         return result
 
     def identify(self) -> None:
         self.terminal.stage("2/5  Twin: fitting a simulation to this arm")
-        if self._done(self.folder.twin):
+        if self._done(self.job.folder.twin):
             return
         with self.terminal.progress("identifying") as update:
-            twin = work.identify_stage(self.folder, self.info, on_progress=update)
+            twin = work.identify_stage(self.job, on_progress=update)
         show.twin(self.terminal, twin)
 
     def train(self, preset: str) -> None:
         self.terminal.stage("3/5  Training: a policy on randomised copies of the twin")
-        if self._done(self.folder.policy):
+        if self._done(self.job.folder.policy):
             return
         with self.terminal.progress("training") as update:
-            result = work.train_stage(self.folder, self.info, preset=preset, on_progress=update)
+            result = work.train_stage(self.job, preset=preset, on_progress=update)
         show.training(self.terminal, result)
 
     def compare(self, robot: str, trials: work.Trials) -> tuple[Comparison, Recommendation]:
         self.terminal.stage("4/5  Comparison: every controller on this arm, with the same targets")
-        if self._done(self.folder.comparison):
-            result = read_json(self.folder.comparison, Comparison)
+        if self._done(self.job.folder.comparison):
+            result = read_json(self.job.folder.comparison, Comparison)
             found = (result, recommend(result))
         else:
             with self.terminal.progress("comparing") as update:
-                found = work.compare_stage(
-                    self.folder, self.info, robot, trials, period=self.period, on_progress=update
-                )
+                found = work.compare_stage(self.job, robot, trials, period=self.period, on_progress=update)
         show.comparison(self.terminal, *found)
         return found
 
@@ -107,7 +122,7 @@ class _Chain:
         from rejoint.report.page import write_report
 
         self.terminal.stage("5/5  Report")
-        return Path(os.path.relpath(write_report(self.folder.path)))
+        return Path(os.path.relpath(write_report(self.job.folder.path)))
 
     def _done(self, path: Path) -> bool:
         if path.exists():

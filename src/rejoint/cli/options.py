@@ -7,6 +7,9 @@ from typing import Annotated
 
 import typer
 
+from rejoint.arms import Arm
+from rejoint.arms.loading import read_arm
+from rejoint.cli.console import Terminal
 from rejoint.errors import InputError
 
 ROBOT_HELP = "Robot: emulated:PROFILE (in process), tcp://HOST:PORT, or serial:///dev/ttyAMA0."
@@ -14,6 +17,9 @@ ROBOT_HELP = "Robot: emulated:PROFILE (in process), tcp://HOST:PORT, or serial:/
 Robot = Annotated[str, typer.Argument(help=ROBOT_HELP, metavar="ROBOT")]
 Run = Annotated[Path, typer.Argument(help="Run folder.", metavar="RUN")]
 RunOption = Annotated[Path | None, typer.Option("--run", help="Run folder; by default a new one below runs/.")]
+ArmOption = Annotated[str, typer.Option("--arm", help="Arm: mycobot280, so101, or a .urdf, .xml (MJCF) or .toml file.")]
+Base = Annotated[str | None, typer.Option(help="Body of the file at which the arm begins; by default its root.")]
+Tip = Annotated[str | None, typer.Option(help="Body or site of the file at which the arm ends.")]
 Seed = Annotated[int, typer.Option(help="Seed of everything random.", min=0)]
 Json = Annotated[bool, typer.Option("--json", help="End standard output with one line of JSON.")]
 Preset = Annotated[str, typer.Option(help="Training recipe: default, or paper (the literal method).")]
@@ -24,6 +30,14 @@ Controllers = Annotated[
 Period = Annotated[
     str | None, typer.Option(help="Control period in ms, such as 50 or 20-30; by default what the robot suits.")
 ]
+
+
+def choose_arm(terminal: Terminal, source: str, base: str | None, tip: str | None) -> Arm:
+    """Load an arm and tell what its description left open."""
+    loaded = read_arm(source, base=base, tip=tip)
+    for note in loaded.notes:
+        terminal.say(f"arm {loaded.arm.name}: {note}")
+    return loaded.arm
 
 
 def period_seconds(text: str | None) -> tuple[float, float] | None:

@@ -10,6 +10,8 @@ from rejoint import repair as work
 from rejoint.cli import show
 from rejoint.cli.console import Terminal
 from rejoint.cli.options import (
+    ArmOption,
+    Base,
     Controllers,
     Json,
     Period,
@@ -19,6 +21,8 @@ from rejoint.cli.options import (
     RunOption,
     Seed,
     Targets,
+    Tip,
+    choose_arm,
     controller_names,
     period_seconds,
 )
@@ -28,6 +32,9 @@ from rejoint.comparison.targets import draw_targets, read_targets
 def diagnose(
     robot: Robot = "emulated:worn",
     run: RunOption = None,
+    arm: ArmOption = "mycobot280",
+    base: Base = None,
+    tip: Tip = None,
     period: Period = None,
     seed: Seed = 0,
     json: Json = False,
@@ -37,11 +44,11 @@ def diagnose(
     Example: `rejoint diagnose tcp://192.168.1.20:9000 --run runs/mine`
     """
     terminal = Terminal(json=json)
-    path = run or work.newest_or_new(robot, seed)[0]
-    folder = work.begin(path, robot, "mycobot280", seed)
-    info = work.open_run(path)[1]
+    chosen = choose_arm(terminal, arm, base, tip)
+    path = run or work.newest_or_new(robot, chosen, seed)[0]
+    job = work.begin(path, robot, chosen, seed)
     with terminal.progress("diagnosing") as update:
-        diagnosis = work.diagnose_stage(folder, info, period=period_seconds(period), on_progress=update)
+        diagnosis = work.diagnose_stage(job, period=period_seconds(period), on_progress=update)
     show.diagnosis(terminal, diagnosis)
     terminal.result(f"Next: rejoint identify {path}")
     terminal.finish({"run": str(path), "diagnosis": diagnosis})
@@ -53,12 +60,12 @@ def identify(run: Run, json: Json = False) -> None:
     Example: `rejoint identify runs/mine`
     """
     terminal = Terminal(json=json)
-    folder, info, _ = work.open_run(run)
+    job = work.open_run(run)
     with terminal.progress("identifying") as update:
-        twin = work.identify_stage(folder, info, on_progress=update)
+        twin = work.identify_stage(job, on_progress=update)
     show.twin(terminal, twin)
     terminal.result(f"Next: rejoint train {run}")
-    terminal.finish({"run": str(run), "twin": str(folder.twin), "held_out": twin.held_out})
+    terminal.finish({"run": str(run), "twin": str(job.folder.twin), "held_out": twin.held_out})
 
 
 def train(
@@ -72,13 +79,13 @@ def train(
     Example: `rejoint train runs/mine`
     """
     terminal = Terminal(json=json)
-    folder, info, _ = work.open_run(run)
-    if not folder.twin.exists():
+    job = work.open_run(run)
+    if not job.folder.twin.exists():
         terminal.say(f"{run} has no twin.toml: training on broad ranges instead of on this arm.")
     with terminal.progress("training") as update:
-        result = work.train_stage(folder, info, preset=preset, resume=not restart, on_progress=update)
+        result = work.train_stage(job, preset=preset, resume=not restart, on_progress=update)
     show.training(terminal, result)
-    terminal.result(f"Next: rejoint compare {info.robot} {run}")
+    terminal.result(f"Next: rejoint compare {job.info.robot} {run}")
     terminal.finish(result)
 
 
@@ -97,10 +104,10 @@ def compare(
     Example: `rejoint compare emulated:worn runs/mine --sets 10 --repetitions 6`
     """
     terminal = Terminal(json=json)
-    folder, info, _ = work.open_run(run)
+    job = work.open_run(run)
     trials = work.Trials(controllers=controller_names(controllers), sets=sets, repetitions=repetitions, file=targets)
     with terminal.progress("comparing") as update:
-        result = work.compare_stage(folder, info, robot, trials, period=period_seconds(period), on_progress=update)
+        result = work.compare_stage(job, robot, trials, period=period_seconds(period), on_progress=update)
     show.comparison(terminal, *result)
     terminal.result(f"Next: rejoint report {run}")
     terminal.finish({"run": str(run), "recommended": result[1], "comparison": result[0]})
@@ -120,10 +127,10 @@ def deploy(
     Example: `rejoint deploy tcp://192.168.1.20:9000 runs/mine --targets points.csv`
     """
     terminal = Terminal(json=json)
-    folder, info, arm = work.open_run(run)
-    points = draw_targets(arm, sets=1, seed=info.seed)[0] if targets is None else read_targets(targets, arm)
+    job = work.open_run(run)
+    points = draw_targets(job.arm, sets=1, seed=job.info.seed)[0] if targets is None else read_targets(targets, job.arm)
     errors = work.deploy_stage(
-        folder, info, robot, work.Deployment(controller=controller, targets=points, dwell=dwell), period_seconds(period)
+        job, robot, work.Deployment(controller=controller, targets=points, dwell=dwell), period_seconds(period)
     )
     show.deployment(terminal, points, errors)
     terminal.finish({"run": str(run), "controller": controller, "error_mm": [1e3 * float(e) for e in errors]})
@@ -137,7 +144,7 @@ def report(run: Run, json: Json = False) -> None:
     from rejoint.report.page import write_report
 
     terminal = Terminal(json=json)
-    folder, _, _ = work.open_run(run)
-    path = write_report(folder.path)
+    job = work.open_run(run)
+    path = write_report(job.folder.path)
     terminal.result(str(path.resolve()))
     terminal.finish({"run": str(run), "report": str(path.resolve())})

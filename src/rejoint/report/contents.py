@@ -57,7 +57,7 @@ def read_contents(path: Path) -> Contents:
     comparison = _optional(folder.comparison, lambda file: read_json(file, Comparison))
     curves = _optional(folder.training / "curves.parquet", read_curves)
     names = [one.arm for one in (comparison, diagnosis, twin) if one is not None]
-    arm = _arm(path, names if info is None else [info.arm], names)
+    arm = _arm(path, names if info is None else [folder.arm(info.arm)], names)
     contract = _optional(folder.policy, lambda file: load_policy(file, arm).contract)
     if all(part is None for part in (diagnosis, twin, curves, contract, comparison)):
         raise FileError(path, "nothing to report: no stage has been run here", "run `rejoint diagnose` first")

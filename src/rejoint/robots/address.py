@@ -7,7 +7,7 @@ from urllib.parse import parse_qs, urlsplit
 
 from rejoint.errors import AddressError
 
-FORMS = "emulated:PROFILE (such as emulated:worn), tcp://HOST:PORT, serial:///dev/DEVICE"
+FORMS = "emulated:PROFILE (such as emulated:worn, or a .toml file), tcp://HOST:PORT, serial:///dev/DEVICE"
 DEFAULT_PORT = 9000
 """TCP port of the vendor's server on the robot."""
 DEFAULT_BAUD = 1_000_000
@@ -54,7 +54,7 @@ def parse_address(text: str) -> Address:
     """Read an address; AddressError names the forms for anything else."""
     scheme, colon, rest = text.partition(":")
     try:
-        if colon and scheme == "emulated" and rest and not rest.startswith("/"):
+        if colon and scheme == "emulated" and rest and not rest.startswith("//"):
             return EmulatedAddress(profile=rest)
         if colon and scheme == "tcp":
             return _tcp(text)

@@ -1,0 +1,82 @@
+"""Commands for logs that something else recorded, and for tools that read ours."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from rejoint.cli.console import Terminal
+from rejoint.cli.options import ArmOption, Base, Json, Tip, choose_arm
+from rejoint.errors import InputError
+from rejoint.logs import ANGLE_UNITS, FORMATS, STAMPS, TIME_UNITS, ImportOptions, export_log, import_logs
+from rejoint.runs import read_log
+
+
+def import_(
+    source: Annotated[Path, typer.Argument(help="File or folder: SAGE, CSV, MCAP or LeRobot dataset (v3).")],
+    out: Annotated[Path, typer.Argument(help="New folder for the run logs.")],
+    arm: ArmOption = "mycobot280",
+    base: Base = None,
+    tip: Tip = None,
+    kind: Annotated[
+        str | None, typer.Option("--format", help=f"One of {', '.join(FORMATS)}; by default found from the content.")
+    ] = None,
+    angle_unit: Annotated[str | None, typer.Option(help=f"Unit of angles: {', '.join(ANGLE_UNITS)}.")] = None,
+    time_unit: Annotated[str | None, typer.Option(help=f"Unit of times: {', '.join(TIME_UNITS)}.")] = None,
+    joints: Annotated[
+        str | None, typer.Option(help="Names in the source and in the arm: theirs=ours,theirs=ours.")
+    ] = None,
+    order: Annotated[str | None, typer.Option(help="Joint names of unnamed columns, comma-separated.")] = None,
+    state_topic: Annotated[str | None, typer.Option(help="MCAP topic of the measured state.")] = None,
+    command_topic: Annotated[str | None, typer.Option(help="MCAP topic of the commands.")] = None,
+    stamp: Annotated[str | None, typer.Option(help=f"MCAP clock: {' or '.join(STAMPS)}.")] = None,
+    calibration: Annotated[Path | None, typer.Option(help="LeRobot calibration file for normalised angles.")] = None,
+    json: Json = False,
+) -> None:
+    """Turn logs of other programs into run logs; units, joint order and clock are checked, never guessed.
+
+    Example: `rejoint import recordings/so101 logs/so101 --arm so101`
+    """
+    terminal = Terminal(json=json)
+    options = ImportOptions(
+        angle_unit=angle_unit, time_unit=time_unit, joint_map=_pairs(joints), joint_order=_names(order),
+        state_topic=state_topic, command_topic=command_topic, stamp=stamp, calibration=calibration,
+    )  # fmt: skip
+    chosen = choose_arm(terminal, arm, base, tip)
+    with terminal.progress("importing") as update:
+        imported = import_logs(source, chosen, out=out, format=kind, options=options, on_progress=update)
+    for note in imported.notes:
+        terminal.say(note)
+    seconds = sum(float(log.time[-1] - log.time[0]) for log in imported.logs)
+    terminal.result(f"{len(imported.logs)} run logs, {seconds:.0f} s of motion, in {out}")
+    terminal.finish({"out": str(out), "logs": len(imported.logs), "seconds": seconds, "notes": imported.notes})
+
+
+def export(
+    log: Annotated[Path, typer.Argument(help="Run log (.parquet).")],
+    out: Annotated[Path, typer.Argument(help="File to write: .csv, or .mcap for PlotJuggler, Foxglove and Rerun.")],
+    json: Json = False,
+) -> None:
+    """Write a run log as CSV or MCAP.
+
+    Example: `rejoint export runs/mine/logs/excitation.parquet excitation.mcap`
+    """
+    terminal = Terminal(json=json)
+    export_log(read_log(log), out)
+    terminal.result(str(out))
+    terminal.finish({"out": str(out)})
+
+
+def _pairs(text: str | None) -> dict[str, str] | None:
+    if text is None:
+        return None
+    pairs = [part.split("=") for part in text.split(",")]
+    if any(len(pair) != 2 or not all(pair) for pair in pairs):
+        raise InputError(f"--joints {text!r}: expected theirs=ours,theirs=ours")
+    return {theirs.strip(): ours.strip() for theirs, ours in pairs}
+
+
+def _names(text: str | None) -> tuple[str, ...] | None:
+    return None if text is None else tuple(name.strip() for name in text.split(",") if name.strip())
