@@ -5,7 +5,8 @@ import pytest
 
 from rejoint.arms import mycobot280
 from rejoint.plant import servo
-from rejoint.plant.wear import PARAMETERS, Wear, load_wear
+from rejoint.plant.plant import joint_records
+from rejoint.plant.wear import Wear, load_wear
 
 ARM = mycobot280()
 UPRIGHT = np.zeros((1, 6))
@@ -19,10 +20,7 @@ def wear(**changes: float) -> Wear:
 
 
 def joint(**changes: float) -> np.record:
-    record = np.zeros(1, servo.JOINT)
-    for name in PARAMETERS:
-        record[name] = getattr(wear(), name)[0]
-    record["encoder_step"], record["lower"], record["upper"] = ARM.encoder_step, ARM.lower[0], ARM.upper[0]
+    record = joint_records(ARM, wear())[:1].copy()
     for name, value in changes.items():
         record[name] = value
     return record
@@ -100,12 +98,19 @@ def test_an_error_of_one_count_is_ignored_and_one_of_two_is_not():
     state["speed_limit"], state["powered"] = 100.0, True
     for counts, expected in ((1.0, 0.0), (2.0, 2.0)):
         state["goal"] = state["reference"] = counts * ARM.encoder_step
-        torque = (
-            servo.motor_torque(joint(), state, 0.0, 0.0)
-            if False
-            else servo.motor_torque(joint()[0], state[0], 0.0, 0.0)
-        )
+        torque = servo.motor_torque(joint()[0], state[0], 0.0, 0.0)
         assert torque == pytest.approx(expected * ARM.encoder_step * joint()["position_gain"][0])
+
+
+def test_an_offset_moves_where_the_servo_rests():
+    """Without load there is no torque where the joint stands off its command by the offset."""
+    state = np.zeros(1, servo.STATE)
+    state["goal"] = state["reference"] = 0.3
+    state["speed_limit"], state["powered"] = 1.0, True
+    records = joint(offset=10 * ARM.encoder_step, damping_gain=0.0)
+    assert servo.motor_torque(records[0], state[0], 0.3 + 10 * ARM.encoder_step, 0.0) == 0.0
+    expected = 10 * ARM.encoder_step * records["position_gain"][0]
+    assert servo.motor_torque(records[0], state[0], 0.3, 0.0) == pytest.approx(expected)
 
 
 def test_back_emf_takes_the_torque_at_the_no_load_speed():

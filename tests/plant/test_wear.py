@@ -5,20 +5,23 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rejoint.arms import gravity_torque, mycobot280, solve_position
+from rejoint.arms import gravity_torque, mycobot280, so101, solve_position
 from rejoint.errors import ProfileError
+from rejoint.plant.scaling import heaviest_load
 from rejoint.plant.wear import (
     PARAMETERS,
     Wear,
     draw_wear,
-    heaviest_load,
     lifting_torque,
     load_wear,
     parse_wear,
+    wear_arm,
     wear_names,
 )
 
 ARM = mycobot280()
+SCALING = tuple(name for name in wear_names() if wear_arm(name) is None)
+"""The profiles that fit every arm."""
 FAMILY = [load_wear(f"worn?seed={seed}", ARM) for seed in range(20)]
 
 
@@ -32,8 +35,9 @@ def worn_text() -> str:
 
 
 def test_the_profiles_of_the_package_load():
-    assert set(wear_names()) == {"healthy", "worn", "worn-true", "play-in-loop"}
-    for name in wear_names():
+    assert set(SCALING) == {"healthy", "worn", "worn-true", "play-in-loop"}
+    assert set(wear_names()) == {*SCALING, "so101"}
+    for name in SCALING:
         wear = load_wear(name, ARM)
         assert wear.name == name
         assert wear.play_in_loop == (name == "play-in-loop")
@@ -91,7 +95,12 @@ def test_a_folder_is_not_a_profile(tmp_path):
         ("torque_limit = [", "torque_limit = 0 # [", "torque_limit"),
         ("stiction = [", "stiction = 0.0 # [", "stiction"),
         ("position_gain = [", "position_gain = 1e5 # [", "position_gain"),
-        ("link_stiffness = [", "link_stiffness = 1.0 # [", "link_stiffness"),
+        ("[joints]", "scales = true\n[joints]", "scale"),
+        ("[joints]", "scales = 1\n[joints]", "scales"),
+        ("[joints]", "arm = 7\n[joints]", "arm"),
+        ("[joints]", "arm = 'ur5e'\nscales = true\n[joints]", "mycobot280"),
+        ("[joints]", "[joints]\noffset_deg = 'none'", "offset_deg"),
+        ("[joints]", "[joints]\noffset_deg = inf", "offset"),
     ],
 )
 def test_a_wrong_field_is_named(old, new, found):
@@ -167,7 +176,7 @@ def test_no_neighbour_is_too_weak_to_lift_itself():
 
 def test_every_profile_of_the_package_lifts_the_arm_everywhere_in_the_region():
     """The wrist alone may stick at its torque limit: shoulder and elbow then reach the target without it."""
-    for name in wear_names():
+    for name in SCALING:
         wear = load_wear(name, ARM)
         assert (wear.torque_limit >= lifting_torque(wear, ARM))[:3].all(), name
         moving = heaviest_load(ARM) * (1 + wear.load_friction) + wear.coulomb
@@ -188,3 +197,38 @@ def test_a_wear_is_read_only_and_copies():
     assert (wear.play == 1.0).all()
     with pytest.raises(ValueError, match="read-only"):
         wear.play[0] = 2.0
+
+
+def test_a_profile_of_one_arm_is_refused_for_others_and_says_what_to_do(tmp_path):
+    assert wear_arm("so101") == wear_arm("so101?seed=2") == "so101"
+    with pytest.raises(ProfileError, match=r"arm so101 alone, not mycobot280; give --arm so101") as caught:
+        load_wear("so101", ARM)
+    assert all(name in str(caught.value) for name in SCALING)
+    mine = tmp_path / "mine.toml"
+    mine.write_text("arm = 'mycobot280'\n" + worn_text())
+    assert wear_arm(str(mine)) == "mycobot280"
+    with pytest.raises(ProfileError, match="give --arm mycobot280"):
+        load_wear(str(mine), so101())
+
+
+def test_the_profile_of_the_so101_holds_what_was_identified_on_a_real_one():
+    wear = load_wear("so101", so101())
+    np.testing.assert_allclose(wear.position_gain, [25, 19, 20, 23, 26])
+    viscous = wear.damping_gain + wear.torque_limit / 5.0  # the motor brakes by its back-EMF as well
+    np.testing.assert_allclose(viscous, [1.6, 0.8, 0.9, 1.1, 1.3], atol=0.005)
+    np.testing.assert_allclose(np.degrees(wear.offset), [0, 0.8, 0.95, 0.3, -0.1])
+    assert wear.play_in_loop
+    assert (load_wear("so101?seed=1", so101()).offset == wear.offset).all()
+
+
+def test_a_profile_that_neither_scales_nor_names_an_arm_is_taken_as_it_stands(tmp_path):
+    path = tmp_path / "plain.toml"
+    values = {"reflected_inertia": 0.02, "link_stiffness": 100.0} | {"play_deg": 1.0, "damping_gain": 0.3}
+    lines = [
+        f"{'play_deg' if name == 'play' else name} = {values.get('play_deg' if name == 'play' else name, 0.5)}"
+        for name in PARAMETERS
+    ]
+    path.write_text("[joints]\n" + "\n".join(lines) + "\n")
+    wear = load_wear(str(path), so101())
+    np.testing.assert_array_equal(wear.position_gain, np.full(5, 0.5))
+    np.testing.assert_array_equal(wear.offset, np.zeros(5))

@@ -1,10 +1,11 @@
 import numpy as np
 import pytest
 
-from rejoint.arms import mycobot280, tcp_position
+from rejoint.arms import mycobot280, so101, tcp_position
 from rejoint.control.robot import Robot
-from rejoint.errors import InputError
+from rejoint.errors import InputError, ProfileError
 from rejoint.plant.wear import load_wear
+from rejoint.robots import default_arm, open_robot
 from rejoint.robots.emulated import EmulatedRobot
 
 ARM = mycobot280()
@@ -104,3 +105,13 @@ def test_a_start_is_where_the_arm_is():
     np.testing.assert_allclose(robot.read().position, np.tile(start, (4, 1)), atol=ARM.encoder_step)
     with pytest.raises(InputError, match="start"):
         EmulatedRobot(ARM, FAMILY, start=np.zeros(5))
+
+
+def test_an_address_knows_its_arm():
+    assert open_robot("emulated:worn").arm.name == default_arm("emulated:worn") == "mycobot280"
+    assert open_robot("emulated:so101").arm.name == default_arm("emulated:so101?seed=3") == "so101"
+    assert default_arm("tcp://10.0.0.1:9000") == "mycobot280"
+    scaled = open_robot("emulated:worn", arm=so101(), count=2)
+    assert (scaled.arm.name, scaled.read().position.shape) == ("so101", (2, 5))
+    with pytest.raises(ProfileError, match="give --arm so101"):
+        open_robot("emulated:so101", arm=ARM)

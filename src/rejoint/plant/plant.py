@@ -16,6 +16,7 @@ from rejoint.arms import Arm, Array, gravity_torque, tcp_position
 from rejoint.errors import InputError
 from rejoint.plant import servo
 from rejoint.plant.model import build_model
+from rejoint.plant.scaling import scale_of
 from rejoint.plant.streams import stream_keys
 from rejoint.plant.wear import PARAMETERS, Wear
 
@@ -38,7 +39,7 @@ class Plant:
             raise InputError("a plant needs at least one wear profile, got none")
         self.arm = arm
         self.count = len(wears)
-        self._joints = np.array([_joint_records(arm, wear) for wear in wears])
+        self._joints = np.array([joint_records(arm, wear) for wear in wears])
         self._servos = np.zeros((self.count, arm.joints), servo.STATE)
         self._tick = np.zeros(self.count, np.int64)
         self._key = stream_keys(seed, self.count, first=first)
@@ -51,7 +52,7 @@ class Plant:
         armature[:, 1::2] = servo.gear_armature(self._joints["link_stiffness"])
         self._qpos, self._qvel = self._batch.bind("qpos"), self._batch.bind("qvel")
         self._applied = self._batch.bind("qfrc_applied")
-        self._servos["speed_limit"] = servo.RAMP_SPEED
+        self._servos["speed_limit"] = servo.ramp_speed(arm.max_speed)
         self._servos["temperature"] = servo.AMBIENT
         self.reset(np.tile(arm.rest, (self.count, 1)))
 
@@ -103,7 +104,7 @@ class Plant:
     def reset(self, position: Array, where: Mask | None = None) -> None:
         """Put the arms where their encoders read ``position`` (B, n) [rad], at rest, in balance, held there.
 
-        The firmware's reference leads by what its gain needs against gravity, so nothing moves until
+        The firmware's reference leads by what its gain needs against gravity and its offset, so nothing moves until
         a command arrives. Clocks and temperatures go on; commands on their way are dropped.
         """
         position = self._checked(position)
@@ -123,7 +124,7 @@ class Plant:
             self._servos[name][ids] = np.broadcast_to(value, position.shape)[ids]
         self._servos["powered"][ids] = True
         self._history[ids] = self._servos["measured"][ids][:, None]
-        self._hold(ids, position + torque / self._joints["position_gain"])
+        self._hold(ids, position + torque / self._joints["position_gain"] - self._joints["offset"])
 
     def command(self, position: Array, delay: Array | float | None = None, where: Mask | None = None) -> None:
         """Send ``position`` (B, n) [rad]; it reaches the firmware after ``delay`` (B,) [s], never earlier."""
@@ -205,12 +206,16 @@ class Plant:
         return position
 
 
-def _joint_records(arm: Arm, wear: Wear) -> NDArray[np.void]:
+def joint_records(arm: Arm, wear: Wear) -> NDArray[np.void]:
+    """Put together all that the joints (n,) of an arm of some wear are made of, as `servo.JOINT`."""
     if wear.position_gain.shape != (arm.joints,):
         raise InputError(f"wear {wear.name} is for {len(wear.position_gain)} joints, arm {arm.name} has {arm.joints}")
     records = np.zeros(arm.joints, servo.JOINT)
-    for name in PARAMETERS:
+    for name in (*PARAMETERS, "offset"):
         records[name] = getattr(wear, name)
     records["play_in_loop"], records["encoder_step"] = wear.play_in_loop, arm.encoder_step
     records["lower"], records["upper"] = arm.lower, arm.upper
+    records["no_load_speed"] = servo.no_load_speed(arm.max_speed)
+    scale = scale_of(arm)
+    servo.fill_constants(records, scale.torque, scale.time)
     return records

@@ -20,6 +20,7 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from rejoint.arms import Array
 from rejoint.plant.streams import uniform
@@ -33,9 +34,11 @@ QUEUE = 8
 NEVER = np.iinfo(np.int64).max
 """Due step of an empty slot of that queue."""
 RAMP_SPEED = np.radians(120.0)
-"""[rad/s] default speed limit of the reference (chosen: 80 % of the vendor's 150 deg/s)"""
+"""[rad/s] default speed limit of the reference of a myCobot 280 (chosen: 80 % of the vendor's 150 deg/s)"""
 
 _NO_LOAD_SPEED = 5.0  # [rad/s] STS3215 at 12 V: 45 rpm and some more without its own friction
+_NO_LOAD_MARGIN = 1.05  # least no-load speed by the joint's largest speed (chosen, as above)
+_RAMP_SHARE_OF = np.radians(150.0)  # [rad/s] the joint speed that RAMP_SPEED belongs to
 _SPEED_FILTER = 0.1  # weight of the newest encoder difference: a time constant of 10 ms (chosen)
 _STRIBECK_SPEED = 0.06  # [rad/s] chosen
 _BRISTLE_RATE = 150.0  # [rad/s] natural frequency of bristle and reflected inertia (chosen): a stuck
@@ -43,10 +46,11 @@ _BRISTLE_RATE = 150.0  # [rad/s] natural frequency of bristle and reflected iner
 _BRISTLE_DAMPING = 1.0  # damping ratio of the same (chosen: a stuck joint does not ring)
 _RIPPLE_PERIODS = 30.0  # periods of the gear ripple per output turn (chosen: teeth of the last wheel)
 _GREASE = 0.02  # [N m s/rad] viscous torque inside the play (chosen)
+_GREASE_TIME = 0.002  # [s] its largest ratio to the stiffness of the gear: more is unstable in steps of 1 ms
 _GEAR_DAMPING_TIME = 0.0012  # [s] damping of a loaded gear over its stiffness (chosen)
 _GEAR_STEPS = 2.0  # steps per radian of the fastest gear oscillation
 _STOP_MARGIN = np.radians(3.0)  # [rad] mechanical stops lie beyond the joint limits (chosen)
-_STOP_STIFFNESS = 60.0  # [N m/rad] chosen
+_STOP_STIFFNESS = 60.0  # [N m/rad] of a myCobot 280, as the viscous torques (chosen)
 _STOP_DAMPING = 0.5  # [N m s/rad] chosen
 AMBIENT = 25.0
 """[deg C] temperature of a servo that never worked (chosen)"""
@@ -58,10 +62,11 @@ JOINT = np.dtype(
         ("position_gain", "f8"), ("damping_gain", "f8"), ("torque_limit", "f8"), ("coulomb", "f8"),
         ("stiction", "f8"), ("load_friction", "f8"), ("play", "f8"), ("link_stiffness", "f8"),
         ("reflected_inertia", "f8"), ("ripple", "f8"), ("torque_noise", "f8"), ("play_in_loop", "?"),
-        ("encoder_step", "f8"), ("lower", "f8"), ("upper", "f8"),
+        ("encoder_step", "f8"), ("lower", "f8"), ("upper", "f8"), ("offset", "f8"), ("no_load_speed", "f8"),
+        ("grease", "f8"), ("stop_stiffness", "f8"), ("stop_damping", "f8"),
     ]
 )  # fmt: skip
-"""What a joint is made of; the first fields are those of `rejoint.plant.wear.Wear`."""
+"""What a joint is made of; the first fields and the offset are those of `rejoint.plant.wear.Wear`."""
 
 STATE = np.dtype(
     [
@@ -83,6 +88,23 @@ def gear_armature(stiffness: Array) -> Array:
     return stiffness * (_GEAR_STEPS * STEP) ** 2
 
 
+def ramp_speed(max_speed: Array) -> Array:
+    """Default speed limit (n,) [rad/s] of the references of joints that can move at ``max_speed`` (n,) [rad/s]."""
+    return np.asarray(RAMP_SPEED * (max_speed / _RAMP_SHARE_OF))
+
+
+def no_load_speed(max_speed: Array) -> Array:
+    """Speed (n,) [rad/s] at which motors have no torque left: of the servo, or more where a joint is faster."""
+    return np.maximum(_NO_LOAD_SPEED, _NO_LOAD_MARGIN * max_speed)
+
+
+def fill_constants(records: NDArray[np.void], torque: Array, time: float) -> None:
+    """Write into JOINT records (n,) what profiles do not give, for an arm of scales ``torque`` (n,) and ``time``."""
+    records["grease"] = np.minimum(_GREASE * (torque * time), _GREASE_TIME * records["link_stiffness"])
+    records["stop_stiffness"] = _STOP_STIFFNESS * torque
+    records["stop_damping"] = _STOP_DAMPING * (torque * time)
+
+
 @njit(cache=True)
 def read_encoder(joint, servo_angle, gear_angle):
     """Angle in whole counts; an encoder behind the gear sees the play but not the flex."""
@@ -101,12 +123,12 @@ def motor_torque(joint, servo, angle, speed):
         return 0.0  # the windings are open: not even back-EMF
     stride = servo.speed_limit * STEP
     servo.reference += min(max(servo.goal - servo.reference, -stride), stride)
-    error = servo.reference - angle
+    error = servo.reference + joint.offset - angle
     if abs(error) <= joint.encoder_step:
         error = 0.0
     wanted = joint.position_gain * error - joint.damping_gain * servo.measured_speed
     duty = min(max(wanted / joint.torque_limit, -1.0), 1.0)
-    return joint.torque_limit * (duty - speed / _NO_LOAD_SPEED)
+    return joint.torque_limit * (duty - speed / joint.no_load_speed)
 
 
 @njit(cache=True)
@@ -127,11 +149,11 @@ def gear_torque(joint, angle, speed):
     half = 0.5 * joint.play
     bent = angle - min(max(angle, -half), half)
     if bent == 0.0:
-        return -_GREASE * speed
+        return -joint.grease * speed
     torque = -joint.link_stiffness * (bent + _GEAR_DAMPING_TIME * speed)
     if torque * bent > 0.0:  # teeth push, they do not pull
         torque = 0.0
-    return torque - _GREASE * speed
+    return torque - joint.grease * speed
 
 
 @njit(cache=True)
@@ -141,7 +163,7 @@ def disturbance(joint, angle, speed, unit):
     torque += joint.torque_noise * np.sqrt(12.0) * (unit - 0.5)
     beyond = angle - min(max(angle, joint.lower - _STOP_MARGIN), joint.upper + _STOP_MARGIN)
     if beyond != 0.0:
-        torque -= _STOP_STIFFNESS * beyond + _STOP_DAMPING * speed
+        torque -= joint.stop_stiffness * beyond + joint.stop_damping * speed
     return torque
 
 

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import importlib.util
 
-from rejoint.arms import Arm, mycobot280
+from rejoint.arms import Arm, load_arm
 from rejoint.control.robot import Robot
 from rejoint.errors import AddressError, InputError
 from rejoint.robots.address import EmulatedAddress, parse_address
 
+DEFAULT_ARM = "mycobot280"
+"""Arm behind an address that does not say: the vendor's client speaks to no other."""
 _EMULATED_PERIOD = (0.020, 0.030)
 """[s] Park et al. 2024 name 20 ms; the wire adds up to half of it (chosen)"""
 
@@ -24,12 +26,13 @@ def open_robot(
 ) -> Robot:
     """Connect to the robot at ``address``: ``emulated:PROFILE``, ``tcp://HOST:PORT``, ``serial:///dev/DEVICE``.
 
-    ``count`` emulated arms of one profile form a batch. ``period`` [s] is the interval from which the
-    length of every control cycle is drawn; by default the robot's own. A myCobot is powered on if it
-    is off and put into fresh mode; nothing moves. Raises AddressError if nothing usable is there.
+    Without ``arm`` it is that of `default_arm`; most emulated profiles scale with the arm. ``count`` emulated
+    arms of one profile form a batch. ``period`` [s] is the interval from which the length of every control
+    cycle is drawn; by default the robot's own. A myCobot is powered on if it is off and put into fresh
+    mode; nothing moves. Raises AddressError if nothing usable is there.
     """
     place = parse_address(address)
-    arm = arm or mycobot280()
+    arm = arm or load_arm(default_arm(address))
     if count < 1:
         raise InputError(f"a robot needs at least one arm, got count {count}")
     if isinstance(place, EmulatedAddress):
@@ -46,15 +49,21 @@ def open_robot(
     return robot
 
 
+def default_arm(address: str) -> str:
+    """Name of the arm at ``address``: what its wear profile describes, as ``emulated:so101``, else a myCobot."""
+    place = parse_address(address)
+    if not isinstance(place, EmulatedAddress):
+        return DEFAULT_ARM
+    _require_simulator(address)
+    from rejoint.plant.wear import wear_arm
+
+    return wear_arm(place.profile) or DEFAULT_ARM
+
+
 def _open_emulated(
     address: str, profile: str, arm: Arm, seed: int, count: int, period: tuple[float, float], threads: int
 ) -> Robot:
-    missing = [name for name in ("mujoco", "numba") if importlib.util.find_spec(name) is None]
-    if missing:
-        raise AddressError(
-            f"{address} needs {' and '.join(missing)}, which are not installed; "
-            "install the extra with: pip install 'rejoint[train]'"
-        )
+    _require_simulator(address)
     from rejoint.plant.wear import load_wear
     from rejoint.robots.emulated import EmulatedRobot
 
@@ -62,4 +71,13 @@ def _open_emulated(
     return EmulatedRobot(arm, [wear] * count, address=address, seed=seed, period=period, threads=threads)
 
 
-__all__ = ["open_robot"]
+def _require_simulator(address: str) -> None:
+    missing = [name for name in ("mujoco", "numba") if importlib.util.find_spec(name) is None]
+    if missing:
+        raise AddressError(
+            f"{address} needs {' and '.join(missing)}, which are not installed; "
+            "install the extra with: pip install 'rejoint[train]'"
+        )
+
+
+__all__ = ["DEFAULT_ARM", "default_arm", "open_robot"]

@@ -1,0 +1,101 @@
+"""How the numbers of one arm become those of another: a wear profile on an arm of any size.
+
+The profiles hold what a myCobot 280 has. On another arm a joint takes the numbers of the myCobot's joint
+at the same share of the way along the chain, times powers of two ratios:
+
+* torque T, joint by joint: of the joint's effort to that of the myCobot's joint. The effort is what its motor is
+  there for, hypot(G, I g/L, 0.1 max G): G the largest gravity torque over the region of targets, I the
+  inertia of the links that it turns in the rest posture, L the reach. The second term stands for
+  acceleration, for joints without gravity load: whatever moves under gravity does so at about g/L. The third
+  stands for a servo of some size where there is neither.
+* time t, for the whole arm: sqrt(L / L0), since g is the same for all.
+
+Torques and torques per angle (gains, stiffness) go with T, damping with T t, inertia with T t^2; angles and
+shares stay. Gains then go with inertia over time squared. These are the only ratios with which an arm
+that is the same but larger or heavier (lengths times a, masses times b, so T = a b, t = sqrt(a)) rests at the same
+joint angles and moves in the same way in its own time: its errors are the same share of its reach.
+
+An arm of another build may carry more on a joint than the place in the chain suggests, so no scaled servo
+gets weaker than what moves the arm in its region of targets.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rejoint.arms import Arm, Array, frames, gravity_torque, mycobot280, solve_position
+from rejoint.arms.kinematics import GRAVITY
+from rejoint.arms.workspace import reach
+
+FLOOR = 0.1
+"""Least effort of a joint by that of the most loaded one (chosen: in small arms and large ones the motors of the
+wrist have a tenth to a third of the torque of those near the base)."""
+
+_GRID = 5
+"""Targets along each edge of the region over which the gravity torques are taken (chosen)."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Scale:
+    """Ratios of an arm to the myCobot 280; exactly one for that arm itself."""
+
+    row: NDArray[np.intp]
+    """(n,) joint of the myCobot 280 whose numbers each joint takes"""
+    torque: Array
+    """(n,) [1]"""
+    time: float
+    """[1]"""
+
+
+@lru_cache(maxsize=16)
+def scale_of(arm: Arm) -> Scale:
+    """Compare an arm with the myCobot 280."""
+    reference = reference_arm()
+    row = np.rint(np.linspace(0.0, reference.joints - 1, arm.joints)).astype(np.intp)
+    return Scale(
+        row=row,
+        torque=effort(arm) / effort(reference)[row],
+        time=float(np.sqrt(reach(arm) / reach(reference))),
+    )
+
+
+@lru_cache(maxsize=16)
+def effort(arm: Arm) -> Array:
+    """Torque (n,) [N m] that stands for the size of each joint."""
+    load = heaviest_load(arm)
+    rate = np.linalg.norm(GRAVITY) / reach(arm)
+    least = max(FLOOR * float(load.max()), np.finfo(float).tiny)
+    return np.sqrt(load**2 + (_turned_inertia(arm) * rate) ** 2 + least**2)
+
+
+@lru_cache(maxsize=16)
+def heaviest_load(arm: Arm) -> Array:
+    """Largest gravity torque (n,) [N m] of each joint over the postures of a grid of targets."""
+    axes = [np.linspace(low, high, _GRID) for low, high in zip(arm.targets.lower, arm.targets.upper, strict=True)]
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    postures = solve_position(arm, grid, arm.rest).q
+    return np.abs(gravity_torque(arm, postures)).max(axis=0)
+
+
+@lru_cache(maxsize=1)
+def reference_arm() -> Arm:
+    """Return the arm whose numbers the profiles hold."""
+    return mycobot280()
+
+
+def _turned_inertia(arm: Arm) -> Array:
+    """Moments of inertia (n,) [kg m^2] about each joint axis of all links behind it, in the rest posture."""
+    f = frames(arm, arm.rest)
+    axes = (f.rotation @ arm.axis[:, :, None])[..., 0]
+    centres = f.position + (f.rotation @ arm.com[:, :, None])[..., 0]
+    tensors = f.rotation @ arm.inertia @ np.swapaxes(f.rotation, -1, -2)
+    total = np.zeros(arm.joints)
+    for joint, axis in enumerate(axes):
+        for link in range(joint, arm.joints):
+            lever = np.cross(axis, centres[link] - f.position[joint])
+            total[joint] += axis @ tensors[link] @ axis + arm.mass[link] * (lever @ lever)
+    return total
