@@ -106,7 +106,7 @@ def identify(
         held_out=held_out,
         fit_seconds=sum(float(fine.replay.times(i)[-1]) for i in range(len(seen))),
     )
-    twin = replace(twin, lower=_torque_bounds(fine, logs, twin), notes=tuple(_notes(arm, logs, twin, found)))
+    twin = replace(twin, lower=torque_bounds(fine, logs, twin), notes=tuple(twin_notes(arm, logs, twin, found)))
     on_progress("done", 1.0)
     return twin
 
@@ -150,8 +150,8 @@ def largest_drive_torque(problem: Problem, parameters: TwinParameters) -> Array:
     return np.quantile(np.abs(parameters.stiffness * lead), 0.995, axis=0)
 
 
-def _torque_bounds(problem: Problem, logs: Sequence[RunLog], twin: Twin) -> Array:
-    """Lower bounds (k,) with that of the torque limit raised to what the arm has shown.
+def torque_bounds(problem: Problem, logs: Sequence[RunLog], twin: Twin) -> Array:
+    """Raise lower bounds: (k,) with that of the torque limit raised to what the arm has shown.
 
     Where the data identify the limit, that is the gravity torque it has held. Where they do not, the
     limit was not reached, and it is no lower than the torques that were.
@@ -165,7 +165,8 @@ def _torque_bounds(problem: Problem, logs: Sequence[RunLog], twin: Twin) -> Arra
     return pack(replace(lower, torque_limit=raised))
 
 
-def _notes(arm: Arm, logs: Sequence[RunLog], twin: Twin, found: Fit) -> list[str]:
+def twin_notes(arm: Arm, logs: Sequence[RunLog], twin: Twin, found: Fit) -> list[str]:
+    """Say what a user of a twin should know, in words."""
     notes, held_out = [], twin.held_out
     if twin.unknown_scale:
         notes.append(

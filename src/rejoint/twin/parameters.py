@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, gravity_torque
+from rejoint.arms.workspace import reach
 from rejoint.errors import InputError
 
 
@@ -107,17 +108,22 @@ class Parameter:
     """factor on the nominal value for joints with little inertia"""
     by_load: bool = False
     """whether nominal value and bounds grow with the weight of the arm"""
+    by_time: int = 0
+    """their power of the time that motion under gravity takes, which grows with the square root of the reach"""
+    by_speed: bool = False
+    """whether they grow with the arm's speed"""
 
 
 PARAMETERS: tuple[Parameter, ...] = (
     Parameter(name="stiffness", unit="N m/rad", meaning="servo torque per angle between command and joint",
               nominal=7.0, sigma=0.7, lower=0.5, upper=200.0, wrist=0.8, by_load=True),
     Parameter(name="damping", unit="N m s/rad", meaning="viscous friction and derivative gain together",
-              nominal=0.25, sigma=0.8, lower=0.005, upper=20.0, wrist=0.6, by_load=True),
+              nominal=0.25, sigma=0.8, lower=0.005, upper=20.0, wrist=0.6, by_load=True,
+              by_time=1),
     Parameter(name="coulomb", unit="N m", meaning="dry friction",
               nominal=0.08, sigma=0.8, lower=0.002, upper=2.0, wrist=0.5, by_load=True),
     Parameter(name="armature", unit="kg m^2", meaning="inertia of motor and gears at the joint",
-              nominal=0.02, sigma=0.4, lower=0.002, upper=0.1),
+              nominal=0.02, sigma=0.4, lower=0.002, upper=0.1, by_load=True, by_time=2),
     Parameter(name="torque_limit", unit="N m", meaning="largest torque of the servo",
               nominal=0.92, sigma=0.35, lower=0.05, upper=5.0, wrist=0.5, by_load=True),
     Parameter(name="offset", unit="rad", meaning="unloaded joint position minus command",
@@ -125,7 +131,7 @@ PARAMETERS: tuple[Parameter, ...] = (
     Parameter(name="delay", unit="s", meaning="command latency plus age of the answer",
               nominal=0.025, sigma=0.012, lower=0.0, upper=0.1, log=False, per_joint=False),
     Parameter(name="ramp_speed", unit="rad/s", meaning="speed of the servo's reference",
-              nominal=2.0, sigma=0.25, lower=0.5, upper=20.0, per_joint=False),
+              nominal=2.0, sigma=0.25, lower=0.5, upper=20.0, per_joint=False, by_speed=True),
 )  # fmt: skip
 """The table. The order is that of the parameter vector."""
 
@@ -134,6 +140,12 @@ ARM_PARAMETERS = tuple(p for p in PARAMETERS if not p.per_joint)
 
 REFERENCE_LOAD = 0.838
 """[N m] largest gravity torque of the myCobot 280, for which the table's values hold"""
+
+REFERENCE_REACH = 0.5216700000000001
+"""[m] summed link lengths of the same arm"""
+
+REFERENCE_SPEED = float(np.radians(150.0))
+"""[rad/s] joint speed of the same arm"""
 
 WRIST_INERTIA = 0.2
 """A joint is of the wrist below this fraction of the largest link inertia about a joint (chosen)."""
@@ -188,12 +200,18 @@ class Prior:
 
 
 def prior(arm: Arm, table: tuple[Parameter, ...] = PARAMETERS) -> Prior:
-    """Prior of an arm from a table, its largest gravity torque and its link inertias."""
+    """Prior of an arm from a table, its largest gravity torque, its reach and speed, and its link inertias.
+
+    Every value goes with the arm's size as its unit demands: an arm of the same build, but larger or heavier,
+    is then believed to sag and to ring by the same angles.
+    """
     load = largest_gravity_torque(arm) / REFERENCE_LOAD
+    time = (reach(arm) / REFERENCE_REACH) ** 0.5
+    speed = float(arm.max_speed.min()) / REFERENCE_SPEED
     wrist = _wrist(arm)
     rows: list[tuple[float, float, float, float]] = []
     for p in table:
-        scale = load if p.by_load else 1.0
+        scale = (load if p.by_load else 1.0) * time**p.by_time * (speed if p.by_speed else 1.0)
         for is_wrist in wrist if p.per_joint else [False]:
             values = np.array([p.nominal * (p.wrist if is_wrist else 1.0), p.lower, p.upper]) * scale
             median, lower, upper = np.log(values) if p.log else values

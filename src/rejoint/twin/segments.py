@@ -20,7 +20,7 @@ LEAD = 1.0
 
 
 def free_windows(logs: Sequence[RunLog], excluded: Sequence[Exclusions], length: float) -> list[Window]:
-    """Cut the free motion of the logs into windows of about ``length`` [s]; each restarts from the measured state."""
+    """Cut the free motion of the logs into windows of at most about ``length`` [s], replayed from their own starts."""
     windows: list[Window] = []
     for index, (log, rows) in enumerate(zip(logs, excluded, strict=True)):
         for run in free_runs(rows.free, log.time, SHORTEST):
@@ -60,6 +60,6 @@ def by_motion(windows: Sequence[Window]) -> NDArray[np.integer]:
 
 def _pieces(index: int, log: RunLog, run: tuple[int, int], length: float) -> list[Window]:
     first, last = run
-    count = max(1, round(float(log.time[last - 1] - log.time[first]) / length))
+    count = max(1, int(np.ceil(float(log.time[last - 1] - log.time[first]) / length - 0.05)))
     edges = np.linspace(first, last, count + 1).astype(int).tolist()
     return [Window(log=index, first=a, last=b) for a, b in pairwise(edges) if b - a > 2]

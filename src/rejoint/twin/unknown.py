@@ -19,14 +19,14 @@ _NOMINAL: dict[str, dict[str, float]] = {
     "damping": {"nominal": 0.8, "sigma": 1.2, "upper": 100.0, "wrist": 1.0},
     "coulomb": {"nominal": 0.2, "sigma": 1.2, "upper": 10.0, "wrist": 1.0},
     # measured: 0.01 to 0.03 kg m^2 for geared hobby servos
-    "armature": {"nominal": 0.015, "sigma": 1.0, "lower": 5e-4, "upper": 1.0, "by_load": True},
+    "armature": {"nominal": 0.015, "sigma": 1.0, "lower": 5e-4, "upper": 1.0},
     # chosen: twice and more what the arm weighs, or nobody would have recorded it moving
     "torque_limit": {"nominal": 3.0, "sigma": 0.7, "upper": 50.0, "wrist": 1.0},
     "offset": {"sigma": 0.02, "lower": -0.2, "upper": 0.2},
     # chosen: a bus servo answers within a few periods; position and command may share a stamp
     "delay": {"nominal": 0.01, "sigma": 0.015, "upper": 0.2},
     # chosen: faster than most motions, so that a ramp must show itself in the data
-    "ramp_speed": {"nominal": 8.0, "sigma": 0.7, "upper": 50.0},
+    "ramp_speed": {"nominal": 8.0, "sigma": 0.7, "upper": 50.0, "by_speed": False},
 }
 
 UNKNOWN_PARAMETERS: tuple[Parameter, ...] = tuple(replace(p, **_NOMINAL[p.name]) for p in PARAMETERS)  # type: ignore[arg-type]

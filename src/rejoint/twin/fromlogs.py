@@ -1,0 +1,232 @@
+"""Identification from logs that somebody else recorded: several motions, an arm of which little is known.
+
+What differs from an excitation (`rejoint.twin.identify`) is the data. Contacts, stops and dead readings
+are found and left out. Whole motions are held out, not windows of motions that were seen, and what is
+believed before any data is wide. A first fit to a part of the data decides what the twin must hold:
+limits of torque and reference speed only if the arm has reached them, and how much a joint sticks. Then
+all motions are fitted; the table, if there is one, last.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rejoint.arms import Arm
+from rejoint.errors import InputError
+from rejoint.runs import RunLog
+from rejoint.twin.exclusions import Exclusions, find_exclusions, table_height
+from rejoint.twin.fit import Fit, Problem, fit
+from rejoint.twin.identify import torque_bounds, twin_notes
+from rejoint.twin.judge import NO_TWIN, TIMESTEP, Candidate, Judgement, judge
+from rejoint.twin.parameters import healthy_parameters, unpack
+from rejoint.twin.replay import PredictionError, Replay, Window
+from rejoint.twin.segments import by_motion, contact_windows, free_windows, thin
+from rejoint.twin.structure import STICTIONS, Structure, expressible, find_structure, rough_fit, simplest
+from rejoint.twin.table import Table
+from rejoint.twin.tablefit import fit_table
+from rejoint.twin.twin import HeldOut, Twin
+from rejoint.twin.uncertainty import uncertainty
+from rejoint.twin.unknown import unknown_prior
+
+FITTED, HEALTHY = "fitted twin", "healthy twin"
+"""Names of the predictions that a judgement holds beside `NO_TWIN`"""
+
+FEW_MOTIONS = 4
+"""Below as many motions the end of each is held out instead of whole motions (chosen)"""
+KEPT_END = 0.25
+"""Share of a motion that is held out then (chosen)"""
+CLUSTERED = 8
+"""From as many motions on, intervals rest on the differences between motions, below on those between windows
+(chosen: a covariance of fewer clusters is mostly noise)"""
+
+REFINEMENT = 3
+"""Steps of the final descent, which starts at the optimum of a part of its data (chosen)"""
+
+SHORTEST = 20.0
+"""[s] of free motion below which an identification is refused (chosen, as for an excitation)"""
+LEAST_CONTACT = 5.0
+"""[s] of contact from which a table is fitted (chosen: more than one recovery)"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LogSettings:
+    """How to identify from logs; the defaults take about 25 s of processor time however long the logs are."""
+
+    hold_out: tuple[str, ...] | None = None
+    """labels of the motions kept from the fit; None takes every ``hold_out_every``-th by name"""
+    hold_out_every: int = 4
+    window: float = 8.0
+    """[s] between restarts from the measured state; 1 to 50 s make no difference (measured on a real arm)"""
+    coarse_seconds: float = 160.0
+    """[s] of motion that decides on the structure"""
+    fit_seconds: float = 400.0
+    """[s] of motion of the final fit, spread over all motions"""
+    contact_seconds: float = 80.0
+    """[s] of motion in contact that the table is fitted to"""
+    table: bool = True
+    """whether to fit a table where the arm touches one"""
+    table_height: float | None = None
+    """[m] of the tip on the table; None finds it in the logs"""
+    stictions: tuple[float, ...] = STICTIONS
+    """ratios of friction at rest to friction in motion that are tried"""
+    timestep: float = TIMESTEP
+    threads: int = 2
+
+
+DEFAULT_LOG_SETTINGS = LogSettings()
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LogIdentification:
+    """What logs have told about an arm."""
+
+    twin: Twin
+    """with the table, if there is one; ``twin.held_out`` are the free-space means of ``judgement``"""
+    fitted: tuple[str, ...]
+    """motions that the fit has seen"""
+    judgement: Judgement
+    """of the fitted twin, a healthy one and none, on the motions that the fit has not seen"""
+
+
+def identify_logs(
+    arm: Arm,
+    logs: Sequence[RunLog],
+    settings: LogSettings = DEFAULT_LOG_SETTINGS,
+    on_progress: Callable[[str, float], None] = lambda _stage, _fraction: None,
+) -> LogIdentification:
+    """Fit a twin to logs and judge it on those kept from the fit.
+
+    ``on_progress`` is called with the stage and the fraction done. InputError if the logs are of another
+    arm, hold too little free motion, or lack a motion that is to be held out.
+    """
+    seen, unseen = hold_out(logs, settings)
+    height = settings.table_height if settings.table_height is not None else table_height(arm, seen)
+    excluded = find_exclusions(arm, seen, height)
+    on_progress("search", 0.0)
+    problem, found = _fit(arm, seen, excluded, settings, on_progress)
+    on_progress("table", 0.7)
+    table = None if height is None or not settings.table else _fit_table(problem, found, excluded, height, settings)
+    on_progress("held-out motions", 0.8)
+    parameters, stiction = unpack(found.vector, arm.joints), problem.replay.stiction
+    candidates = [
+        Candidate(name=FITTED, parameters=parameters, stiction=stiction, table=table),
+        Candidate(name=HEALTHY, parameters=healthy_parameters(arm), stiction=1.0),
+    ]
+    judgement = judge(arm, candidates, unseen, table=height, timestep=settings.timestep, threads=settings.threads)
+    on_progress("intervals", 0.9)
+    twin = _twin(problem, found, judgement, table)
+    on_progress("done", 1.0)
+    return LogIdentification(twin=twin, fitted=tuple(log.label for log in seen), judgement=judgement)
+
+
+def hold_out(logs: Sequence[RunLog], settings: LogSettings) -> tuple[list[RunLog], list[RunLog]]:
+    """Part logs into those to fit and those to judge by; of few motions the last quarter of each is judged."""
+    ordered = sorted(logs, key=lambda log: log.label)
+    names = [log.label for log in ordered]
+    if len(set(names)) != len(names):
+        raise InputError("identification: two motions have the same label; give each its own")
+    if settings.hold_out is not None:
+        missing = sorted(set(settings.hold_out) - set(names))
+        if missing or not settings.hold_out or len(settings.hold_out) >= len(names):
+            raise InputError(
+                f"identification: motions to hold out {', '.join(missing or settings.hold_out) or '(none)'}; expected "
+                f"some, but not all, of {', '.join(names)}"
+            )
+        kept = set(settings.hold_out)
+    elif len(ordered) < FEW_MOTIONS:
+        cuts = [int(len(log) * (1.0 - KEPT_END)) for log in ordered]
+        seen = [_rows(log, slice(0, cut), "") for log, cut in zip(ordered, cuts, strict=True)]
+        return seen, [_rows(log, slice(cut, None), " (end)") for log, cut in zip(ordered, cuts, strict=True)]
+    else:
+        kept = set(names[:: settings.hold_out_every])
+    return [log for log in ordered if log.label not in kept], [log for log in ordered if log.label in kept]
+
+
+def _rows(log: RunLog, rows: slice, suffix: str) -> RunLog:
+    return replace(
+        log, label=log.label + suffix, time=log.time[rows], position=log.position[rows], command=log.command[rows],
+        target=log.target[rows], true_tcp=log.true_tcp[rows],
+    )  # fmt: skip
+
+
+def _fit(
+    arm: Arm,
+    logs: Sequence[RunLog],
+    excluded: Sequence[Exclusions],
+    settings: LogSettings,
+    on_progress: Callable[[str, float], None],
+) -> tuple[Problem, Fit]:
+    """Decide on the structure with a part of the windows, then descend on more of them."""
+    windows = free_windows(logs, excluded, settings.window)
+    seconds = sum(float(logs[w.log].time[w.last - 1] - logs[w.log].time[w.first]) for w in windows)
+    if seconds < SHORTEST:
+        raise InputError(f"identification: {seconds:.0f} s of free motion, expected at least {SHORTEST:.0f} s")
+    belief = unknown_prior(arm)
+
+    def problem(chosen: Sequence[Window], structure: Structure) -> Problem:
+        replay = Replay(arm, logs, chosen, settings.timestep, settings.threads, structure.stiction)
+        return Problem(replay, structure.prior, structure.frozen)
+
+    rough = problem(thin(windows, logs, settings.coarse_seconds), simplest(belief, settings.stictions[0]))
+    x = rough_fit(rough)
+    usable = expressible(rough, x)
+    on_progress("structure", 0.3)
+    found = find_structure(lambda structure: problem(usable, structure), belief, settings.stictions, x)
+    on_progress("fit", 0.5)
+    every = problem(thin(windows, logs, settings.fit_seconds), found.structure)
+    fine = problem(expressible(every, found.vector), found.structure)
+    return fine, fit(fine, found.vector, REFINEMENT)
+
+
+def _fit_table(
+    problem: Problem, found: Fit, excluded: Sequence[Exclusions], height: float, settings: LogSettings
+) -> Table | None:
+    """Fit the table to motion in contact; None where there is too little of it."""
+    replay, parameters = problem.replay, unpack(found.vector, problem.joints)
+    windows = contact_windows(replay.logs, excluded, settings.window)
+    seconds = sum(float(replay.logs[w.log].time[w.last - 1] - replay.logs[w.log].time[w.first]) for w in windows)
+    if seconds < LEAST_CONTACT:
+        return None
+    chosen = thin(windows, replay.logs, settings.contact_seconds)
+    touching = Replay(
+        replay.arm, replay.logs, chosen, settings.timestep, settings.threads, replay.stiction, on_table=True
+    )
+    return fit_table(touching, parameters, height)
+
+
+def _twin(problem: Problem, found: Fit, judgement: Judgement, table: Table | None) -> Twin:
+    """Put together what is known, with bounds that hold what the arm has shown."""
+    replay, belief = problem.replay, problem.prior
+    arm, windows = replay.arm, replay.windows
+    motions = len({w.log for w in windows})
+    knowledge = uncertainty(problem, found, by_motion(windows) if motions >= CLUSTERED else problem.window)
+    twin = Twin(
+        arm=arm.name,
+        joint_names=arm.joint_names,
+        parameters=unpack(found.vector, arm.joints),
+        covariance=knowledge.covariance,
+        lower=belief.lower,
+        upper=belief.upper,
+        narrowing=knowledge.narrowing,
+        identified=knowledge.identified,
+        held_out=_held_out(judgement),
+        fit_seconds=sum(float(replay.times(i)[-1]) for i in range(len(windows))),
+        stiction=replay.stiction,
+        table=table,
+    )
+    notes = twin_notes(arm, replay.logs, twin, found)
+    return replace(twin, lower=torque_bounds(problem, replay.logs, twin), notes=tuple(notes))
+
+
+def _held_out(judgement: Judgement) -> HeldOut:
+    def error(name: str) -> PredictionError:
+        found = judgement.mean[name].free or judgement.mean[name].all
+        if found is None:
+            raise InputError("identification: the held-out motions hold no usable row; hold out others")
+        return PredictionError(joints=np.array(found.joints), joint=found.joint, tcp=found.tcp)
+
+    seconds = sum(motion.seconds - motion.contact_seconds - motion.left_out_seconds for motion in judgement.motions)
+    return HeldOut(seconds=seconds, no_twin=error(NO_TWIN), healthy_twin=error(HEALTHY), twin=error(FITTED))

@@ -1,0 +1,182 @@
+"""What a twin must hold to explain some logs: limits that were reached, and how much joints stick.
+
+A limit that was never reached has no gradient and stalls its neighbours in a fit, and friction at rest
+shows in no small step. So both are decided by comparing fits to the same windows, from the simplest
+structure up; a more elaborate one must pay for itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rejoint.arms import Array
+from rejoint.twin.fit import Problem, fit, line_up, loss, search
+from rejoint.twin.parameters import ARM_PARAMETERS, JOINT_PARAMETERS, PARAMETERS, Prior
+from rejoint.twin.replay import Window
+
+STICTIONS = (1.0, 1.25, 1.5, 2.0)
+"""Ratios of friction at rest to friction in motion that are tried (chosen: lubricated gears up to dry plastic)"""
+
+LIMITS = ("torque_limit", "ramp_speed")
+"""Parameters that leave no trace unless they are reached"""
+
+GAIN = 0.02
+"""Relative gain in loss, averaged over the joints, that more stiction must bring (chosen)"""
+LIMIT_GAIN = 0.15
+"""The same for a limit: one that is really reached brings several times as much (measured on known truth), while a
+speed limit that gains 6 % by passing for a limited acceleration predicts jumps worse (measured on a real arm)"""
+
+STARTS = 8
+"""Candidates of the random search before the first descent (chosen)"""
+ROUGH = 5
+"""Steps of the first descent (chosen)"""
+FURTHER = 2
+"""Steps of a descent that starts at the optimum of a similar structure (chosen)"""
+FAR = 5.0
+"""Residual of a window over that of the median one, root mean square, from which it is left out (chosen: jumps of
+a real low-cost arm stay within 4, chirps beyond the acceleration of its servos reach 20)"""
+
+_RAMPS = (1.0, 2.0, 4.0, 8.0)
+"""[rad/s] reference speeds that are tried"""
+_TORQUES = (0.4, 0.6, 0.8)
+"""Torque limits that are tried, over the largest torque that a servo without limit would give"""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Structure:
+    """What a fit may vary."""
+
+    prior: Prior
+    frozen: tuple[str, ...]
+    stiction: float
+    """friction at rest over friction in motion, of all joints"""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Found:
+    """The structure that the data ask for, and its optimum on the windows that decided."""
+
+    structure: Structure
+    vector: Array
+    """(k,)"""
+    tried: tuple[tuple[str, float], ...]
+    """each structure tried with its relative loss: 1 for the simplest"""
+
+
+def simplest(belief: Prior, stiction: float) -> Structure:
+    """Give the structure without limits."""
+    return Structure(prior=_without_limits(belief, LIMITS), frozen=LIMITS, stiction=stiction)
+
+
+def rough_fit(problem: Problem) -> Array:
+    """Fit (k,) from nothing but the prior: a random search, then a short descent."""
+    rng, belief = np.random.default_rng(0), problem.prior
+    drawn = belief.mean + belief.sigma * rng.standard_normal((STARTS, len(belief.mean)))
+    starts = np.where(problem.frozen, belief.mean, drawn)
+    starts[0] = belief.mean
+    x = search(problem, np.clip(starts, belief.lower, belief.upper), rng, rounds=2)
+    return fit(problem, x, ROUGH).vector
+
+
+def expressible(problem: Problem, x: Array) -> list[Window]:
+    """Select the windows that a fit (k,) comes near; the others show what no twin of this structure can do.
+
+    Such windows, fast chirps say, would bend all parameters for a motion that stays out of reach.
+    """
+    by_row = loss(problem.residuals(x[None])[0]).sum(axis=1)
+    by_window = np.bincount(problem.window, by_row) / np.bincount(problem.window)
+    limit = FAR**2 * np.median(by_window)
+    return [w for w, own in zip(problem.replay.windows, by_window, strict=True) if own <= limit]
+
+
+def find_structure(
+    make: Callable[[Structure], Problem], belief: Prior, stictions: Sequence[float], start: Array
+) -> Found:
+    """Compare structures on the same windows, from ``start`` (k,); ``make`` turns one into a problem."""
+    structure = simplest(belief, stictions[0])
+    problem = make(structure)
+    x = fit(problem, start, FURTHER).vector
+    first = best = _losses(problem, x)
+    tried = [("without limits", 1.0)]
+    for limit in LIMITS:
+        frozen = tuple(name for name in structure.frozen if name != limit)
+        freed = replace(structure, prior=_without_limits(belief, frozen), frozen=frozen)
+        y, losses = _with_limit(make(freed), x, limit)
+        tried.append((f"with {limit}", _ratio(losses, first)))
+        if _ratio(losses, best) < 1.0 - LIMIT_GAIN:
+            structure, x, best = freed, y, losses
+    for stiction in stictions[1:]:
+        stickier = replace(structure, stiction=stiction)
+        # A joint that sticks more at rest has less friction in motion for the same hysteresis.
+        start = x.copy()
+        start[_places(problem, "coulomb")] -= np.log(stiction / structure.stiction)
+        problem = make(stickier)
+        y = fit(problem, start, FURTHER).vector
+        losses = _losses(problem, y)
+        tried.append((f"stiction {stiction:g}", _ratio(losses, first)))
+        if _ratio(losses, best) >= 1.0 - GAIN:
+            break
+        structure, x, best = stickier, y, losses
+    return Found(structure=structure, vector=x, tried=tuple(tried))
+
+
+def _with_limit(problem: Problem, x: Array, limit: str) -> tuple[Array, Array]:
+    """Optimum with one limit freed, and its losses (n,); the descent is spared where no limit helps at all."""
+    candidates = [x]
+    place = _places(problem, limit)
+    if limit == "torque_limit":
+        torque = _drive_torque(problem, x)
+        values = [np.log(share * torque) for share in _TORQUES]
+    else:
+        values = [np.full(1, np.log(speed)) for speed in _RAMPS]
+    damping = _places(problem, "damping")
+    for value in values:
+        for less in (0.0, np.log(2.0)):  # damping has stood for the limit so far
+            candidate = x.copy()
+            candidate[place] = value
+            candidate[damping] -= less
+            candidates.append(candidate)
+    tried = np.clip(candidates, problem.prior.lower, problem.prior.upper)
+    before = problem.residuals(tried[:1])
+    y, _ = line_up(problem, tried, before, problem.weights(before[0]))
+    losses = _losses(problem, y)
+    if _ratio(losses, _losses(problem, x)) >= 1.0 - GAIN:
+        return x, losses
+    y = fit(problem, y, FURTHER).vector
+    return y, _losses(problem, y)
+
+
+def _drive_torque(problem: Problem, x: Array) -> Array:
+    """(n,) [N m] torques exceeded in one row of 200 by servos without limit, from what they leave to the arm."""
+    lead = np.concatenate(problem.replay.commands()) - problem.measured
+    return np.asarray(np.quantile(np.abs(np.exp(x[_places(problem, "stiffness")]) * lead), 0.995, axis=0))
+
+
+def _without_limits(belief: Prior, names: Sequence[str]) -> Prior:
+    """Put the medians of limits where they do nothing: at the upper bound."""
+    n = (len(belief.mean) - len(ARM_PARAMETERS)) // len(JOINT_PARAMETERS)
+    off = np.concatenate([np.full(n if p.per_joint else 1, p.name in names) for p in PARAMETERS])
+    return replace(belief, mean=np.where(off, belief.upper, belief.mean))
+
+
+def _places(problem: Problem, name: str) -> NDArray[np.integer]:
+    """Places of one parameter in the vector."""
+    n, names = problem.joints, [p.name for p in PARAMETERS]
+    index = names.index(name)
+    if index < len(JOINT_PARAMETERS):
+        return np.arange(index * n, (index + 1) * n)
+    return np.array([len(JOINT_PARAMETERS) * n + index - len(JOINT_PARAMETERS)])
+
+
+def _losses(problem: Problem, x: Array) -> Array:
+    """Compute the loss (n,) of each joint."""
+    return np.asarray(loss(problem.residuals(x[None])[0]).sum(axis=0))
+
+
+def _ratio(losses: Array, reference: Array) -> float:
+    """Geometric mean over the joints of how losses compare."""
+    return float(np.exp(np.mean(np.log(losses / reference))))
