@@ -7,7 +7,8 @@ import pytest
 
 from rejoint.arms import frames, gravity_torque, mycobot280
 from rejoint.diagnosis import FULL, SHORT, plan_excitation
-from rejoint.diagnosis.excitation import heaviest_load, hold_postures
+from rejoint.diagnosis.excitation import hold_postures
+from rejoint.diagnosis.size import heaviest_load
 from rejoint.errors import InputError
 
 ARM = mycobot280()

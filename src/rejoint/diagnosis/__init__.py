@@ -2,7 +2,7 @@
 
 from rejoint.diagnosis.diagnosis import Diagnosis, diagnose, judge
 from rejoint.diagnosis.excitation import FULL, SHORT, Excitation, Plan, plan_excitation
-from rejoint.diagnosis.healthy import HealthyReference, load_healthy, reference_from
+from rejoint.diagnosis.healthy import HealthyReference, healthy_reference, load_healthy, reference_from
 from rejoint.diagnosis.measurement import JointMetrics, Measurement, measure
 from rejoint.diagnosis.open_loop import OpenLoop, TargetError, draw_targets, open_loop_errors
 from rejoint.diagnosis.record import EXCITATION_LABEL, TARGETS_LABEL, DiagnosisLogs, record
@@ -13,6 +13,6 @@ from rejoint.diagnosis.verdict import Finding
 __all__ = [
     "EXCITATION_LABEL", "FULL", "SHORT", "TARGETS_LABEL", "Diagnosis", "DiagnosisLogs", "Estimate", "Excitation",
     "ExcitationLog", "Finding", "HealthyReference", "JointMetrics", "Measurement", "OpenLoop", "Plan", "Segment",
-    "TargetError", "attach_segments", "diagnose", "draw_targets", "judge", "load_healthy", "measure",
-    "open_loop_errors", "plan_excitation", "record", "reference_from",
+    "TargetError", "attach_segments", "diagnose", "draw_targets", "healthy_reference", "judge", "load_healthy",
+    "measure", "open_loop_errors", "plan_excitation", "record", "reference_from",
 ]  # fmt: skip

@@ -11,11 +11,13 @@ from rejoint.diagnosis.healthy import HealthyReference
 from rejoint.diagnosis.measurement import Measurement, measure
 from rejoint.diagnosis.open_loop import OpenLoop, open_loop_errors
 from rejoint.diagnosis.record import DiagnosisLogs, OnProgress, record
+from rejoint.diagnosis.size import length_size
 from rejoint.diagnosis.verdict import Finding, find
 from rejoint.errors import InputError
 
 HIDDEN_MARGIN_MM = 1.0
-"""Distance between tool and encoders, beyond the healthy range, from which it is called wear (chosen)."""
+"""Distance between tool and encoders, beyond the healthy range, from which it is called wear on a myCobot 280 (chosen);
+goes with the reach."""
 
 _KINDS = {
     "stuck": "stuck",
@@ -81,7 +83,7 @@ def judge(arm: Arm, logs: DiagnosisLogs, healthy: HealthyReference | None) -> Di
         condition=condition,
         verdict=_verdict(open_loop, findings, healthy),
         findings=findings,
-        unseen=_unseen(open_loop, measurement, healthy),
+        unseen=_unseen(open_loop, measurement, healthy, HIDDEN_MARGIN_MM * length_size(arm)),
         open_loop=open_loop,
         measurement=measurement,
         healthy=healthy,
@@ -106,8 +108,10 @@ def _verdict(open_loop: OpenLoop, findings: tuple[Finding, ...], healthy: Health
     return f"{first} {lead}: {named}.{more}"
 
 
-def _unseen(open_loop: OpenLoop, measurement: Measurement, healthy: HealthyReference | None) -> tuple[str, ...]:
-    lines = [_hidden(open_loop, healthy)]
+def _unseen(
+    open_loop: OpenLoop, measurement: Measurement, healthy: HealthyReference | None, margin_mm: float
+) -> tuple[str, ...]:
+    lines = [_hidden(open_loop, healthy, margin_mm)]
     guessed = [row.joint for row in measurement.joints if row.stiffness_source == "inertia"]
     unknown = [row.joint for row in measurement.joints if row.stiffness_source == "none"]
     if guessed:
@@ -127,7 +131,7 @@ def _unseen(open_loop: OpenLoop, measurement: Measurement, healthy: HealthyRefer
     return tuple(lines)
 
 
-def _hidden(open_loop: OpenLoop, healthy: HealthyReference | None) -> str:
+def _hidden(open_loop: OpenLoop, healthy: HealthyReference | None, margin_mm: float) -> str:
     if open_loop.hidden_mm is None or open_loop.true_error_mm is None:
         return (
             "The encoders sit before the gears: play and flex behind them, and so the true error of the tool, cannot "
@@ -138,7 +142,7 @@ def _hidden(open_loop: OpenLoop, healthy: HealthyReference | None) -> str:
         f"from where the encoders put it, and {open_loop.true_error_mm.value:.1f} mm from the targets"
     )
     usual = healthy.hidden_mm.high if healthy is not None and healthy.hidden_mm is not None else None
-    if usual is not None and open_loop.hidden_mm > usual + HIDDEN_MARGIN_MM:
+    if usual is not None and open_loop.hidden_mm > usual + margin_mm:
         return (
             f"{known}. There is play or flex behind the encoders; on a real arm nothing in these logs would show it, "
             "and no controller that relies on the encoders can remove it."

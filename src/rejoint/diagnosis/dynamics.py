@@ -17,6 +17,7 @@ from rejoint.diagnosis.metrics import nuisance, sweep_fit
 from rejoint.diagnosis.modulation import Averages, window_averages
 from rejoint.diagnosis.regression import Estimate, Fit, fit_trimmed, mean_of
 from rejoint.diagnosis.segments import ExcitationLog
+from rejoint.diagnosis.size import length_size, torque_size
 
 DELAYS = np.arange(0.005, 0.0801, 0.005)
 """[s] delays that are tried: from an idle wire to two periods of a slow one."""
@@ -39,12 +40,16 @@ _STEP = 0.0025
 _NOMINAL_DELAY = 0.02
 """[s] with which friction is measured before the delay is known; it hardly matters there (chosen)."""
 
+_EXCESS = 0.15
+"""[N m] of a myCobot 280 that a demand exceeds what was given by chance (chosen; goes with the load of the arm)."""
+
 _MIN_SHARE = 0.006
 """Share of the steady time that a joint must be behind (chosen: on emulated arms it is 0 without saturation and
 0.02 at a torque limit that only the heaviest postures reach)."""
 
 _STEADY = 1.5
-"""[rad/s^2] up to which acceleration takes no torque worth counting: 0.05 N m of a joint of 0.03 kg m^2 (chosen)."""
+"""[rad/s^2] up to which acceleration takes no torque worth counting: 0.05 N m of a joint of 0.03 kg m^2 (chosen; a
+longer arm has more inertia for its load, so it goes with one over the reach)."""
 
 _MIN_RATIO = 5e-5
 """[s^2] J/k below which a fit is not believed: an oscillation at 22 Hz, stiffer than such a servo is (chosen)."""
@@ -53,7 +58,7 @@ _MIN_RATIO = 5e-5
 def fit_dynamics(data: ExcitationLog, joint: int, delay: float) -> Fit:
     """Fit the multisine of a joint: coefficients (J/k [s^2], d/k [s], F/k [rad], 1/k [rad/(N m)], offset [rad])."""
     averages = _multisine(data, joint, np.array([delay]))
-    return fit_trimmed(_design(averages), averages.error[0], averages.cluster)
+    return fit_trimmed(_design(data, averages), averages.error[0], averages.cluster)
 
 
 def arm_delay(data: ExcitationLog) -> float:
@@ -64,7 +69,9 @@ def arm_delay(data: ExcitationLog) -> float:
     found = []
     for joint in range(data.arm.joints):
         averages = _multisine(data, joint, DELAYS)
-        fits = np.asarray(np.linalg.lstsq(_design(averages), averages.error.T, rcond=None)[0][:2].T, dtype=np.float64)
+        fits = np.asarray(
+            np.linalg.lstsq(_design(data, averages), averages.error.T, rcond=None)[0][:2].T, dtype=np.float64
+        )
         sweep = sweep_fit(data, joint, _NOMINAL_DELAY)
         if sweep is None:  # a joint that does not move has no time of its own
             continue
@@ -80,8 +87,8 @@ def _multisine(data: ExcitationLog, joint: int, delays: Array) -> Averages:
     return averages
 
 
-def _design(averages: Averages) -> Array:
-    return np.stack([averages.acceleration, averages.speed, averages.direction, *nuisance(averages)], axis=1)
+def _design(data: ExcitationLog, averages: Averages) -> Array:
+    return np.stack([averages.acceleration, averages.speed, averages.direction, *nuisance(data, averages)], axis=1)
 
 
 def _lowest(cost: Array) -> float:
@@ -153,18 +160,22 @@ def torque_given(data: ExcitationLog, joint: int, law: Law) -> Torque:
     """Compare what a joint's law asks for with what its load shows that it gave, while it hardly accelerates.
 
     A joint counts as behind where the demand is more than twice what it gave, and exceeds it by more than
-    twice its friction, 0.15 N m, and what 10 ms of wrong timing make of a moving command. It is at its
+    twice its friction, `_EXCESS`, and what 10 ms of wrong timing make of a moving command. It is at its
     limit if that happens in `_MIN_SHARE` of the time, and with near the largest torque that it ever gave.
     """
     segments = [s for s in data.segments if s.kind in ("sweep", "step", "multisine", "hold")]
     averages = window_averages(data, segments, joint, length=_TORQUE_WINDOW, delays=np.array([law.delay]))
-    steady = np.abs(averages.acceleration) < _STEADY
+    steady = np.abs(averages.acceleration) < _STEADY / length_size(data.arm)
     data.require(int(steady.sum()) >= _MIN_WINDOWS, "steady moments", joint)
     demand = (law.stiffness * (averages.error[0] - law.lag * averages.speed))[steady]
     given = (averages.gravity + law.stiffness * law.half_width * averages.direction)[steady]
     margin = 2 * law.half_width + 0.010 * np.abs(averages.command_speed[steady])
     excess = np.abs(demand) - np.abs(given)
-    behind = (excess > np.abs(given)) & (demand * given > 0) & (excess > law.stiffness * margin + 0.15)
+    behind = (
+        (excess > np.abs(given))
+        & (demand * given > 0)
+        & (excess > law.stiffness * margin + _EXCESS * torque_size(data.arm))
+    )
     cluster = averages.cluster[steady]
     seen = float(np.quantile(np.abs(given), 0.995))
     share = float(behind.mean())

@@ -18,16 +18,15 @@ into a posture that it cannot lift itself out of would stay there).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import lru_cache
-from itertools import product
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rejoint.arms import Arm, Array, frames, gravity_torque, solve_position, tcp_position
+from rejoint.arms import Arm, Array, frames, gravity_torque, tcp_position
 from rejoint.diagnosis.path import Path, smooth_ramp
 from rejoint.diagnosis.segments import Segment
+from rejoint.diagnosis.size import heaviest_load, length_size, torque_size
 from rejoint.errors import InputError
 
 
@@ -82,17 +81,23 @@ LIMIT_MARGIN = np.radians(10.0)
 """[rad] commands stay this far inside the joint limits (chosen: a worn arm overshoots a 0.2 rad step by half)."""
 
 CLEARANCE = 0.05
-"""[m] of joint frames and TCP above the floor (chosen: a worn arm sags up to 40 mm)."""
+"""[m] of joint frames and TCP above the floor (chosen: a worn myCobot sags up to 40 mm; goes with the reach)."""
 
 COLUMN = 0.4
 """Share of the rest posture's reach that the TCP keeps from the vertical base axis (chosen; the arm must
 not hit its own column)."""
 
 _LOAD_MARGIN = 0.02
-"""[N m] that counts as no load at all (chosen: less than the friction of any joint)."""
+"""[N m] that counts as no load at all (chosen: less than any joint of a myCobot has friction; goes with the load)."""
 
 _SETTLE = 0.3
 """[s] pause at the turning points between segments (chosen)."""
+
+_ATTEMPTS, _SMALLER = 12, 0.8
+"""Plans that are tried, and the factor on the amplitude that was too large in the last one (chosen)."""
+
+_AMPLITUDES = {"sweep": "sweep_amplitude", "step": "step_size", "multisine": "multisine_amplitude"}
+"""What is too large where a segment of a kind is not safe."""
 
 _CANDIDATES = 400
 """Postures drawn for the holds (chosen)."""
@@ -123,10 +128,29 @@ class Excitation:
 def plan_excitation(arm: Arm, *, seed: int, start: Array | None = None, plan: Plan = FULL) -> Excitation:
     """Plan the excitation of an arm that stands at ``start`` (n,) [rad] (default: its rest posture).
 
-    Raises InputError if a posture of the plan would leave the safe space.
+    Motions that are too fast for the arm are slowed down, and amplitudes that would leave the safe space are
+    made smaller. Raises InputError if that does not suffice.
     """
+    plan, where = _slowed(plan, arm), "its beginning"
+    for _ in range(_ATTEMPTS):
+        excitation = _plan_once(arm, seed, arm.rest if start is None else np.asarray(start, dtype=float), plan)
+        leaves = _first_leaving(excitation)
+        if leaves is None:
+            return excitation
+        where = leaves.name
+        if leaves.kind not in _AMPLITUDES:
+            break
+        name = _AMPLITUDES[leaves.kind]
+        plan = replace(plan, **{name: _SMALLER * getattr(plan, name)})
+    raise InputError(
+        f"arm {arm.name}: the excitation is not safe in {where!r}; give a rest posture farther from the floor, "
+        "from the joint limits and from postures that load the arm more than its targets do"
+    )
+
+
+def _plan_once(arm: Arm, seed: int, start: Array, plan: Plan) -> Excitation:
     rng = np.random.default_rng(seed)
-    path = Path(arm.rest if start is None else np.asarray(start, dtype=float))
+    path = Path(start)
     with path.segment("approach", "approach"):
         path.travel(arm.rest, plan.travel_speed / 2)
         path.wait(0.5)
@@ -139,7 +163,6 @@ def plan_excitation(arm: Arm, *, seed: int, start: Array | None = None, plan: Pl
     with path.segment("return", "approach"):
         path.travel(arm.rest, plan.travel_speed / 2)
     time, position = path.knots()
-    _check(arm, time, position)
     return Excitation(arm=arm, segments=path.segments, time=time, position=position)
 
 
@@ -151,15 +174,8 @@ def is_safe(arm: Arm, q: Array) -> NDArray[np.bool_]:
     reach = np.linalg.norm(f.tcp_position[..., :2], axis=-1)
     rest_reach = np.linalg.norm(tcp_position(arm, arm.rest)[:2])
     inside = ((q >= arm.lower + LIMIT_MARGIN) & (q <= arm.upper - LIMIT_MARGIN)).all(axis=-1)
-    light = (np.abs(gravity_torque(arm, q)) <= heaviest_load(arm) + _LOAD_MARGIN).all(axis=-1)
-    return inside & light & (lowest >= arm.floor + CLEARANCE) & (reach >= COLUMN * rest_reach)
-
-
-@lru_cache(maxsize=8)
-def heaviest_load(arm: Arm) -> Array:
-    """Largest gravity torque (n,) [N m] of each joint at the corners of the target region."""
-    corners = np.array(list(product(*zip(arm.targets.lower, arm.targets.upper, strict=True))))
-    return np.abs(gravity_torque(arm, solve_position(arm, corners, arm.rest).q)).max(axis=0)
+    light = (np.abs(gravity_torque(arm, q)) <= heaviest_load(arm) + _LOAD_MARGIN * torque_size(arm)).all(axis=-1)
+    return inside & light & (lowest >= arm.floor + CLEARANCE * length_size(arm)) & (reach >= COLUMN * rest_reach)
 
 
 def _add_sweeps(path: Path, arm: Arm, plan: Plan) -> None:
@@ -225,7 +241,7 @@ def hold_postures(arm: Arm, plan: Plan, rng: np.random.Generator) -> Array:
     """Postures (P, n) [rad] whose gravity torques lie far apart: farthest-point sampling of safe candidates.
 
     Torques are scaled per joint by their largest value, so that weakly loaded joints count as well,
-    and cut at 0.02 N m from below: what friction hides altogether is not worth a posture.
+    and cut from below at what counts as no load: what friction hides altogether is not worth a posture.
     """
     q = arm.rest + plan.posture_spread * rng.uniform(-1.0, 1.0, (_CANDIDATES, arm.joints))
     for side in (-plan.hold_offset, plan.hold_offset):
@@ -233,7 +249,7 @@ def hold_postures(arm: Arm, plan: Plan, rng: np.random.Generator) -> Array:
     if len(q) < plan.postures:
         raise InputError(f"arm {arm.name}: only {len(q)} of {_CANDIDATES} postures around its rest posture are safe")
     torque = gravity_torque(arm, q)
-    torque = torque / np.maximum(np.abs(torque).max(axis=0), 0.02)
+    torque = torque / np.maximum(np.abs(torque).max(axis=0), _LOAD_MARGIN * torque_size(arm))
     chosen = [int(np.argmax(np.linalg.norm(torque - torque.mean(axis=0), axis=1)))]
     distance = np.full(len(q), np.inf)
     while len(chosen) < plan.postures:
@@ -248,15 +264,32 @@ def _line_is_safe(arm: Arm, start: Array, goal: Array) -> NDArray[np.bool_]:
     return np.asarray(is_safe(arm, start[..., None, :] + share * (goal - start)[..., None, :]).all(axis=-1))
 
 
-def _check(arm: Arm, time: Array, position: Array) -> None:
-    """Raise InputError if a posture on the way is not safe, or a joint would have to be too fast."""
+def _slowed(plan: Plan, arm: Arm) -> Plan:
+    """Keep the speeds of a plan below shares of the slowest joint's, and its band below what a long arm can follow.
+
+    Motions under gravity last as the square root of the length; fast ones ask a long arm for more torque
+    than it has.
+    """
+    limit = float(arm.max_speed.min())
+    return replace(
+        plan,
+        multisine_band=plan.multisine_band / max(length_size(arm), 1.0) ** 0.5,
+        step_speed=min(plan.step_speed, 0.8 * limit),
+        multisine_speed=min(plan.multisine_speed, 0.6 * limit),
+        travel_speed=min(plan.travel_speed, 0.4 * limit),
+        sweep_speeds=tuple(min(speed, 0.2 * limit) for speed in plan.sweep_speeds),
+        hold_speed=min(plan.hold_speed, 0.2 * limit),
+    )
+
+
+def _first_leaving(excitation: Excitation) -> Segment | None:
+    """Segment in which, or before which, a plan first leaves the safe space; None if it never does."""
+    arm, time, position = excitation.arm, excitation.time, excitation.position
     fine = np.union1d(time, np.arange(0.0, time[-1], 0.05))
     q = np.stack([np.interp(fine, time, column) for column in position.T], axis=-1)
-    safe = is_safe(arm, q)
     approach = fine <= time[np.argmax((position == arm.rest).all(axis=1))]  # where the arm came from is not ours
-    if not (safe | approach).all():
-        worst = fine[np.argmin(safe | approach)]
-        raise InputError(f"arm {arm.name}: the excitation is not safe at {worst:.2f} s; plan smaller amplitudes")
-    speed = np.abs(np.diff(position, axis=0)) / np.diff(time)[:, None]
-    if (speed > arm.max_speed + 1e-9).any():
-        raise InputError(f"arm {arm.name}: the excitation is faster than the joints may move")
+    good = is_safe(arm, q) | approach
+    if good.all():
+        return None
+    worst = fine[np.argmin(good)]
+    return next((s for s in excitation.segments if s.stop >= worst), excitation.segments[-1])

@@ -22,6 +22,7 @@ from rejoint.arms import Array
 from rejoint.diagnosis.modulation import Averages, window_averages
 from rejoint.diagnosis.regression import Estimate, Fit, fit_line, fit_trimmed, mean_of
 from rejoint.diagnosis.segments import ExcitationLog
+from rejoint.diagnosis.size import torque_size
 
 SETTLED_LAST = 0.4
 """[s] of a hold or a step that counts as settled (chosen: the last sixteen readings at 25 ms)."""
@@ -33,7 +34,8 @@ _MOVING = 0.7
 """Size of the averaged direction above which a window counts as moving: about 0.04 rad/s (chosen)."""
 
 _MIN_TORQUE_RANGE = 2e-3
-"""[N m] variation of gravity torque below which it is not fitted: the column would only add noise (chosen)."""
+"""[N m] variation of gravity torque below which it is not fitted: the column would only add noise (chosen; goes with
+the load of the arm)."""
 
 _MIN_SWEEP = 0.1
 """[rad] range of a sweep below which nothing is said about how it was followed (chosen: a third of the plan's)."""
@@ -54,7 +56,9 @@ def sweep_fit(data: ExcitationLog, joint: int, delay: float) -> Fit | None:
     data.require(len(segments) >= 6, "sweeps", joint)
     if len(np.unique(averages.cluster[moving])) < 6:
         return None
-    design = np.stack([averages.speed, np.sign(averages.direction), averages.acceleration, *nuisance(averages)], axis=1)
+    design = np.stack(
+        [averages.speed, np.sign(averages.direction), averages.acceleration, *nuisance(data, averages)], axis=1
+    )
     return fit_trimmed(design[moving], averages.error[0, moving], averages.cluster[moving])
 
 
@@ -65,9 +69,9 @@ def sweep_gain(data: ExcitationLog, joint: int) -> float | None:
     return float(np.ptp(data.log.position[rows, joint])) / asked if asked > _MIN_SWEEP else None
 
 
-def nuisance(averages: Averages) -> tuple[Array, Array]:
+def nuisance(data: ExcitationLog, averages: Averages) -> tuple[Array, Array]:
     """Columns (N,) of gravity torque and offset that every fit needs beside its own."""
-    loaded = len(averages.gravity) > 0 and np.ptp(averages.gravity) > _MIN_TORQUE_RANGE
+    loaded = len(averages.gravity) > 0 and np.ptp(averages.gravity) > _MIN_TORQUE_RANGE * torque_size(data.arm)
     return averages.gravity * loaded, np.ones(len(averages.gravity))
 
 

@@ -17,11 +17,12 @@ from rejoint.diagnosis.healthy import OVERSHOOT_ALLOWED, HealthyReference
 from rejoint.diagnosis.measurement import JointMetrics, Measurement
 from rejoint.diagnosis.open_loop import settled_rows
 from rejoint.diagnosis.regression import Estimate, mean_of
+from rejoint.diagnosis.size import length_size
 from rejoint.runs import RunLog
 
 BAD_MM = 3.0
-"""Error at the tool from which a finding is called bad: what the whole of a healthy arm shows (3.09 mm, Park et al.
-2024, section IV-B)."""
+"""Error at the tool from which a finding is called bad: what the whole of a healthy myCobot shows (3.09 mm, Park et
+al. 2024, section IV-B); goes with the reach."""
 
 RINGING_RATIO = 0.4
 """Damping ratio below which a joint is said to ring without a reference: 25 % overshoot (second order)."""
@@ -81,6 +82,8 @@ class _Case:
     """[rad]"""
     common_lag: float
     """[s] by which all joints are late"""
+    bad_mm: float
+    """from which a finding is bad"""
 
     @property
     def lever(self) -> float:
@@ -102,7 +105,7 @@ class _Case:
         if not isinstance(reference, Estimate):
             reference = None
         return Finding(
-            joint=self.row.joint, kind=kind, severity="bad" if tcp * 1e3 >= BAD_MM else "worn", quantity=quantity,
+            joint=self.row.joint, kind=kind, severity="bad" if tcp * 1e3 >= self.bad_mm else "worn", quantity=quantity,
             measured=measured, healthy=reference, tcp_mm=tcp * 1e3,
             sentence=f"{self.row.joint} {sentence} {tcp * 1e3:.1f} mm at the tool.",
         )  # fmt: skip
@@ -134,6 +137,7 @@ def find(arm: Arm, measurement: Measurement, targets: RunLog, healthy: HealthyRe
         case = _Case(
             row=row, healthy=None if healthy is None else healthy.joints[joint], levers=levers[:, joint],
             loads=loads[:, joint], errors=errors[:, joint], encoder_step=arm.encoder_step, common_lag=common,
+            bad_mm=BAD_MM * length_size(arm),
         )  # fmt: skip
         found += [finding for rule in RULES for finding in rule(case)]
     return tuple(sorted(found, key=lambda f: (f.severity != "bad", -f.tcp_mm)))

@@ -4,7 +4,7 @@ The profiles hold what a myCobot 280 has. On another arm a joint takes the numbe
 at the same share of the way along the chain, times powers of two ratios:
 
 * torque T, joint by joint: of the joint's effort to that of the myCobot's joint. The effort is what its motor is
-  there for, hypot(G, I g/L, 0.1 max G): G the largest gravity torque over the region of targets, I the
+  there for, hypot(G, I g/L, 0.3 max G): G the largest gravity torque over the region of targets, I the
   inertia of the links that it turns in the rest posture, L the reach. The second term stands for
   acceleration, for joints without gravity load: whatever moves under gravity does so at about g/L. The third
   stands for a servo of some size where there is neither.
@@ -31,9 +31,9 @@ from rejoint.arms import Arm, Array, frames, gravity_torque, mycobot280, solve_p
 from rejoint.arms.kinematics import GRAVITY
 from rejoint.arms.workspace import reach
 
-FLOOR = 0.1
-"""Least effort of a joint by that of the most loaded one (chosen: in small arms and large ones the motors of the
-wrist have a tenth to a third of the torque of those near the base)."""
+FLOOR = 0.3
+"""Least effort of a joint by the largest load (chosen: in small arms as in large ones neighbouring joints have the same
+motors or the next size, and those of the wrist a fifth to all of the torque of those near the base)."""
 
 _GRID = 5
 """Targets along each edge of the region over which the gravity torques are taken (chosen)."""

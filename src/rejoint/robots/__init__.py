@@ -11,6 +11,8 @@ from rejoint.robots.address import EmulatedAddress, parse_address
 
 DEFAULT_ARM = "mycobot280"
 """Arm behind an address that does not say: the vendor's client speaks to no other."""
+SIMULATOR = ("mujoco", "numba")
+"""Modules that emulated arms need."""
 _EMULATED_PERIOD = (0.020, 0.030)
 """[s] Park et al. 2024 name 20 ms; the wire adds up to half of it (chosen)"""
 
@@ -72,7 +74,7 @@ def _open_emulated(
 
 
 def _require_simulator(address: str) -> None:
-    missing = [name for name in ("mujoco", "numba") if importlib.util.find_spec(name) is None]
+    missing = [name for name in SIMULATOR if importlib.util.find_spec(name) is None]
     if missing:
         raise AddressError(
             f"{address} needs {' and '.join(missing)}, which are not installed; "
@@ -80,4 +82,4 @@ def _require_simulator(address: str) -> None:
         )
 
 
-__all__ = ["DEFAULT_ARM", "default_arm", "open_robot"]
+__all__ = ["DEFAULT_ARM", "SIMULATOR", "default_arm", "open_robot"]
