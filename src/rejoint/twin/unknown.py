@@ -2,7 +2,7 @@
 
 Logs from elsewhere say little about the arm that made them. So every range spans what is on the market,
 from hobby servos to geared industrial joints, in units of the arm's own gravity load. The ranges only
-have to contain the truth: a prior of a factor of 3 to 4 weighs less than a second of motion.
+have to contain the truth: a prior of a factor of 2.5 weighs less than a second of motion.
 """
 
 from __future__ import annotations
@@ -13,11 +13,11 @@ from rejoint.arms import Arm
 from rejoint.twin.parameters import PARAMETERS, Parameter, Prior, prior
 
 _NOMINAL: dict[str, dict[str, float]] = {
-    # chosen: geometric middle of worn (7) and healthy (35 N m/rad) hobby servos; stiffer ones within two sigma
-    "stiffness": {"nominal": 16.0, "sigma": 1.2, "upper": 1000.0, "wrist": 1.0},
+    # chosen: geometric middle of worn (7) and healthy (35 N m/rad) hobby servos; stiffer ones within three sigma
+    "stiffness": {"nominal": 16.0, "sigma": 0.9, "upper": 1000.0, "wrist": 1.0},
     # chosen: a servo that follows within 50 ms; damping over stiffness is that lag
-    "damping": {"nominal": 0.8, "sigma": 1.2, "upper": 100.0, "wrist": 1.0},
-    "coulomb": {"nominal": 0.2, "sigma": 1.2, "upper": 10.0, "wrist": 1.0},
+    "damping": {"nominal": 0.8, "sigma": 0.9, "upper": 100.0, "wrist": 1.0},
+    "coulomb": {"nominal": 0.2, "sigma": 1.0, "upper": 10.0, "wrist": 1.0},
     # measured: 0.01 to 0.03 kg m^2 for geared hobby servos
     "armature": {"nominal": 0.015, "sigma": 1.0, "lower": 5e-4, "upper": 1.0},
     # chosen: twice and more what the arm weighs, or nobody would have recorded it moving
