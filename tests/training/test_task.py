@@ -1,4 +1,5 @@
 import numpy as np
+import pytest
 
 from rejoint.arms import mycobot280, tcp_position
 from rejoint.control.controller import Situation
@@ -7,7 +8,7 @@ from rejoint.control.observation import layout_slots
 from rejoint.control.policy import PolicyController
 from rejoint.control.residual import CommandLaw
 from rejoint.control.robot import JointState
-from rejoint.training.presets import DEFAULT, PAPER
+from rejoint.training.presets import PAPER
 from rejoint.training.ranges import BroadRanges, PaperRanges
 from rejoint.training.reward import paper_reward, residual_reward
 from rejoint.training.task import ReachTask, TaskSettings
@@ -16,15 +17,18 @@ from rejoint.training.truth import truth_size
 ARM = mycobot280()
 
 
-def make(agents=8, settings=DEFAULT.task, seed=1, **ranges) -> ReachTask:
+GOAL = CommandLaw(anchor="goal", stiffness=(6.0,) * 6)
+
+
+def make(agents=8, settings=TaskSettings(law=GOAL), seed=1, **ranges) -> ReachTask:  # noqa: B008 - frozen
     return ReachTask(ARM, BroadRanges(arm=ARM, **ranges), agents, settings, seed=seed)
 
 
 class Scripted(PolicyController):
     """Deployment code with a network that plays back actions."""
 
-    def __init__(self, actions):
-        contract = type("Contract", (), {"layout": "residual", "law": TaskSettings().law})()
+    def __init__(self, actions, law=GOAL):
+        contract = type("Contract", (), {"layout": "residual", "law": law})()
         super().__init__(ARM, None, contract)
         self.actions, self.seen = iter(actions), []
 
@@ -33,12 +37,13 @@ class Scripted(PolicyController):
         return np.clip(next(self.actions), -1.0, 1.0)
 
 
-def test_training_and_deployment_see_and_command_the_same_bit_for_bit():
+@pytest.mark.parametrize("law", [GOAL, CommandLaw()], ids=["goal", "sent"])
+def test_training_and_deployment_see_and_command_the_same_bit_for_bit(law):
     rng = np.random.default_rng(2)
     actions = rng.normal(0.0, 0.8, (25, 6, 6)).astype(np.float32).astype(float)
-    task = make(agents=6, settings=TaskSettings(hold_steps=10**9))
+    task = make(agents=6, settings=TaskSettings(hold_steps=10**9, law=law))
     observation, _ = task.reset()
-    controller, limits = Scripted(actions), GuardLimits.of(ARM)
+    controller, limits = Scripted(actions, law), GuardLimits.of(ARM)
     sent = task._sent.copy()
     for cycle, action in enumerate(actions):
         state = JointState(time=task._time.copy(), position=task._measured.copy(), age=np.zeros(6))

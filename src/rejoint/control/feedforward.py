@@ -46,22 +46,45 @@ class FeedforwardController:
     def reset(self, situation: Situation, where: Mask) -> None:
         """Solve for the new targets of the arms in ``where`` (B,); what was learned carries over."""
         if len(self._position) != len(situation.sent):
-            self._correction, self._speed = np.zeros_like(situation.sent), np.zeros_like(situation.sent)
-            self._position = situation.state.position
+            self.forget(situation, np.ones(len(situation.sent), dtype=bool))
         self._goal.reset(situation, where)
-        self._raised = self._goal.position + gravity_torque(self._arm, self._goal.position) / self._stiffness
+        goal = self._goal.position[where]
+        self._raised[where] = goal + gravity_torque(self._arm, goal) / self._stiffness
 
     def command(self, situation: Situation) -> Array:
         """Return the raised goal postures plus the correction, (B, n) [rad]."""
-        arm, gains = self._arm, self._gains
+        seen = dls_step(self._arm, situation.state.position, situation.target)
+        return self.correct(situation, fade(seen.error, self._gains.fade) * seen.step)
+
+    def correct(self, situation: Situation, step: Array, extra: Array | float = 0.0) -> Array:
+        """Integrate ``step`` (B, n) [rad] where joints are not on their way and add ``extra`` (B, n) [rad] everywhere.
+
+        Returns what `command` returns; call one of the two per cycle.
+        """
         elapsed = self._pace.tick(situation.state.time)[:, None]
         self._observe_speed(situation.state.position, elapsed)
-        seen = dls_step(arm, situation.state.position, situation.target)
-        step = gains.rate * elapsed * fade(seen.error, gains.fade) * seen.step
-        on_its_way = (np.abs(self._speed) > MOVING) & (self._speed * step > 0.0)
+        push = self._gains.rate * elapsed * step
+        on_its_way = (np.abs(self._speed) > MOVING) & (self._speed * push > 0.0)
         # Bounded by itself, not by the measured position: on the way the command leads by the whole distance.
-        self._correction = np.clip(self._correction + np.where(on_its_way, 0.0, step), -gains.lead, gains.lead)
-        return limit_position(arm, self._raised + self._correction)
+        correction = self._correction + np.where(on_its_way, 0.0, push) + extra
+        self._correction = np.clip(correction, -self._gains.lead, self._gains.lead)
+        return limit_position(self._arm, self._raised + self._correction)
+
+    def forget(self, situation: Situation, where: Mask) -> None:
+        """Drop what was learned about the arms in ``where`` (B,), exchanged for others; `reset` must follow."""
+        if len(self._position) != len(situation.sent):
+            self._raised, self._correction, self._speed, self._position = np.zeros((4, *situation.sent.shape))
+        self._goal.forget(situation, where)
+        self._correction[where] = self._speed[where] = 0.0
+        self._position = np.where(where[:, None], situation.state.position, self._position)
+        self._pace.begin(situation.state.time, where)
+
+    def memory(self) -> dict[str, Array]:
+        """Return everything that is remembered, by name; live arrays."""
+        return {
+            "goal": self._goal.position, "raised": self._raised, "correction": self._correction, "speed": self._speed,
+            "position": self._position, "time": self._pace.last,
+        }  # fmt: skip
 
     def _observe_speed(self, position: Array, elapsed: Array) -> None:
         news = elapsed > 0.0

@@ -21,6 +21,7 @@ from rejoint.control.contract import (
 )
 from rejoint.control.controller import Situation
 from rejoint.control.observation import Observation, Observer
+from rejoint.control.residual import Commander
 from rejoint.control.robot import Mask
 from rejoint.errors import ContractError, FileError
 
@@ -37,6 +38,7 @@ class PolicyController:
         self.arm, self.contract = arm, contract
         self._session = session
         self._observer = Observer(arm, 1, contract.layout)
+        self._commander = Commander(arm, contract.law)
 
     @property
     def name(self) -> str:
@@ -50,13 +52,14 @@ class PolicyController:
             self._observer = Observer(self.arm, count, self.contract.layout)
             where = np.ones(count, dtype=bool)
         self._observer.reset(situation, where)
+        self._commander.reset(situation, where)
 
     def command(self, situation: Situation) -> Array:
         """Return the wanted joint positions (B, n) [rad]."""
-        observer, law = self._observer, self.contract.law
+        observer = self._observer
         action = self.act(observer.observe(situation))
         observer.acted(action)
-        return law.command(self.arm, observer.view, situation.state.position, situation.sent, action)
+        return self._commander.command(situation, observer.view, action)
 
     def act(self, observation: Observation) -> Array:
         """Mean action (B, n) in [-1, 1] of the network for observations (B, size)."""

@@ -1,9 +1,15 @@
-"""The command law of a learned policy: a classical step plus a bounded correction.
+"""The command law of a learned policy: a classical law plus a bounded correction.
 
-Park et al. 2024, equation 17: next command = position + damped least-squares step + action. Read
-literally (``anchor`` measured) the position is the measured one; a worn servo then forgets each
-cycle what it took to hold the arm up. Read with the last sent command (``anchor`` sent) the law
-integrates, which is what removes the sag.
+Park et al. 2024, equation 17: next command = position + damped least-squares step + action. Three
+readings, by what the action is added to (``anchor``):
+
+* ``measured``: the measured position, literally. A worn servo then forgets each cycle what it took to
+  hold the arm up.
+* ``sent``: the last sent command. The law integrates, which removes the sag.
+* ``goal``: the command of the feed-forward controller, our strongest classical law, so that the policy
+  learns what that one lacks and nothing else (residual policy learning: Silver et al. 2018,
+  arXiv:1812.06298; Johannink et al. 2019, arXiv:1812.03201). Actions add to its correction and so
+  are remembered.
 """
 
 from __future__ import annotations
@@ -15,8 +21,13 @@ from typing import Literal
 import numpy as np
 
 from rejoint.arms import Arm, Array, clip_norm, solve_position
+from rejoint.control.controller import Situation
+from rejoint.control.feedforward import FeedforwardController
+from rejoint.control.integrator import IntegratorGains
 from rejoint.control.law import GAIN, STEP_LIMIT, limit_lead, limit_position
 from rejoint.control.observation import View
+from rejoint.control.robot import Mask
+from rejoint.errors import InputError
 
 _ENVELOPE_TARGETS = 120  # chosen: with the corners they span the postures to within a degree
 
@@ -25,8 +36,10 @@ _ENVELOPE_TARGETS = 120  # chosen: with the corners they span the postures to wi
 class CommandLaw:
     """Constants of the law; they are part of a policy's contract."""
 
-    anchor: Literal["sent", "measured"] = "sent"
-    """what the step is added to"""
+    anchor: Literal["goal", "sent", "measured"] = "sent"
+    """what step and action are added to"""
+    stiffness: tuple[float, ...] = ()
+    """[N m/rad] of the servos, as far as it is known when the policy is trained; needed by the anchor ``goal``"""
     step_gain: float = GAIN
     """fraction of the damped least-squares step taken each cycle"""
     step_limit: float = float(STEP_LIMIT)
@@ -55,7 +68,7 @@ class CommandLaw:
         return np.minimum(self.authority_floor + self.authority_slope * largest, self.authority_limit)
 
     def command(self, arm: Arm, view: View, position: Array, sent: Array, action: Array) -> Array:
-        """Return the wanted joint positions (B, n) [rad].
+        """Return the wanted joint positions (B, n) [rad] of the anchors ``sent`` and ``measured``.
 
         ``position`` (B, n) [rad] is measured, ``sent`` (B, n) [rad] the last command after the guard,
         ``action`` (B, n) the policy's output in [-1, 1], ``view`` made at the same position.
@@ -69,6 +82,41 @@ class CommandLaw:
         lower, upper = working_envelope(arm, self.envelope_margin)
         wanted = np.minimum(np.maximum(wanted, lower), upper)
         return limit_position(arm, limit_lead(wanted, position, self.lead_limit))
+
+
+class Commander:
+    """Turns actions into commands for B arms and remembers what the law needs between cycles."""
+
+    def __init__(self, arm: Arm, law: CommandLaw) -> None:
+        self._arm, self.law = arm, law
+        self._base: FeedforwardController | None = None
+        if law.anchor == "goal":
+            if len(law.stiffness) != arm.joints:
+                raise InputError(f"the law needs the stiffness of {arm.joints} servos, got {list(law.stiffness)}")
+            self._base = FeedforwardController(arm, np.array(law.stiffness), IntegratorGains(lead=law.lead_limit))
+
+    def reset(self, situation: Situation, where: Mask) -> None:
+        """Take over the new targets of the arms in ``where`` (B,)."""
+        if self._base is not None:
+            self._base.reset(situation, where)
+
+    def forget(self, situation: Situation, where: Mask) -> None:
+        """Start afresh with other arms in ``where`` (B,)."""
+        if self._base is not None:
+            self._base.forget(situation, where)
+
+    def command(self, situation: Situation, view: View, action: Array) -> Array:
+        """Return the wanted joint positions (B, n) [rad] for actions (B, n) in [-1, 1]."""
+        law = self.law
+        if self._base is None:
+            return law.command(self._arm, view, situation.state.position, situation.sent, action)
+        extra = law.authority(view.step) * np.clip(action, -1.0, 1.0)
+        # The step does not fade near the target: what keeps the arm from hunting there is the policy.
+        return self._base.correct(situation, clip_norm(view.step, law.step_limit), extra)
+
+    def memory(self) -> dict[str, Array]:
+        """Return everything that is remembered, by name; live arrays."""
+        return {} if self._base is None else self._base.memory()
 
 
 @lru_cache(maxsize=32)

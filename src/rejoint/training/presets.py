@@ -55,7 +55,7 @@ class Preset:
     ppo: PpoSettings = field(default_factory=PpoSettings)
 
 
-DEFAULT = Preset(name="default")
+DEFAULT = Preset(name="default", task=TaskSettings(law=CommandLaw(anchor="goal")))
 
 PAPER = Preset(
     name="paper",

@@ -20,7 +20,7 @@ from rejoint.arms import Arm, Array, gravity_torque, tcp_position
 from rejoint.control.controller import Situation
 from rejoint.control.guard import GuardLimits, guard
 from rejoint.control.observation import Layout, Observation, Observer
-from rejoint.control.residual import CommandLaw
+from rejoint.control.residual import Commander, CommandLaw
 from rejoint.control.robot import JointState, Mask
 from rejoint.training.ranges import Draw, Ranges
 from rejoint.training.reward import SUCCESS_DISTANCE, paper_reward, residual_reward
@@ -92,6 +92,7 @@ class ReachTask:
         self.arm, self.ranges, self.settings, self.agents = arm, ranges, settings, agents
         self.twins = TwinBatch(arm, agents, threads=threads)
         self.observer = Observer(arm, agents, settings.layout)
+        self.commander = Commander(arm, settings.law)
         self.wire = Wire(agents, n, SUBSTEPS)
         self.truth_size = truth_size(n)
         self._limits = GuardLimits.of(arm)
@@ -157,6 +158,7 @@ class ReachTask:
             **{name: getattr(self, f"_{name}") for name in own},
             **{f"wire.{name}": value for name, value in self.wire.state().items()},
             **{f"observer.{name}": value for name, value in self.observer.state().items()},
+            **{f"commander.{name}": value for name, value in self.commander.memory().items()},
             **{f"twins.{name}": value for name, value in self.twins.state().items()},
         }
 
@@ -168,7 +170,7 @@ class ReachTask:
         """Decide and send, as `PolicyController` and the control loop do."""
         situation, observer = self._situation(), self.observer
         observer.acted(action)
-        wanted = self.settings.law.command(self.arm, observer.view, self._measured, self._sent, action)
+        wanted = self.commander.command(situation, observer.view, action)
         self._sent = guard(self._limits, wanted, self._sent, situation.state, self._period).command
         self.wire.send(self._sent, self._time)
 
@@ -214,6 +216,7 @@ class ReachTask:
         self._since[where] = 0.0
         self._step[where] = 0
         self.observer.reset(self._situation(), where)
+        self.commander.reset(self._situation(), where)
 
     def _new_arms(self, where: Mask) -> None:
         """Draw other arms, standing at a posture near rest."""
@@ -232,6 +235,7 @@ class ReachTask:
         self._coulomb[where], self._stiction[where] = draw.twin.coulomb, draw.stiction
         self._time[where], self._count[where] = 0.0, 0
         self._fixed[where] = fixed_truth(self.arm, draw)
+        self.commander.forget(self._situation(), where)
 
     def _start_postures(self, draw: Draw) -> Array:
         """Postures (m, n) [rad] around rest, inside the guard's limits and above the floor."""

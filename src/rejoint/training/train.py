@@ -23,6 +23,7 @@ from rejoint.training.learner import CurvePoint, Learner
 from rejoint.training.presets import Preset, load_preset
 from rejoint.training.ranges import BroadRanges, PaperRanges, Ranges, identified_ranges
 from rejoint.training.task import ReachTask
+from rejoint.twin.parameters import nominal_parameters
 from rejoint.twin.twin import Twin
 
 OnProgress = Callable[[float, float, str], None]
@@ -87,7 +88,7 @@ def train(
     checkpoint and no policy; with `TrainingOptions.resume` it goes on from there to the same end.
     """
     options = TrainingOptions() if options is None else options
-    recipe, folder = options.recipe, RunFolder(out)
+    recipe, folder = _know_stiffness(options.recipe, arm, twin), RunFolder(out)
     checkpoint, curves = folder.training / "checkpoint.pt", folder.training / "curves.parquet"
     torch.set_num_threads(1)  # measured: networks of this size lose by a second thread
     learner = _learner(arm, twin, recipe, options)
@@ -131,6 +132,16 @@ def _learner(arm: Arm, twin: Twin | None, recipe: Preset, options: TrainingOptio
     ranges = training_ranges(arm, twin, recipe)
     task = ReachTask(arm, ranges, options.agents, recipe.task, seed=options.seed, threads=options.threads)
     return Learner(task, recipe.ppo, seed=options.seed)
+
+
+def _know_stiffness(recipe: Preset, arm: Arm, twin: Twin | None) -> Preset:
+    """Tell a law that raises its goals against gravity how soft the servos are: as the twin has it, else the prior."""
+    law = recipe.task.law
+    if law.anchor != "goal" or law.stiffness:
+        return recipe
+    stiffness = nominal_parameters(arm).stiffness if twin is None else twin.parameters.stiffness
+    law = replace(law, stiffness=tuple(np.round(stiffness, 6).tolist()))
+    return replace(recipe, task=replace(recipe.task, law=law))
 
 
 def _identity(arm: Arm, twin: Twin | None, recipe: Preset, options: TrainingOptions) -> dict[str, Any]:

@@ -1,0 +1,83 @@
+"""The command law around the feed-forward controller: what it raises, remembers and forgets."""
+
+import numpy as np
+import pytest
+
+from rejoint.arms import gravity_torque, mycobot280, solve_position, tcp_position
+from rejoint.control.controller import Situation
+from rejoint.control.observation import look
+from rejoint.control.residual import Commander, CommandLaw
+from rejoint.control.robot import JointState
+from rejoint.errors import InputError
+
+ARM = mycobot280()
+STIFFNESS = (5.0, 6.0, 7.0, 4.0, 5.0, 6.0)
+LAW = CommandLaw(anchor="goal", stiffness=STIFFNESS)
+EVERY = np.ones(2, dtype=bool)
+
+
+def situation(position: np.ndarray, target: np.ndarray, time: float = 0.0) -> Situation:
+    state = JointState(time=np.full(2, time), position=position, age=np.zeros(2))
+    return Situation(state=state, target=target, sent=position, since_target=np.zeros(2))
+
+
+def command(commander: Commander, now: Situation, action: np.ndarray) -> np.ndarray:
+    return commander.command(now, look(ARM, now.state.position, now.target), action)
+
+
+def test_without_error_or_action_it_sends_the_goal_raised_by_its_sag() -> None:
+    targets = ARM.targets.sample(np.random.default_rng(1), (2,))
+    goal = solve_position(ARM, targets, np.tile(ARM.rest, (2, 1))).q
+    commander = Commander(ARM, LAW)
+    commander.reset(situation(np.tile(ARM.rest, (2, 1)), targets), EVERY)
+    now = situation(goal, tcp_position(ARM, goal))
+    expected = goal + gravity_torque(ARM, goal) / np.array(STIFFNESS)
+    np.testing.assert_allclose(command(commander, now, np.zeros((2, 6))), expected, atol=1e-12)
+
+
+def test_an_action_is_remembered_until_the_arm_is_exchanged() -> None:
+    rest = np.tile(ARM.rest, (2, 1))
+    now = situation(rest, tcp_position(ARM, rest))
+    commander = Commander(ARM, LAW)
+    commander.reset(now, EVERY)
+    before = command(commander, now, np.zeros((2, 6)))
+    pushed = command(commander, now, np.full((2, 6), 2.0))  # beyond 1 counts as 1
+    np.testing.assert_allclose(pushed - before, LAW.authority_floor, atol=1e-12)
+    np.testing.assert_allclose(command(commander, now, np.zeros((2, 6))), pushed, atol=1e-12)
+    commander.reset(now, EVERY)
+    np.testing.assert_allclose(command(commander, now, np.zeros((2, 6))), pushed, atol=1e-12)
+    commander.forget(now, np.array([True, False]))
+    commander.reset(now, np.array([True, False]))
+    after = command(commander, now, np.zeros((2, 6)))
+    np.testing.assert_allclose(after[0], before[0], atol=1e-12)
+    np.testing.assert_allclose(after[1], pushed[1], atol=1e-12)
+
+
+def test_what_is_learned_is_bounded() -> None:
+    rest = np.tile(ARM.rest, (2, 1))
+    now = situation(rest, ARM.targets.sample(np.random.default_rng(2), (2,)))
+    commander = Commander(ARM, LAW)
+    commander.reset(now, EVERY)
+    first = command(commander, now, np.zeros((2, 6)))
+    for cycle in range(300):
+        last = command(commander, situation(rest, now.target, 0.02 * cycle), np.ones((2, 6)))
+    assert np.abs(last - first).max() <= LAW.lead_limit + 1e-9
+    assert np.abs(last - first).max() > 0.9 * LAW.lead_limit
+
+
+def test_goals_do_not_drift_with_what_is_learned() -> None:
+    """The null space holds one joint that turns the tool only: no correction may add up there."""
+    rng = np.random.default_rng(3)
+    commander = Commander(ARM, LAW)
+    q = np.tile(ARM.rest, (2, 1))
+    for _ in range(60):
+        now = situation(q, ARM.targets.sample(rng, (2,)))
+        commander.reset(now, EVERY)
+        for _ in range(5):
+            q = command(commander, now, np.ones((2, 6)))
+    assert np.abs(q[:, 5] - ARM.rest[5]).max() < LAW.lead_limit + np.radians(10.0)
+
+
+def test_the_stiffness_of_every_servo_is_needed() -> None:
+    with pytest.raises(InputError, match="stiffness of 6 servos, got"):
+        Commander(ARM, CommandLaw(anchor="goal"))
