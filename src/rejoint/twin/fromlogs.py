@@ -13,6 +13,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rejoint.arms import Arm
 from rejoint.errors import InputError
@@ -62,7 +63,7 @@ class LogSettings:
     """[s] between restarts from the measured state; 1 to 50 s make no difference (measured on a real arm)"""
     coarse_seconds: float = 160.0
     """[s] of motion that decides on the structure"""
-    fit_seconds: float = 400.0
+    fit_seconds: float = 480.0
     """[s] of motion of the final fit, spread over all motions"""
     contact_seconds: float = 80.0
     """[s] of motion in contact that the table is fitted to"""
@@ -106,7 +107,7 @@ def identify_logs(
     height = settings.table_height if settings.table_height is not None else table_height(arm, seen)
     excluded = find_exclusions(arm, seen, height)
     on_progress("search", 0.0)
-    problem, found = _fit(arm, seen, excluded, settings, on_progress)
+    problem, found = fit_motions(arm, seen, excluded, settings, on_progress)
     on_progress("table", 0.7)
     table = None if height is None or not settings.table else _fit_table(problem, found, excluded, height, settings)
     on_progress("held-out motions", 0.8)
@@ -152,14 +153,14 @@ def _rows(log: RunLog, rows: slice, suffix: str) -> RunLog:
     )  # fmt: skip
 
 
-def _fit(
+def fit_motions(
     arm: Arm,
     logs: Sequence[RunLog],
     excluded: Sequence[Exclusions],
     settings: LogSettings,
-    on_progress: Callable[[str, float], None],
+    on_progress: Callable[[str, float], None] = lambda _stage, _fraction: None,
 ) -> tuple[Problem, Fit]:
-    """Decide on the structure with a part of the windows, then descend on more of them."""
+    """Fit the free motion of logs: a part of the windows decides on the structure, more of them on the values."""
     windows = free_windows(logs, excluded, settings.window)
     seconds = sum(float(logs[w.log].time[w.last - 1] - logs[w.log].time[w.first]) for w in windows)
     if seconds < SHORTEST:
@@ -197,12 +198,17 @@ def _fit_table(
     return fit_table(touching, parameters, height)
 
 
+def independent(problem: Problem) -> NDArray[np.integer]:
+    """(rows,) numbers of the stretches that intervals take as independent: motions, or windows where there are few."""
+    windows = problem.replay.windows
+    return by_motion(windows) if len({w.log for w in windows}) >= CLUSTERED else problem.window
+
+
 def _twin(problem: Problem, found: Fit, judgement: Judgement, table: Table | None) -> Twin:
     """Put together what is known, with bounds that hold what the arm has shown."""
     replay, belief = problem.replay, problem.prior
     arm, windows = replay.arm, replay.windows
-    motions = len({w.log for w in windows})
-    knowledge = uncertainty(problem, found, by_motion(windows) if motions >= CLUSTERED else problem.window)
+    knowledge = uncertainty(problem, found, independent(problem))
     twin = Twin(
         arm=arm.name,
         joint_names=arm.joint_names,

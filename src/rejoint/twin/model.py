@@ -62,7 +62,7 @@ def twin_model(
         raise InputError(
             f"twin: parameters of shape {parameters.stiffness_shape}, expected one twin of {arm.joints} joints"
         )
-    model = _spec(arm, table).compile()
+    model = twin_spec(arm, table).compile()
     for name, value in model_fields(parameters, np.asarray(timestep), np.asarray(gravity_scale)):
         if name == "opt.timestep":
             model.opt.timestep = float(value)
@@ -102,7 +102,8 @@ def friction_solref(timestep: Array) -> Array:
     return np.stack([2.0 * timestep, np.ones_like(timestep)], axis=-1)
 
 
-def _spec(arm: Arm, table: bool = False) -> mujoco.MjSpec:
+def twin_spec(arm: Arm, table: bool = False) -> mujoco.MjSpec:
+    """Describe the model of an arm without the parameters of a twin; actuators and joints in the arm's order."""
     spec = mujoco.MjSpec()
     spec.modelname = arm.name
     option = spec.option
