@@ -81,7 +81,7 @@ def find_exclusions(arm: Arm, logs: Sequence[RunLog], table: float | None = None
         contact = np.zeros(len(log), dtype=bool)
         if table is not None:
             contact = tcp_position(arm, log.position)[:, 2] < table + MARGIN
-        stopped = _stopped(log, ends)
+        stopped = _stopped(log, ends) & ~contact  # a table stops joints too, at the end of what they show
         found.append(
             Exclusions(
                 contact=_recovering(log.time, contact),
@@ -95,11 +95,10 @@ def find_exclusions(arm: Arm, logs: Sequence[RunLog], table: float | None = None
 def table_height(arm: Arm, logs: Sequence[RunLog]) -> float | None:
     """Height [m] in the base frame of the tip on a table that the arm leans on in some logs; None if it never does."""
     heights, held, weights = [], [], []
-    ends = _travel(logs)
     for log in logs:
         tip, asked = (tcp_position(arm, q)[:, 2] for q in (log.position, log.command))
         told = (_speed(log.time, log.position) < SLOW) & (_speed(log.time, log.command) < SLOW)
-        told &= ~_stopped(log, ends) & ~_stale(log)
+        told &= ~_stale(log)
         heights.append(tip[told])
         held.append((tip - asked)[told] > HELD_UP)
         weights.append(np.full(int(told.sum()), float(np.median(np.diff(log.time)))))

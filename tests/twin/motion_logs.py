@@ -1,0 +1,77 @@
+"""Logs of an SO-101 whose truth is known, because it is a twin: several motions, on a table or in free space."""
+
+import numpy as np
+
+from rejoint.arms import so101
+from rejoint.runs import RunLog
+from rejoint.twin.batch import TwinBatch
+from rejoint.twin.model import stribeck_friction
+from rejoint.twin.parameters import TwinParameters
+from rejoint.twin.reference import Reference
+
+ARM = so101()
+STEP, PERIOD = 0.005, 0.02
+TRUTH = TwinParameters(
+    stiffness=[20.0, 17.0, 18.0, 15.0, 18.0], damping=[1.4, 1.0, 1.1, 0.9, 1.2], coulomb=[0.15, 0.4, 0.5, 0.2, 0.18],
+    armature=[0.02, 0.012, 0.014, 0.010, 0.012], torque_limit=[20.0] * 5,
+    offset=np.radians([0.1, 0.6, 0.8, 0.2, -0.1]), delay=0.008, ramp_speed=40.0,
+)  # fmt: skip
+
+
+def wandering(seed, seconds, centre=(0.0, -0.2, 0.3, 0.4, 0.0), size=0.25):
+    """Commands (T, n) of a motion: sums of sines, then steps to random postures, half of the time each."""
+    rng = np.random.default_rng(seed)
+    time = np.arange(0.0, seconds, PERIOD)
+    command = np.tile(centre, (len(time), 1))
+    half = len(time) // 2
+    for j in range(ARM.joints):
+        for frequency in (0.13, 0.31, 0.74):
+            wave = np.sin(2 * np.pi * frequency * (1 + 0.1 * j) * time + rng.uniform(0, 6.3))
+            command[:, j] += size * (0.5 if frequency > 0.5 else 0.8) * wave * np.minimum(time, 1.0)
+    postures = centre + rng.uniform(-size, size, (int(seconds) + 1, ARM.joints))
+    command[half:] = postures[(time[half:] / 1.3).astype(int)]
+    # Nobody sends jumps this large: a first-order filter of 150 ms.
+    for k in range(half, len(time)):
+        command[k] = command[k - 1] + (command[k] - command[k - 1]) * PERIOD / 0.15
+    return time, command
+
+
+def record(label, time, command, truth=TRUTH, stiction=1.25, table=None):
+    """Run log of the arm whose twin is ``truth`` under commands that are in force from each row on."""
+    batch = TwinBatch(ARM, 1, STEP, table=table is not None)
+    batch.write(truth)
+    if table is not None:
+        batch.put_tables([table])
+    batch.restart(command[:1])
+    reference = Reference(time, command, np.atleast_1d(truth.ramp_speed), command[0])
+    grid = np.arange(int((time[-1] - time[0]) / STEP) + 2) * STEP + time[0]
+    control = reference.sample(grid, np.atleast_1d(truth.delay))[0]
+    batch.rollout(np.tile(control[:1], (1, 400, 1)).reshape(1, 400, -1), stiction)
+    path = [batch.qpos[0].copy()]
+    for row in control:
+        batch.ctrl[:] = row
+        batch.set_friction(stribeck_friction(truth.coulomb, stiction, batch.qvel))
+        batch.step()
+        path.append(batch.qpos[0].copy())
+    clock = time[0] + np.arange(len(path)) * STEP
+    position = np.stack([np.interp(time, clock, column) for column in np.array(path).T], axis=1)
+    position = np.round(position / ARM.encoder_step) * ARM.encoder_step
+    return as_log(label, time, position, command)
+
+
+def as_log(label, time, position, command):
+    nowhere = np.full((len(time), 3), np.nan)
+    return RunLog(
+        arm=ARM.name, joint_names=ARM.joint_names, robot="twin", label=label, time=time, position=position,
+        command=command, target=nowhere, true_tcp=nowhere,
+    )  # fmt: skip
+
+
+def pressing(seconds=24.0, depth=0.5):
+    """Commands that push the tip down on whatever is below and lift it again, twice; 6 s of rest at the end."""
+    time = np.arange(0.0, seconds + 6.0, PERIOD)
+    command = np.tile([0.0, 0.05, 0.35, 0.9, 0.0], (len(time), 1))
+    phase = (time / (seconds / 2)) % 1.0
+    command[:, 1] += depth * np.clip(4 * np.minimum(phase, 1 - phase) - 0.3, 0.0, 1.0) * (time < seconds)
+    command[:, 0] += 0.1 * np.sin(2 * np.pi * time / 20.0)
+    return time, command

@@ -1,0 +1,118 @@
+"""Contacts, stops and dead readings, put into logs on purpose."""
+
+import numpy as np
+import pytest
+from motion_logs import ARM, as_log, pressing, record, wandering
+from rejoint.arms import tcp_position
+from rejoint.twin.exclusions import MARGIN, RECOVERY, find_exclusions, free_runs, table_height
+from rejoint.twin.segments import by_motion, contact_windows, free_windows, thin
+from rejoint.twin.table import Table
+
+TABLE = Table(height=-0.02, slope_x=0.0, slope_y=0.0, stiffness=2e4, friction=0.2)
+
+
+@pytest.fixture(scope="module")
+def touching():
+    return record("press", *pressing(), table=TABLE)
+
+
+@pytest.fixture(scope="module")
+def free():
+    return record("free", *wandering(0, 24.0, centre=(0.0, -0.4, 0.2, 0.3, 0.0)))
+
+
+def test_the_table_is_found_where_the_tip_is_held_up(touching, free):
+    tip = tcp_position(ARM, touching.position)[:, 2]
+    assert tip.min() < TABLE.height - 0.0005  # it does press
+    found = table_height(ARM, [touching, free])
+    assert found == pytest.approx(TABLE.height, abs=0.006)
+
+
+def test_without_contact_there_is_no_table(free):
+    assert table_height(ARM, [free]) is None
+    assert find_exclusions(ARM, [free])[0].free.all()
+
+
+def test_an_arm_that_goes_as_low_in_free_space_has_no_table():
+    log = record("low", *pressing())
+    assert tcp_position(ARM, log.position)[:, 2].min() < TABLE.height - 0.02
+    assert table_height(ARM, [log]) is None
+
+
+def test_contact_rows_and_the_seconds_after_are_masked(touching):
+    rows = find_exclusions(ARM, [touching], TABLE.height)[0]
+    tip = tcp_position(ARM, touching.position)[:, 2]
+    low = tip < TABLE.height + MARGIN
+    assert rows.contact[low].all()
+    last = np.flatnonzero(low)[-1]
+    after = (touching.time > touching.time[last]) & (touching.time <= touching.time[last] + RECOVERY)
+    assert rows.contact[after].all()
+    far = touching.time > touching.time[last] + RECOVERY + 0.1
+    assert far.any()
+    assert not rows.contact[far].any()
+    assert rows.readable.all()
+
+
+def test_a_joint_at_a_stop_is_found(free):
+    position = free.position.copy()
+    stop = np.quantile(free.command[:, 4], 0.3)
+    position[:, 4] = np.maximum(free.position[:, 4], stop + 0.15)
+    blocked = as_log("blocked", free.time, position, free.command)
+    rows = find_exclusions(ARM, [blocked])[0]
+    error = position[:, 4] - free.command[:, 4]
+    assert rows.stop[(error > np.radians(12)) & (position[:, 4] <= stop + 0.151)].mean() > 0.9
+    assert not rows.stop.all()
+    assert not rows.contact.any()
+    assert not rows.stale.any()
+
+
+def test_dead_readings_are_found(free):
+    position = free.position.copy()
+    position[300:420] = position[300]
+    rows = find_exclusions(ARM, [as_log("dead", free.time, position, free.command)])[0]
+    assert rows.stale[302:420].all()
+    assert not rows.stale[:300].any()
+    assert not rows.stale[420 + round(RECOVERY / 0.02) + 2 :].any()
+
+
+def test_a_resting_arm_is_not_dead(free):
+    still = np.tile(free.command[:1], (len(free), 1))
+    rows = find_exclusions(ARM, [as_log("still", free.time, still, still)])[0]
+    assert rows.free.all()
+
+
+def test_runs_end_at_gaps_in_time():
+    time = np.arange(100) * 0.02
+    time[60:] += 1.0
+    free = np.ones(100, dtype=bool)
+    free[20] = False
+    assert free_runs(free, time, 0.1) == [(0, 20), (21, 60), (60, 100)]
+    assert free_runs(free, time, 0.5) == [(21, 60), (60, 100)]
+
+
+def test_windows_hold_free_rows_only_and_contacts_apart(touching, free):
+    logs = [touching, free]
+    rows = find_exclusions(ARM, logs, TABLE.height)
+    windows = free_windows(logs, rows, 4.0)
+    for w in windows:
+        assert rows[w.log].free[w.first : w.last].all()
+        assert logs[w.log].time[w.last - 1] - logs[w.log].time[w.first] < 4.3
+    covered = np.zeros(len(free), dtype=int)
+    for w in windows:
+        if w.log == 1:
+            covered[w.first : w.last] += 1
+    np.testing.assert_array_equal(covered, rows[1].free)
+    assert set(by_motion(windows)) == {0, 1}
+    contacts = np.concatenate([np.arange(w.first, w.last) for w in contact_windows(logs, rows, 4.0)])
+    assert {w.log for w in contact_windows(logs, rows, 4.0)} == {0}
+    assert set(np.flatnonzero(rows[0].contact)) <= set(contacts)
+
+
+def test_thinning_keeps_the_share_and_spreads_it(free):
+    logs = [free] * 6
+    rows = find_exclusions(ARM, logs)
+    windows = free_windows(logs, rows, 4.0)
+    kept = thin(windows, logs, 48.0)
+    assert sum(free.time[w.last - 1] - free.time[w.first] for w in kept) == pytest.approx(48.0, abs=4.5)
+    assert {w.log for w in kept} == set(range(6))
+    assert thin(windows, logs, 1e6) == windows
