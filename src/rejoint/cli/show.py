@@ -56,7 +56,9 @@ def comparison(terminal: Terminal, result: Comparison, advice: Recommendation) -
     sets, count = len(result.targets), len(result.targets[0])
     title = f"{result.robot}: {sets} sets of {count} targets, {result.repetitions} repetitions"
     terminal.table(title, headers, rows, bold=result.controllers.index(advice.controller))
-    terminal.result(f"Recommended: {advice.controller}. {' '.join(advice.why)}")
+    terminal.result(f"Recommended: {advice.controller}")
+    for reason in advice.why:
+        terminal.result(f"  - {reason}")
 
 
 def verdict(terminal: Terminal, before: Diagnosis, result: Comparison, advice: Recommendation) -> None:

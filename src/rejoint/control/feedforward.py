@@ -74,7 +74,6 @@ class FeedforwardController:
         """Drop what was learned about the arms in ``where`` (B,), exchanged for others; `reset` must follow."""
         if len(self._position) != len(situation.sent):
             self._raised, self._correction, self._speed, self._position = np.zeros((4, *situation.sent.shape))
-        self._goal.forget(situation, where)
         self._correction[where] = self._speed[where] = 0.0
         self._position = np.where(where[:, None], situation.state.position, self._position)
         self._pace.begin(situation.state.time, where)

@@ -18,18 +18,10 @@ class Goal:
         """(B, n) [rad]"""
 
     def reset(self, situation: Situation, where: Mask) -> None:
-        """Solve for the targets of the arms in ``where`` (B,), searching from their last goals.
+        """Solve for the targets of the arms in ``where`` (B,), searching from their last commands.
 
-        The first search starts at the last command. Later ones do not: a command holds what a
-        controller has learned about sag, and in the null space that would add up from goal to goal.
         A target out of reach gets the nearest posture found.
         """
         if len(self.position) != len(situation.sent):
             self.position = situation.sent.copy()
-        self.position[where] = solve_position(self._arm, situation.target[where], self.position[where]).q
-
-    def forget(self, situation: Situation, where: Mask) -> None:
-        """Let the next search of the arms in ``where`` (B,) start at their last commands."""
-        if len(self.position) != len(situation.sent):
-            self.position = situation.sent.copy()
-        self.position[where] = situation.sent[where]
+        self.position[where] = solve_position(self._arm, situation.target[where], situation.sent[where]).q

@@ -112,7 +112,9 @@ class Commander:
             return law.command(self._arm, view, situation.state.position, situation.sent, action)
         extra = law.authority(view.step) * np.clip(action, -1.0, 1.0)
         # The step does not fade near the target: what keeps the arm from hunting there is the policy.
-        return self._base.correct(situation, clip_norm(view.step, law.step_limit), extra)
+        wanted = self._base.correct(situation, clip_norm(view.step, law.step_limit), extra)
+        lower, upper = working_envelope(self._arm, law.envelope_margin)
+        return np.minimum(np.maximum(wanted, lower), upper)
 
     def memory(self) -> dict[str, Array]:
         """Return everything that is remembered, by name; live arrays."""
