@@ -18,7 +18,7 @@ TRUTH = TwinParameters(
 )  # fmt: skip
 
 
-def wandering(seed, seconds, centre=(0.0, -0.2, 0.3, 0.4, 0.0), size=0.25):
+def wandering(seed, seconds, centre=(0.0, -0.4, 0.2, 0.3, 0.0), size=0.25):
     """Commands (T, n) of a motion: sums of sines, then steps to random postures, half of the time each."""
     rng = np.random.default_rng(seed)
     time = np.arange(0.0, seconds, PERIOD)

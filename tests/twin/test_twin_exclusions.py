@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from motion_logs import ARM, as_log, pressing, record, wandering
+
 from rejoint.arms import tcp_position
 from rejoint.twin.exclusions import MARGIN, RECOVERY, find_exclusions, free_runs, table_height
 from rejoint.twin.segments import by_motion, contact_windows, free_windows, thin
@@ -18,7 +19,7 @@ def touching():
 
 @pytest.fixture(scope="module")
 def free():
-    return record("free", *wandering(0, 24.0, centre=(0.0, -0.4, 0.2, 0.3, 0.0)))
+    return record("free", *wandering(0, 24.0))
 
 
 def test_the_table_is_found_where_the_tip_is_held_up(touching, free):

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from motion_logs import ARM, TRUTH, pressing, record
+
 from rejoint.arms import gravity_torque, tcp_position
 from rejoint.arms.kinematics import frames, position_jacobian
 from rejoint.errors import InputError

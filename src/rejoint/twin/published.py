@@ -1,15 +1,15 @@
 """Parameter sets that somebody has published, as a short TOML file, to be judged beside one's own twin.
 
-    name = "arm maker's simulation model"
-    stiffness = 998.22                          # N m/rad: one value, or one for each joint
-    damping = [2.7, 2.7, 2.7, 2.7, 2.7]         # N m s/rad
-    coulomb = 0.052                             # N m
-    armature = 0.028                            # kg m^2
-    torque_limit = 2.94                         # N m; may be left out, as all that follows
-    offset = 0.0                                # rad
-    delay = 0.0                                 # s
-    ramp_speed = 50.0                           # rad/s
-    stiction = 1.0
+name = "arm maker's simulation model"
+stiffness = 998.22                          # N m/rad: one value, or one for each joint
+damping = [2.7, 2.7, 2.7, 2.7, 2.7]         # N m s/rad
+coulomb = 0.052                             # N m
+armature = 0.028                            # kg m^2
+torque_limit = 2.94                         # N m; may be left out, as all that follows
+offset = 0.0                                # rad
+delay = 0.0                                 # s
+ramp_speed = 50.0                           # rad/s
+stiction = 1.0
 """
 
 from __future__ import annotations
@@ -44,7 +44,8 @@ def read_published(path: Path, arm: Arm) -> Candidate:
         raise FileError(path, f"unknown {', '.join(unknown)}; known: {', '.join(p.name for p in PARAMETERS)}", _REMEDY)
     values = {p.name: _value(path, data, p.name, arm.joints if p.per_joint else None, arm) for p in PARAMETERS}
     parameters = TwinParameters(**values)
-    if not np.isfinite(pack(parameters)).all():
+    positive = [getattr(parameters, p.name) for p in PARAMETERS if p.log]
+    if not all((value > 0).all() for value in positive) or not np.isfinite(pack(parameters)).all():
         raise FileError(path, "every value but offset and delay must be above zero", _REMEDY)
     stiction = data.get("stiction", 1.0)
     if not isinstance(stiction, int | float) or not stiction >= 1.0:
