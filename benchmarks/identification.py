@@ -34,9 +34,9 @@ from rejoint.twin.uncertainty import uncertainty
 from rejoint.twin.unknown import unknown_prior
 
 FOLDS = 4
-HALVINGS = 4
-SHORT = LogSettings(threads=1, stictions=(1.25,), coarse_seconds=80.0, fit_seconds=300.0)
-"""For `halves`: the structure is given, and a half of the data is fitted"""
+HALVINGS = 3
+GIVEN = LogSettings(threads=1, stictions=(1.25,))
+"""For `halves`: how much joints stick is given"""
 
 
 def read(path: Path, arm: Arm) -> list[RunLog]:
@@ -114,7 +114,7 @@ def halves(arm: Arm, logs: Sequence[RunLog]) -> None:
         sides = []
         for part in (order[::2], order[1::2]):
             chosen = [logs[i] for i in sorted(part)]
-            problem, found = fit_motions(arm, chosen, find_exclusions(arm, chosen, table_height(arm, chosen)), SHORT)
+            problem, found = fit_motions(arm, chosen, find_exclusions(arm, chosen, table_height(arm, chosen)), GIVEN)
             knowledge = uncertainty(problem, found, independent(problem))
             rows = uncertainty(problem, found, np.arange(len(problem.window)))
             sides.append((found.vector, knowledge, np.diag(rows.covariance)))

@@ -74,10 +74,10 @@ class Problem:
     """Residuals, costs and Jacobians of one set of windows under one prior.
 
     Parameters named in ``frozen`` stay where a fit starts: none of them is simulated, and what is
-    believed of them is the prior.
+    believed of them is the prior. ``stride`` scales the finite-difference steps.
     """
 
-    def __init__(self, replay: Replay, prior: Prior, frozen: Collection[str] = ()) -> None:
+    def __init__(self, replay: Replay, prior: Prior, frozen: Collection[str] = (), stride: float = 1.0) -> None:
         self.replay, self.prior = replay, prior
         self.joints = replay.arm.joints
         self.measured = np.concatenate(replay.measured())
@@ -91,6 +91,7 @@ class Problem:
             if not p.log:
                 place = slice(index * n, (index + 1) * n) if p.per_joint else split + index - len(JOINT_PARAMETERS)
                 self.steps[place] = DIFFERENCE[p.name]
+        self.steps *= stride
         table = (*JOINT_PARAMETERS, *ARM_PARAMETERS)
         self._live = [index for index, p in enumerate(table) if p.name not in frozen]
         self.frozen = np.ones(len(prior.mean), dtype=bool)

@@ -1,0 +1,117 @@
+"""Identification from logs of several motions: known truth, recovered inside its intervals."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from motion_logs import ARM, STEP, TRUTH, pressing, record, wandering
+
+from rejoint.arms import tcp_position
+from rejoint.errors import InputError
+from rejoint.twin.file import read_twin, write_twin
+from rejoint.twin.fromlogs import FITTED, HEALTHY, LogSettings, hold_out, identify_logs
+from rejoint.twin.judge import NO_TWIN
+from rejoint.twin.parameters import pack, vector_names
+from rejoint.twin.table import Table
+
+TABLE = Table(height=-0.02, slope_x=0.02, slope_y=0.0, stiffness=3000.0, friction=0.2)
+QUICK = LogSettings(coarse_seconds=40.0, fit_seconds=96.0, contact_seconds=24.0, threads=1)
+
+
+@pytest.fixture(scope="module")
+def logs():
+    centres = [(0.3 * (k % 3 - 1), -0.6 + 0.15 * (k % 4), 0.3 - 0.2 * (k % 3), 0.2 * (k % 2), 0.0) for k in range(10)]
+    free = [record(f"motion{k}", *wandering(k, 20.0, centre)) for k, centre in enumerate(centres)]
+    return [*free, record("press0", *pressing(16.0), table=TABLE), record("press1", *pressing(20.0), table=TABLE)]
+
+
+@pytest.fixture(scope="module")
+def found(logs):
+    # The truth's own time step, so that nothing but the encoders stands between the two.
+    return identify_logs(ARM, logs, replace(QUICK, timestep=STEP, hold_out=("motion3", "motion8", "press1")))
+
+
+def test_held_out_motions_are_predicted(found):
+    mean = found.judgement.mean
+    assert mean[FITTED].free.tcp < 1e-3
+    assert mean[FITTED].free.joint < np.radians(0.12)
+    assert mean[FITTED].free.tcp < 0.1 * min(mean[HEALTHY].free.tcp, mean[NO_TWIN].free.tcp)
+    assert [m.motion for m in found.judgement.motions] == ["motion3", "motion8", "press1"]
+    assert not set(found.fitted) & {m.motion for m in found.judgement.motions}
+    assert found.twin.held_out.twin.tcp == mean[FITTED].free.tcp
+
+
+def test_the_intervals_hold_the_truth_at_the_rate_they_claim(found):
+    twin = found.twin
+    distance = np.abs(pack(TRUTH) - pack(twin.parameters)) / np.sqrt(np.diag(twin.covariance))
+    known = twin.identified
+    assert known.sum() >= 18
+    inside = int((distance[known] < 1.96).sum())
+    # Of n tests at 95 %, fewer than 80 % within is a chance of less than one in a hundred.
+    assert inside >= 0.8 * known.sum(), dict(zip(np.array(twin.names)[known], distance[known].round(1), strict=True))
+
+
+def test_the_structure_is_that_of_the_truth(found):
+    assert found.twin.stiction == 1.25
+    assert found.twin.parameters.ramp_speed > 20.0
+    assert (found.twin.parameters.torque_limit > 2.0).all()
+    assert not found.twin.identified[vector_names(ARM.joint_names).index("ramp_speed")]
+    assert found.twin.parameters.delay == pytest.approx(float(TRUTH.delay), abs=0.004)
+
+
+def test_the_table_is_found_and_contacts_predicted(found, logs):
+    table = found.twin.table
+    press = logs[-1]
+    tip = tcp_position(ARM, press.position)
+    low = tip[tip[:, 2] < np.quantile(tip[:, 2], 0.2)]
+    assert np.abs(table.surface(low) - TABLE.surface(low)).max() < 0.004
+    contact = found.judgement.motions[-1].errors[FITTED].contact
+    assert contact.tcp < 0.003
+    assert contact.tcp < 0.2 * found.judgement.motions[-1].errors[NO_TWIN].contact.tcp
+
+
+def test_a_twin_with_a_table_survives_its_file(found, tmp_path):
+    write_twin(tmp_path / "twin.toml", found.twin)
+    back = read_twin(tmp_path / "twin.toml", ARM)
+    assert back.table == found.twin.table
+    assert back.stiction == found.twin.stiction
+    assert back.digest() == found.twin.digest()
+    assert replace(back, table=None).digest() != back.digest()
+    assert replace(back, stiction=2.0).digest() != back.digest()
+
+
+def test_a_slow_ramp_is_noticed():
+    truth = replace(TRUTH, ramp_speed=0.7)
+    logs = [record(f"motion{k}", *wandering(k, 16.0), truth=truth) for k in range(5)]
+    settings = replace(QUICK, stictions=(1.25,), hold_out=("motion4",), fit_seconds=60.0)
+    found = identify_logs(ARM, logs, settings)
+    assert found.twin.parameters.ramp_speed == pytest.approx(0.7, rel=0.1)
+    assert found.judgement.mean[FITTED].free.tcp < 2e-3
+
+
+def test_a_stickier_arm_is_noticed():
+    logs = [record(f"motion{k}", *wandering(k, 16.0), stiction=2.0) for k in range(4)]
+    settings = replace(QUICK, hold_out=("motion3",), stictions=(1.25, 2.0), fit_seconds=32.0)
+    assert identify_logs(ARM, logs, settings).twin.stiction == 2.0
+
+
+def test_what_is_held_out(logs):
+    seen, unseen = hold_out(logs, LogSettings())
+    assert [log.label for log in unseen] == ["motion0", "motion4", "motion8"]
+    assert len(seen) + len(unseen) == len(logs)
+    seen, unseen = hold_out(logs[:1], LogSettings())
+    assert len(seen[0]) == 3 * len(unseen[0])
+    assert seen[0].time[-1] < unseen[0].time[0]
+    assert unseen[0].label == "motion0 (end)"
+    for names in (("nowhere",), (), tuple(log.label for log in logs)):
+        with pytest.raises(InputError, match="hold out"):
+            hold_out(logs, LogSettings(hold_out=names))
+    with pytest.raises(InputError, match="same label"):
+        hold_out([logs[0], logs[0]], LogSettings())
+
+
+def test_too_little_free_motion_is_refused(logs):
+    with pytest.raises(InputError, match="of free motion, expected at least 20 s"):
+        identify_logs(ARM, logs[:1], QUICK)
+    with pytest.raises(InputError, match="so101"):
+        identify_logs(ARM, [replace(log, arm="other") for log in logs], QUICK)
