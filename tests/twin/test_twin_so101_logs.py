@@ -1,0 +1,78 @@
+"""A real arm's logs: a few of the 44 motions of the SO-101 that ship with NVIDIA's SAGE.
+
+They are no part of this project: REJOINT_SO101 names their folder (output/real/so101/custom of
+github.com/isaac-sim2real/sage), or it lies in shared/data/so101 beside the checkout.
+"""
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rejoint.arms import so101
+from rejoint.logs import import_logs
+from rejoint.twin.exclusions import find_exclusions, table_height
+from rejoint.twin.fromlogs import FITTED, HEALTHY, LogSettings, identify_logs
+from rejoint.twin.judge import NO_TWIN
+from rejoint.twin.repeatability import repeatability
+
+ARM = so101()
+FOLDER = Path(os.environ.get("REJOINT_SO101", Path(__file__).parents[2].parent / "shared" / "data" / "so101"))
+
+pytestmark = pytest.mark.skipif(
+    not (FOLDER / "multisine").is_dir(), reason=f"no logs of a real SO-101 in {FOLDER}; set REJOINT_SO101"
+)
+
+FITTED_TO = ("multisine", "oscillation_low_freq", "diagonal_sweep", "coupled_joints")
+HELD_OUT = ("ramp_motion", "figure_eight", "square_pattern", "symmetric_motion", "circular_motion")
+
+
+def load(names, tmp_path):
+    return [import_logs(FOLDER / name, ARM, out=tmp_path / name).logs[0] for name in names]
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory):
+    return load((*FITTED_TO, *HELD_OUT), tmp_path_factory.mktemp("so101"))
+
+
+def test_the_arm_lies_on_its_table_in_some_motions(logs):
+    height = table_height(ARM, logs)
+    assert -0.050 < height < -0.030  # about 40 mm below the base frame
+    touching = {log.label for log, rows in zip(logs, find_exclusions(ARM, logs, height), strict=True)
+                if rows.contact.any()}  # fmt: skip
+    assert touching == {"oscillation_low_freq", "diagonal_sweep", "figure_eight"}
+    assert table_height(ARM, [log for log in logs if log.label not in touching]) is None
+
+
+def test_the_wrist_runs_into_a_stop(tmp_path):
+    log = load(("single_joint_wrist_roll",), tmp_path)[0]
+    rows = find_exclusions(ARM, [log])[0]
+    blocked = np.abs(log.command - log.position)[:, 4] > np.radians(15)
+    assert blocked.any()
+    assert (rows.stop | rows.stale)[blocked].all()
+    assert rows.free.mean() > 0.5
+
+
+def test_the_arm_repeats_itself_to_a_millimetre(tmp_path):
+    cycles = load(("repetitive_motion", "coupled_joints"), tmp_path)
+    found = repeatability(ARM, cycles, [rows.free for rows in find_exclusions(ARM, cycles, -0.0365)])
+    assert found.motions == ("repetitive_motion", "coupled_joints")
+    assert 0.5e-3 < found.tcp < 1.6e-3
+
+
+def test_motions_that_the_fit_never_saw_are_predicted(logs):
+    settings = LogSettings(
+        hold_out=HELD_OUT, coarse_seconds=80.0, fit_seconds=160.0, contact_seconds=40.0, threads=1, stictions=(1.25,)
+    )
+    found = identify_logs(ARM, logs, settings)
+    assert sorted(found.fitted) == sorted(FITTED_TO)
+    mean = found.judgement.mean
+    assert mean[NO_TWIN].free.tcp > 0.015
+    assert mean[FITTED].free.tcp < 3e-3
+    assert mean[FITTED].free.joint < np.radians(0.30)
+    assert mean[FITTED].all.tcp < 4.5e-3
+    assert mean[FITTED].free.tcp < 0.25 * mean[HEALTHY].free.tcp
+    assert found.twin.table is not None
+    assert "wrist_roll" in found.twin.unknown_scale  # neither gravity nor inertia on it
