@@ -1,5 +1,7 @@
 """Laws of the guard: finite, bounded, idempotent, transparent, the same for one arm and for many."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -208,3 +210,14 @@ def test_names_and_bad_limits():
         GuardLimits(arm=ARM, lower=ARM.lower, upper=ARM.upper, max_speed=np.ones(3))
     with pytest.raises(InputError, match="max_lead must be positive"):
         GuardLimits(arm=ARM, lower=ARM.lower, upper=ARM.upper, max_speed=ARM.max_speed, max_lead=0.0)
+
+
+def test_clearances_go_with_the_size_of_the_arm_and_follow_its_floor():
+    assert (LIMITS.joint_floor, LIMITS.tcp_floor) == (0.03, 0.02)
+    offset, tip = ARM.offset.copy(), ARM.tip.copy()
+    offset[:, :3, 3] *= 2.0
+    tip[:3, 3] *= 2.0
+    double = GuardLimits.of(dataclasses.replace(ARM, offset=offset, tip=tip, floor=0.04))
+    assert double.joint_floor == pytest.approx(2 * LIMITS.joint_floor)
+    on_a_pedestal = GuardLimits.of(dataclasses.replace(ARM, floor=-0.5))
+    assert on_a_pedestal.joint_floor == pytest.approx(-0.49)

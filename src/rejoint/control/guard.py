@@ -21,11 +21,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, frames
+from rejoint.arms.workspace import reach
 from rejoint.control.law import limit_lead
 from rejoint.control.robot import JointState, Mask
 from rejoint.errors import InputError
 
 Reasons = NDArray[np.uint16]
+
+JOINT_CLEARANCE = 0.01
+"""[m] height of joint frames above the floor of the TCP, for a myCobot 280 (chosen: the radius of a link and a little
+more, less the floor of 20 mm); goes with the reach."""
+
+_REFERENCE_REACH = 0.5216700000000001  # [m] of that arm, summed link lengths
 
 _BISECTIONS = 6
 _HEIGHT_TOLERANCE = 1e-9  # [m] rounding of the kinematics: a joint that cannot move must not look sinking
@@ -78,7 +85,7 @@ class GuardLimits:
     tcp_floor: float = 0.0
     """[m] lowest height of the TCP"""
     joint_floor: float = 0.03
-    """[m] lowest height of a joint frame (chosen: radius of a link and a little more)"""
+    """[m] lowest height of a joint frame: radius of a link and a little more, for a myCobot 280"""
     max_age: float = 0.5
     """[s] oldest joint state (chosen: ten periods of the slowest wire)"""
     max_temperature: float = 65.0
@@ -101,10 +108,15 @@ class GuardLimits:
 
     @classmethod
     def of(cls, arm: Arm, *, margin: float = np.radians(0.5)) -> GuardLimits:
-        """Limits of an arm; commands stay ``margin`` [rad] inside the joint limits (chosen)."""
+        """Limits of an arm; commands stay ``margin`` [rad] inside the joint limits (chosen).
+
+        Joint frames keep farther from the ground than the TCP, by `JOINT_CLEARANCE`, since links have a
+        thickness.
+        """
         return cls(
-            arm=arm, lower=arm.lower + margin, upper=arm.upper - margin, max_speed=arm.max_speed, tcp_floor=arm.floor
-        )
+            arm=arm, lower=arm.lower + margin, upper=arm.upper - margin, max_speed=arm.max_speed, tcp_floor=arm.floor,
+            joint_floor=arm.floor + JOINT_CLEARANCE * (reach(arm) / _REFERENCE_REACH),
+        )  # fmt: skip
 
 
 class Guarded(NamedTuple):
