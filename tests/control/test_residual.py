@@ -1,10 +1,13 @@
 """The command law around the feed-forward controller: what it raises, remembers and forgets."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from rejoint.arms import gravity_torque, mycobot280, solve_position, tcp_position
+from rejoint.arms import frames, gravity_torque, mycobot280, position_jacobian, solve_position, tcp_position
 from rejoint.control.controller import Situation
+from rejoint.control.feedforward import LEARNED_LIMIT
 from rejoint.control.observation import look
 from rejoint.control.residual import Commander, CommandLaw, working_envelope
 from rejoint.control.robot import JointState
@@ -44,8 +47,6 @@ def test_an_action_is_remembered_until_the_arm_is_exchanged() -> None:
     pushed = command(commander, now, np.full((2, 6), 2.0))  # beyond 1 counts as 1
     np.testing.assert_allclose(pushed - before, LAW.authority_floor, atol=1e-12)
     np.testing.assert_allclose(command(commander, now, np.zeros((2, 6))), pushed, atol=1e-12)
-    commander.reset(now, EVERY)
-    np.testing.assert_allclose(command(commander, now, np.zeros((2, 6))), pushed, atol=1e-12)
     commander.forget(now, np.array([True, False]))
     commander.reset(now, np.array([True, False]))
     after = command(commander, now, np.zeros((2, 6)))
@@ -53,16 +54,32 @@ def test_an_action_is_remembered_until_the_arm_is_exchanged() -> None:
     np.testing.assert_allclose(after[1], pushed[1], atol=1e-12)
 
 
+def test_a_new_target_keeps_what_moves_the_tool_and_drops_the_rest() -> None:
+    rest = np.tile(ARM.rest, (2, 1))
+    now = situation(rest, tcp_position(ARM, rest))
+    commander = Commander(ARM, LAW)
+    commander.reset(now, EVERY)
+    before = command(commander, now, np.zeros((2, 6)))
+    learned = command(commander, now, np.ones((2, 6))) - before
+    commander.reset(now, EVERY)
+    kept = command(commander, now, np.zeros((2, 6))) - before
+    jacobian = position_jacobian(ARM, frames(ARM, ARM.rest))
+    np.testing.assert_allclose(kept @ jacobian.T, learned @ jacobian.T, atol=1e-6)
+    assert np.linalg.norm(kept) < np.linalg.norm(learned)
+    least = np.linalg.pinv(jacobian) @ (jacobian @ learned[0])  # the smallest motion with the same effect
+    np.testing.assert_allclose(kept[0], least, atol=1e-6)
+
+
 def test_what_is_learned_is_bounded() -> None:
     rest = np.tile(ARM.rest, (2, 1))
     now = situation(rest, ARM.targets.sample(np.random.default_rng(2), (2,)))
-    commander = Commander(ARM, LAW)
+    commander = Commander(ARM, replace(LAW, envelope_margin=10.0))
     commander.reset(now, EVERY)
     first = command(commander, now, np.zeros((2, 6)))
     for cycle in range(300):
         last = command(commander, situation(rest, now.target, 0.02 * cycle), np.ones((2, 6)))
-    assert np.abs(last - first).max() <= LAW.lead_limit + 1e-9
-    assert np.abs(last - first).max() > 0.9 * LAW.lead_limit
+    assert np.abs(last - first).max() <= LEARNED_LIMIT + 1e-9
+    assert np.abs(last - first).max() > 0.9 * LEARNED_LIMIT
 
 
 def test_commands_stay_in_the_working_envelope() -> None:

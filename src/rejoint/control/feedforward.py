@@ -10,11 +10,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from rejoint.arms import Arm, Array, gravity_torque
+from rejoint.arms import Arm, Array, frames, gravity_torque, position_jacobian
 from rejoint.control.controller import Situation
 from rejoint.control.goal import Goal
 from rejoint.control.integrator import IntegratorGains
-from rejoint.control.law import dls_step, fade, limit_position
+from rejoint.control.law import dls_step, fade, limit_position, null_space
 from rejoint.control.pace import Pace
 from rejoint.control.robot import Mask
 from rejoint.errors import InputError
@@ -25,6 +25,8 @@ NOMINAL_STIFFNESS = 6.0
 MOVING = 0.1
 """[rad/s] a joint faster than this is on its way (chosen: two encoder counts per period of 30 ms)."""
 
+LEARNED_LIMIT = np.radians(45.0)
+"""[rad] largest correction of a joint (chosen: where one is stuck, the others must go this far to make up for it)."""
 _SMOOTHING = 0.5  # share of the newest difference in the speed estimate (chosen)
 
 
@@ -49,6 +51,9 @@ class FeedforwardController:
             self.forget(situation, np.ones(len(situation.sent), dtype=bool))
         self._goal.reset(situation, where)
         goal = self._goal.position[where]
+        # What was learned in the null space moves no tool, but adds up from target to target until the arm folds.
+        idle = null_space(position_jacobian(self._arm, frames(self._arm, goal)), self._correction[where])
+        self._correction[where] -= idle
         self._raised[where] = goal + gravity_torque(self._arm, goal) / self._stiffness
 
     def command(self, situation: Situation) -> Array:
@@ -67,7 +72,7 @@ class FeedforwardController:
         on_its_way = (np.abs(self._speed) > MOVING) & (self._speed * push > 0.0)
         # Bounded by itself, not by the measured position: on the way the command leads by the whole distance.
         correction = self._correction + np.where(on_its_way, 0.0, push) + extra
-        self._correction = np.clip(correction, -self._gains.lead, self._gains.lead)
+        self._correction = np.clip(correction, -LEARNED_LIMIT, LEARNED_LIMIT)
         return limit_position(self._arm, self._raised + self._correction)
 
     def forget(self, situation: Situation, where: Mask) -> None:

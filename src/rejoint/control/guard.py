@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, frames
-from rejoint.arms.workspace import reach
+from rejoint.arms.size import length_size
 from rejoint.control.law import limit_lead
 from rejoint.control.robot import JointState, Mask
 from rejoint.errors import InputError
@@ -31,8 +31,6 @@ Reasons = NDArray[np.uint16]
 JOINT_CLEARANCE = 0.01
 """[m] height of joint frames above the floor of the TCP, for a myCobot 280 (chosen: the radius of a link and a little
 more, less the floor of 20 mm); goes with the reach."""
-
-_REFERENCE_REACH = 0.5216700000000001  # [m] of that arm, summed link lengths
 
 _BISECTIONS = 6
 _HEIGHT_TOLERANCE = 1e-9  # [m] rounding of the kinematics: a joint that cannot move must not look sinking
@@ -115,7 +113,7 @@ class GuardLimits:
         """
         return cls(
             arm=arm, lower=arm.lower + margin, upper=arm.upper - margin, max_speed=arm.max_speed, tcp_floor=arm.floor,
-            joint_floor=arm.floor + JOINT_CLEARANCE * (reach(arm) / _REFERENCE_REACH),
+            joint_floor=arm.floor + JOINT_CLEARANCE * length_size(arm),
         )  # fmt: skip
 
 

@@ -23,7 +23,6 @@ import numpy as np
 from rejoint.arms import Arm, Array, clip_norm, solve_position
 from rejoint.control.controller import Situation
 from rejoint.control.feedforward import FeedforwardController
-from rejoint.control.integrator import IntegratorGains
 from rejoint.control.law import GAIN, STEP_LIMIT, limit_lead, limit_position
 from rejoint.control.observation import View
 from rejoint.control.robot import Mask
@@ -93,7 +92,7 @@ class Commander:
         if law.anchor == "goal":
             if len(law.stiffness) != arm.joints:
                 raise InputError(f"the law needs the stiffness of {arm.joints} servos, got {list(law.stiffness)}")
-            self._base = FeedforwardController(arm, np.array(law.stiffness), IntegratorGains(lead=law.lead_limit))
+            self._base = FeedforwardController(arm, np.array(law.stiffness))
 
     def reset(self, situation: Situation, where: Mask) -> None:
         """Take over the new targets of the arms in ``where`` (B,)."""
