@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from rejoint.arms import Arm, gravity_torque, load_arm, mycobot280, so101
+from rejoint.arms.size import heaviest_load, torque_size
 from rejoint.diagnosis import SHORT, healthy_reference, judge, load_healthy, plan_excitation, record
 from rejoint.diagnosis.excitation import is_safe
-from rejoint.diagnosis.size import heaviest_load, length_size, torque_size
 from rejoint.errors import InputError
 from rejoint.robots import open_robot
 
@@ -22,13 +22,6 @@ def ur5e() -> Arm:
     if found is None or found.origin is None:
         pytest.skip("airo-models is not installed")
     return load_arm(str(Path(found.origin).parent / "arms/ur5e/ur5e.urdf"))
-
-
-def test_the_mycobot_is_the_measure():
-    assert (torque_size(ARM), length_size(ARM)) == (1.0, 1.0)
-    heavy = dataclasses.replace(ARM, mass=4.0 * ARM.mass)
-    assert torque_size(heavy) == pytest.approx(4.0)
-    assert length_size(heavy) == 1.0
 
 
 @pytest.mark.parametrize("make", [so101, ur5e])

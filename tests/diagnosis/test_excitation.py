@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from rejoint.arms import frames, gravity_torque, mycobot280
+from rejoint.arms.size import heaviest_load
 from rejoint.diagnosis import FULL, SHORT, plan_excitation
 from rejoint.diagnosis.excitation import hold_postures
-from rejoint.diagnosis.size import heaviest_load
 from rejoint.errors import InputError
 
 ARM = mycobot280()

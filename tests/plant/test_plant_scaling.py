@@ -11,7 +11,7 @@ import pytest
 from rejoint.arms import Arm, Box, load_arm, mycobot280, so101, solve_position, tcp_position
 from rejoint.arms.workspace import reach
 from rejoint.plant.plant import Plant, joint_records
-from rejoint.plant.scaling import effort, heaviest_load, scale_of
+from rejoint.plant.scaling import effort, largest_load, scale_of
 from rejoint.plant.wear import PARAMETERS, Wear, load_wear, parse_wear, wear_names
 
 ARM = mycobot280()
@@ -141,7 +141,7 @@ def test_other_arms_are_healthy_and_worn_in_proportion(make):
 def test_scaled_arms_can_lift_themselves_and_stay_at_rest(make, name):
     arm = make()
     wear = load_wear(name, arm)
-    assert (wear.torque_limit >= 1.1 * (heaviest_load(arm) * (1 + wear.load_friction) + wear.coulomb) - 1e-12).all()
+    assert (wear.torque_limit >= 1.1 * (largest_load(arm) * (1 + wear.load_friction) + wear.coulomb) - 1e-12).all()
     plant = Plant(arm, [wear], seed=0)
     before = plant.encoder()
     plant.advance(2.0)
@@ -157,7 +157,7 @@ def test_without_power_arms_of_any_size_lose_energy_and_stay_finite(make):
     )
     plant.set_power(np.array([False]))
     records = joint_records(arm, wear)
-    size, levels = heaviest_load(arm).max(), []
+    size, levels = largest_load(arm).max(), []
     for _ in range(150):
         levels.append(_energy(plant, wear, records))
         plant.advance(0.01)

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from rejoint.arms import gravity_torque, mycobot280, so101, solve_position
 from rejoint.errors import ProfileError
-from rejoint.plant.scaling import heaviest_load
+from rejoint.plant.scaling import largest_load
 from rejoint.plant.wear import (
     PARAMETERS,
     Wear,
@@ -179,14 +179,14 @@ def test_every_profile_of_the_package_lifts_the_arm_everywhere_in_the_region():
     for name in SCALING:
         wear = load_wear(name, ARM)
         assert (wear.torque_limit >= lifting_torque(wear, ARM))[:3].all(), name
-        moving = heaviest_load(ARM) * (1 + wear.load_friction) + wear.coulomb
+        moving = largest_load(ARM) * (1 + wear.load_friction) + wear.coulomb
         assert (wear.torque_limit >= 1.1 * moving).all(), name
 
 
-def test_the_heaviest_load_bounds_random_targets_up_to_the_grid():
+def test_the_largest_load_bounds_random_targets_up_to_the_grid():
     targets = ARM.targets.sample(np.random.default_rng(1), (200,))
     load = np.abs(gravity_torque(ARM, solve_position(ARM, targets, ARM.rest).q))
-    assert (load <= heaviest_load(ARM) * 1.02 + 2e-3).all()
+    assert (load <= largest_load(ARM) * 1.02 + 2e-3).all()
 
 
 def test_a_wear_is_read_only_and_copies():

@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from rejoint.arms import Arm
+from rejoint.arms.size import length_size
 from rejoint.control.robot import Robot
 from rejoint.diagnosis.excitation import FULL, Plan
 from rejoint.diagnosis.healthy import HealthyReference
 from rejoint.diagnosis.measurement import Measurement, measure
 from rejoint.diagnosis.open_loop import OpenLoop, open_loop_errors
 from rejoint.diagnosis.record import DiagnosisLogs, OnProgress, record
-from rejoint.diagnosis.size import length_size
 from rejoint.diagnosis.verdict import Finding, find
 from rejoint.errors import InputError
 

@@ -24,9 +24,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, frames, gravity_torque, tcp_position
+from rejoint.arms.size import heaviest_load, length_size, torque_size
 from rejoint.diagnosis.path import Path, smooth_ramp
 from rejoint.diagnosis.segments import Segment
-from rejoint.diagnosis.size import heaviest_load, length_size, torque_size
 from rejoint.errors import InputError
 
 

@@ -13,11 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from rejoint.arms import Arm, Array, frames, gravity_torque, position_jacobian
+from rejoint.arms.size import length_size
 from rejoint.diagnosis.healthy import OVERSHOOT_ALLOWED, HealthyReference
 from rejoint.diagnosis.measurement import JointMetrics, Measurement
 from rejoint.diagnosis.open_loop import settled_rows
 from rejoint.diagnosis.regression import Estimate, mean_of
-from rejoint.diagnosis.size import length_size
 from rejoint.runs import RunLog
 
 BAD_MM = 3.0

@@ -27,8 +27,9 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from rejoint.arms import Arm, Array, frames, gravity_torque, mycobot280, solve_position
+from rejoint.arms import Arm, Array, frames
 from rejoint.arms.kinematics import GRAVITY
+from rejoint.arms.size import heaviest_load, length_size, reference_arm
 from rejoint.arms.workspace import reach
 
 FLOOR = 0.3
@@ -59,32 +60,22 @@ def scale_of(arm: Arm) -> Scale:
     return Scale(
         row=row,
         torque=effort(arm) / effort(reference)[row],
-        time=float(np.sqrt(reach(arm) / reach(reference))),
+        time=float(np.sqrt(length_size(arm))),
     )
 
 
 @lru_cache(maxsize=16)
 def effort(arm: Arm) -> Array:
     """Torque (n,) [N m] that stands for the size of each joint."""
-    load = heaviest_load(arm)
+    load = largest_load(arm)
     rate = np.linalg.norm(GRAVITY) / reach(arm)
     least = max(FLOOR * float(load.max()), np.finfo(float).tiny)
     return np.sqrt(load**2 + (_turned_inertia(arm) * rate) ** 2 + least**2)
 
 
-@lru_cache(maxsize=16)
-def heaviest_load(arm: Arm) -> Array:
-    """Largest gravity torque (n,) [N m] of each joint over the postures of a grid of targets."""
-    axes = [np.linspace(low, high, _GRID) for low, high in zip(arm.targets.lower, arm.targets.upper, strict=True)]
-    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    postures = solve_position(arm, grid, arm.rest).q
-    return np.abs(gravity_torque(arm, postures)).max(axis=0)
-
-
-@lru_cache(maxsize=1)
-def reference_arm() -> Arm:
-    """Return the arm whose numbers the profiles hold."""
-    return mycobot280()
+def largest_load(arm: Arm) -> Array:
+    """Largest gravity torque (n,) [N m] of each joint over the region of targets."""
+    return heaviest_load(arm, _GRID)
 
 
 def _turned_inertia(arm: Arm) -> Array:

@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 
 from rejoint.arms import Arm, Array
+from rejoint.arms.size import reference_arm
 from rejoint.errors import ProfileError
-from rejoint.plant.scaling import heaviest_load, reference_arm, scale_of
+from rejoint.plant.scaling import largest_load, scale_of
 from rejoint.plant.servo import STEP
 
 _PROFILES = files("rejoint.plant") / "profiles"
@@ -154,7 +155,7 @@ def scale_wear(wear: Wear, arm: Arm) -> Wear:
         values[name] = values[name] * scale.torque
     values["damping_gain"] = values["damping_gain"] * (scale.torque * scale.time)
     values["reflected_inertia"] = values["reflected_inertia"] * (scale.torque * scale.time**2)
-    moving = heaviest_load(arm) * (1 + values["load_friction"]) + values["coulomb"]
+    moving = largest_load(arm) * (1 + values["load_friction"]) + values["coulomb"]
     values["torque_limit"] = np.maximum(values["torque_limit"], _MOVE_MARGIN * moving)
     return Wear(name=wear.name, play_in_loop=wear.play_in_loop, **values)
 
@@ -180,7 +181,7 @@ def draw_wear(wear: Wear, arm: Arm, seed: int) -> Wear:
 
 def lifting_torque(wear: Wear, arm: Arm) -> Array:
     """Motor torque (n,) [N m] that lifts the arm from standstill in any posture of its target region."""
-    return heaviest_load(arm) * (1 + wear.load_friction) + wear.stiction
+    return largest_load(arm) * (1 + wear.load_friction) + wear.stiction
 
 
 def _profile_text(base: str) -> str:

@@ -1,0 +1,45 @@
+"""How large an arm is, beside the one that most constants of this package were chosen on.
+
+Constants in newton metres or millimetres belong to a myCobot 280. On another arm they go with the load that
+its joints carry, or with its reach; both factors are exactly one for the myCobot itself.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+
+from rejoint.arms.arm import Arm, Array
+from rejoint.arms.inverse import solve_position
+from rejoint.arms.kinematics import gravity_torque
+from rejoint.arms.mycobot280 import mycobot280
+from rejoint.arms.workspace import reach
+
+
+@lru_cache(maxsize=32)
+def heaviest_load(arm: Arm, per_edge: int = 2) -> Array:
+    """Largest gravity torque (n,) [N m] of each joint over a grid of targets, ``per_edge`` along each edge."""
+    axes = [np.linspace(low, high, per_edge) for low, high in zip(arm.targets.lower, arm.targets.upper, strict=True)]
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    load: Array = np.abs(gravity_torque(arm, solve_position(arm, grid, arm.rest).q)).max(axis=0)
+    load.setflags(write=False)
+    return load
+
+
+@lru_cache(maxsize=32)
+def torque_size(arm: Arm) -> float:
+    """Largest load of an arm's joints by that of a myCobot 280."""
+    return float(heaviest_load(arm).max() / heaviest_load(reference_arm()).max())
+
+
+@lru_cache(maxsize=32)
+def length_size(arm: Arm) -> float:
+    """Reach of an arm by that of a myCobot 280."""
+    return reach(arm) / reach(reference_arm())
+
+
+@lru_cache(maxsize=1)
+def reference_arm() -> Arm:
+    """Return the arm that constants were chosen on."""
+    return mycobot280()

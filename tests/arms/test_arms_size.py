@@ -1,0 +1,38 @@
+"""The size of an arm is a ratio of like to like."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from rejoint.arms import gravity_torque, mycobot280, so101, solve_position
+from rejoint.arms.size import heaviest_load, length_size, torque_size
+
+ARM = mycobot280()
+
+
+def test_the_mycobot_is_the_measure():
+    assert (torque_size(mycobot280()), length_size(mycobot280())) == (1.0, 1.0)
+
+
+def test_load_goes_with_mass_and_length_and_reach_with_length_alone():
+    heavy = dataclasses.replace(ARM, mass=4.0 * ARM.mass)
+    assert torque_size(heavy) == pytest.approx(4.0)
+    assert length_size(heavy) == 1.0
+    offset, tip = ARM.offset.copy(), ARM.tip.copy()
+    offset[:, :3, 3] *= 2.0
+    tip[:3, 3] *= 2.0
+    long = dataclasses.replace(
+        ARM, offset=offset, tip=tip, com=2.0 * ARM.com,
+        targets=dataclasses.replace(ARM.targets, lower=2.0 * ARM.targets.lower, upper=2.0 * ARM.targets.upper),
+    )  # fmt: skip
+    assert length_size(long) == pytest.approx(2.0)
+    assert torque_size(long) == pytest.approx(2.0, rel=1e-3)
+
+
+@pytest.mark.parametrize("arm", [ARM, so101()], ids=lambda arm: arm.name)
+def test_a_finer_grid_finds_what_random_targets_need(arm):
+    targets = arm.targets.sample(np.random.default_rng(1), (200,))
+    load = np.abs(gravity_torque(arm, solve_position(arm, targets, arm.rest).q)).max(axis=0)
+    assert (load <= 1.02 * heaviest_load(arm, 5) + 2e-3).all()
+    assert (heaviest_load(arm) <= heaviest_load(arm, 5) + 1e-12).all()

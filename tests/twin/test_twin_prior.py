@@ -1,0 +1,59 @@
+"""What is believed of an arm before any data goes with its size, by the dimensions of the quantities."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from rejoint.arms import Arm, Box, gravity_torque, mycobot280, so101
+from rejoint.plant.wear import load_wear
+from rejoint.twin.parameters import healthy_parameters, nominal_parameters, prior, unpack
+
+ARM = mycobot280()
+
+
+def resized(length: float, mass: float) -> Arm:
+    offset, tip = ARM.offset.copy(), ARM.tip.copy()
+    offset[:, :3, 3] *= length
+    tip[:3, 3] *= length
+    return dataclasses.replace(
+        ARM, name="resized", offset=offset, tip=tip, com=length * ARM.com, mass=mass * ARM.mass,
+        inertia=mass * length**2 * ARM.inertia,
+        targets=Box(lower=length * ARM.targets.lower, upper=length * ARM.targets.upper),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(("length", "mass"), [(2.0, 8.0), (0.5, 0.4)])
+def test_the_prior_of_a_resized_arm_has_the_dimensions_of_its_quantities(length, mass):
+    other, torque, time = resized(length, mass), length * mass, length**0.5
+    for believed in (nominal_parameters, healthy_parameters):
+        old, new = believed(ARM), believed(other)
+        for name in ("stiffness", "coulomb", "torque_limit"):
+            np.testing.assert_allclose(getattr(new, name), torque * getattr(old, name), rtol=1e-9)
+        np.testing.assert_allclose(new.damping, torque * time * old.damping, rtol=1e-9)
+        np.testing.assert_allclose(new.armature, torque * length * old.armature, rtol=1e-9)
+        assert (new.delay, new.ramp_speed) == (old.delay, old.ramp_speed)
+        sag = [gravity_torque(arm, ARM.rest) / twin.stiffness for arm, twin in ((ARM, old), (other, new))]
+        np.testing.assert_allclose(sag[1], sag[0], rtol=1e-9)
+
+
+def test_a_faster_arm_is_believed_to_ramp_faster():
+    fast = dataclasses.replace(ARM, max_speed=2.0 * ARM.max_speed)
+    assert nominal_parameters(fast).ramp_speed == pytest.approx(2.0 * nominal_parameters(ARM).ramp_speed)
+
+
+@pytest.mark.parametrize("profile", ["worn", "healthy", "so101"])
+def test_the_bounds_of_the_so101_hold_the_plants_it_may_meet(profile):
+    """Not only inside, but with a factor of 1.5 to spare: a parameter at its bound has no gradient."""
+    arm = so101()
+    belief, wear = prior(arm), load_wear(profile, arm)
+    lower, upper = unpack(belief.lower, arm.joints), unpack(belief.upper, arm.joints)
+    damping = wear.damping_gain + wear.torque_limit / 5.0
+    truth = {
+        "stiffness": wear.position_gain, "coulomb": wear.coulomb, "armature": wear.reflected_inertia,
+        "torque_limit": wear.torque_limit, "damping": damping,
+    }  # fmt: skip
+    for name, value in truth.items():
+        assert (value > 1.5 * getattr(lower, name)).all(), name
+        assert (1.5 * value < getattr(upper, name)).all(), name
+    assert (np.abs(wear.offset) < 0.5 * upper.offset).all()
