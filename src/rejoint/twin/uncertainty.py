@@ -44,8 +44,10 @@ def uncertainty(problem: Problem, fit: Fit, clusters: NDArray[np.integer] | None
     """Estimate the covariance of a fit from central differences and clustered scores.
 
     ``clusters`` (rows,) number the stretches of motion taken as independent, by default of `CLUSTER` seconds.
+    Where they are given, such as the motions of logs from elsewhere, the scores' covariance and the curvature are
+    added, not averaged: each alone is too small where the twin's structure is not the arm's.
     """
-    prior, k = problem.prior, len(fit.vector)
+    prior, k, share = problem.prior, len(fit.vector), 0.5 if clusters is None else 1.0
     residual, jacobian = _central_differences(problem, fit.vector)
     curvature, _ = problem.system(jacobian, residual, fit.weights)
     scores, clusters = np.zeros((k, k)), problem.clusters(CLUSTER) if clusters is None else clusters
@@ -58,7 +60,7 @@ def uncertainty(problem: Problem, fit: Fit, clusters: NDArray[np.integer] | None
         scores[np.ix_(place, place)] += summed.T @ summed * count / max(count - 1, 1)
     precision = np.diag(prior.sigma**-2)
     inverse = np.linalg.inv(curvature + precision)
-    covariance = inverse @ (0.5 * (scores + curvature) + precision) @ inverse
+    covariance = inverse @ (share * (scores + curvature) + precision) @ inverse
     narrowing = np.sqrt(np.diag(covariance)) / prior.sigma
     identified = (narrowing < IDENTIFIED) & ~fit.at_bound & ~problem.frozen
     return Uncertainty(covariance=0.5 * (covariance + covariance.T), narrowing=narrowing, identified=identified)
