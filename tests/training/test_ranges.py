@@ -102,6 +102,28 @@ def test_the_paper_s_ranges_are_those_of_the_paper():
     assert draw.twin.offset.std() == pytest.approx(np.radians(1.0), rel=0.02)
 
 
+def test_the_paper_s_units_go_with_the_weight_of_the_arm():
+    heavy = dataclasses.replace(ARM, mass=16.0 * ARM.mass, inertia=16.0 * ARM.inertia)
+    one, other = draws(PaperRanges(arm=ARM), 50).twin, draws(PaperRanges(arm=heavy), 50).twin
+    for name in ("stiffness", "damping", "armature", "torque_limit"):
+        np.testing.assert_allclose(getattr(other, name), 16.0 * getattr(one, name), rtol=1e-9)
+    np.testing.assert_array_equal(other.offset, one.offset)
+
+
+def test_broad_ranges_reach_out_to_a_twin_of_another_make_and_leave_others_alone():
+    twin = make_twin()
+    assert BROAD.reaching(twin) == BROAD
+    sticky = dataclasses.replace(
+        twin.parameters, coulomb=10.0 * twin.parameters.coulomb, stiffness=0.2 * twin.parameters.stiffness
+    )
+    moved = BROAD.reaching(dataclasses.replace(twin, parameters=sticky))
+    assert moved.coulomb == pytest.approx((0.0, 10.0))
+    assert moved.stiffness == pytest.approx((0.2, 0.2 * BROAD.stiffness[1] / BROAD.stiffness[0]))
+    assert (moved.damping, moved.torque_limit, moved.armature) == (BROAD.damping, BROAD.torque_limit, BROAD.armature)
+    drawn = draws(moved).twin
+    assert drawn.coulomb.max() > 9.0 * nominal_parameters(ARM).coulomb.max()
+
+
 def test_ranges_follow_from_preset_and_twin():
     twin = make_twin()
     assert isinstance(training_ranges(ARM, None, DEFAULT), BroadRanges)

@@ -11,11 +11,12 @@ on arms it had not met. Breadth matters more than the centre.
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
 from rejoint.arms import Arm, Array
+from rejoint.arms.size import length_size, torque_size
 from rejoint.twin.parameters import PARAMETERS, TwinParameters, nominal_parameters
 from rejoint.twin.twin import Twin
 
@@ -113,6 +114,21 @@ class BroadRanges:
             period=rng.uniform(*self.period, whole),
         )
 
+    def reaching(self, twin: Twin) -> BroadRanges:
+        """Shift the intervals of all torques until each holds the twin's geometric mean over the joints.
+
+        Arms of another make than the prior's, such as one with much more friction, lie far outside of it; a
+        broad half that has none like them would teach the policy to shake them.
+        """
+        base = nominal_parameters(self.arm)
+        moved: dict[str, Any] = {}
+        for name in ("stiffness", "damping", "coulomb", "torque_limit"):
+            low, high = getattr(self, name)
+            ratio = np.exp(np.log(getattr(twin.parameters, name) / getattr(base, name)).mean())
+            shift = ratio / np.clip(ratio, low, high)
+            moved[name] = (float(low * shift), float(high * shift))
+        return replace(self, **moved)
+
     def weaken(self, rng: np.random.Generator, count: int) -> Array:
         """Draw factors (count, n) on the torque limits that make some joints nearly powerless."""
         shape = (count, self.arm.joints)
@@ -187,7 +203,7 @@ class PaperRanges:
     damping_divisor: Interval = (10.0, 50.0)
     """D lies between P/50 and P/10"""
     stiffness_unit: float = 0.06
-    """[N m/rad] of one unit of P"""
+    """[N m/rad] of one unit of P on a myCobot 280; goes with the load of the arm, as the other torques"""
     damping_unit: float = 0.012
     """[N m s/rad] of one unit of D"""
     armature: float = 0.02
@@ -201,15 +217,15 @@ class PaperRanges:
     def draw(self, rng: np.random.Generator, count: int) -> Draw:
         """Draw ``count`` arms."""
         joints = (count, self.arm.joints)
-        base = nominal_parameters(self.arm)
+        base, load, length = nominal_parameters(self.arm), torque_size(self.arm), length_size(self.arm)
         p = rng.uniform(*self.stiffness, (count, 1))
         d = rng.uniform(p / self.damping_divisor[1], p / self.damping_divisor[0])
         none, lots = np.zeros(joints), np.full(joints, 100.0)
         twin = TwinParameters(
-            stiffness=none + self.stiffness_unit * p,
-            damping=none + self.damping_unit * d,
+            stiffness=none + load * self.stiffness_unit * p,
+            damping=none + load * length**0.5 * self.damping_unit * d,
             coulomb=none,
-            armature=none + self.armature,
+            armature=none + load * length * self.armature,
             torque_limit=lots * base.torque_limit,
             offset=rng.normal(0.0, self.joint_noise, joints),
             delay=np.zeros(count),
@@ -224,7 +240,7 @@ class PaperRanges:
 
 def identified_ranges(arm: Arm, twin: Twin, share: float = TWIN_SHARE) -> MixedRanges:
     """Mix draws around an identified twin with the broad ranges; ``share`` of the arms come from the twin."""
-    broad = BroadRanges(arm=arm)
+    broad = BroadRanges(arm=arm).reaching(twin)
     return MixedRanges(first=IdentifiedRanges(broad=broad, twin=twin), second=broad, share=share)
 
 
