@@ -45,8 +45,8 @@ CLUSTERED = 8
 
 STRIDE = 2.5
 """Finite-difference steps over those for an excitation, 11 % of a stiffness: along the common scale of a joint's
-torques, which logs hardly fix, smaller ones measure stick-slip (measured: with 4.5 % disjoint halves of the logs of
-a real low-cost arm end 60 % apart in the elbow's scale, with 12 % they end 10 % apart)"""
+torques, which logs hardly fix, smaller ones measure stick-slip (measured on one pair of disjoint
+halves of a real low-cost arm's logs: with 4.5 % the elbow's stiffnesses end 60 % apart, with 12 % they end 12 % apart)"""
 REFINEMENT = 4
 """Steps of the final descent, which starts at the optimum of a part of its data (chosen)"""
 
@@ -58,7 +58,7 @@ LEAST_CONTACT = 5.0
 
 @dataclass(frozen=True, kw_only=True)
 class LogSettings:
-    """How to identify from logs; the defaults take about 25 s of processor time however long the logs are."""
+    """How to identify from logs; the defaults take about 30 s of processor time however long the logs are."""
 
     hold_out: tuple[str, ...] | None = None
     """labels of the motions kept from the fit; None takes every ``hold_out_every``-th by name"""
