@@ -45,8 +45,8 @@ CLUSTERED = 8
 
 STRIDE = 2.5
 """Finite-difference steps over those for an excitation, 11 % of a stiffness: along the common scale of a joint's
-torques, which logs hardly fix, smaller ones measure stick-slip (measured on one pair of disjoint
-halves of a real low-cost arm's logs: with 4.5 % the elbow's stiffnesses end 60 % apart, with 12 % they end 12 % apart)"""
+torques, which logs hardly fix, smaller ones measure stick-slip (measured on one pair of disjoint halves of a real
+low-cost arm's logs: with 4.5 % the elbow's stiffnesses end 60 % apart, with 12 % they end 12 % apart)"""
 REFINEMENT = 4
 """Steps of the final descent, which starts at the optimum of a part of its data (chosen)"""
 
