@@ -192,7 +192,7 @@ def test_emulate_can_be_reached_when_it_says_so_and_ends_with_ctrl_c(options, tm
     """A program of its own: it serves a client, and an interrupt ends it without a trace."""
     log = tmp_path / "truth.csv"
     program = (
-        "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); "  # background jobs inherit it ignored
+        "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); "  # ignored in background jobs
         "from pathlib import Path; from rejoint.arms import mycobot280; from rejoint.emulator import emulate; "
         f"emulate(mycobot280(), 'worn', {options}, log=Path({str(log)!r}), announce=lambda a: print(a, flush=True))"
     )
