@@ -51,6 +51,16 @@ def test_repair_goes_on_where_it_stopped(
     assert out.splitlines()[-2] == last["report"]
 
 
+def test_a_twin_is_replayed_on_the_logs_it_came_from(
+    finished: RunFolder, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    words = ("replay", str(finished.twin), "--logs", str(finished.path / "logs"), "--json")
+    code, out, err = run_cli(*words, capsys=capsys, monkeypatch=monkeypatch)
+    assert code == 0, err
+    mean = json.loads(out.splitlines()[-1])["mean"]
+    assert mean["twin"]["all"]["tcp"] < 0.7 * mean["no twin"]["all"]["tcp"]
+
+
 def test_deploy_logs_what_it_did(
     finished: RunFolder, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -80,6 +90,9 @@ def test_deploy_logs_what_it_did(
         (("import", "{empty}", "{run}/logs"), "empty"),
         (("export", "{run}/logs/none.parquet", "out.csv"), "no such file"),
         (("repair", "emulated:worn", "--arm", "robot.urdf"), "robot.urdf"),
+        (("identify",), "either a run folder or --logs"),
+        (("identify", "--logs", "{empty}"), "no folder with run logs"),
+        (("replay", "{run}/none.toml", "--logs", "{empty}"), "none.toml"),
         (("train", "{run}", "--preset", "magic"), "magic"),
         (("repair", "emulated:healthy", "--run", "{run}"), "is a run of emulated:worn"),
         (("emulate", "--port", "99999"), "--port"),

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from rejoint import repair as work
-from rejoint.cli import show
+from rejoint.cli import offline, show
 from rejoint.cli.console import Terminal
 from rejoint.cli.options import (
     ArmOption,
@@ -27,6 +28,7 @@ from rejoint.cli.options import (
     period_seconds,
 )
 from rejoint.comparison.targets import draw_targets, read_targets
+from rejoint.errors import InputError
 
 
 def diagnose(
@@ -54,12 +56,26 @@ def diagnose(
     terminal.finish({"run": str(path), "diagnosis": diagnosis})
 
 
-def identify(run: Run, json: Json = False) -> None:
-    """Fit a digital twin to the excitation log of a run.
+def identify(
+    run: Annotated[Path | None, typer.Argument(help="Run folder.", metavar="RUN")] = None,
+    logs: Annotated[Path | None, typer.Option(help="Folder of run logs instead of a run.")] = None,
+    out: Annotated[Path, typer.Option(help="Where the twin of --logs is written.")] = Path("twin.toml"),
+    arm: ArmOption = "mycobot280",
+    base: Base = None,
+    tip: Tip = None,
+    json: Json = False,
+) -> None:
+    """Fit a digital twin to the excitation log of a run, or to a folder of logs alone.
 
-    Example: `rejoint identify runs/mine`
+    Example: `rejoint identify runs/mine`, or `rejoint identify --logs logs/so101 --arm so101 --out so101.toml`
     """
     terminal = Terminal(json=json)
+    if (run is None) == (logs is None):
+        raise InputError("identify takes either a run folder or --logs FOLDER")
+    if logs is not None:
+        offline.identify_from_logs(terminal, choose_arm(terminal, arm, base, tip), logs, out)
+        return
+    assert run is not None  # noqa: S101 - for the type checker; one of the two is given
     job = work.open_run(run)
     with terminal.progress("identifying") as update:
         twin = work.identify_stage(job, on_progress=update)
