@@ -117,7 +117,7 @@ def _combine(arm: Arm, rows: list[JointMetrics]) -> JointMetrics:
     sources = [row.stiffness_source for row in rows]
     return JointMetrics(
         joint=rows[0].joint,
-        stiffness_source=max(set(sources), key=sources.count),
+        stiffness_source=max(sorted(set(sources)), key=sources.count),  # a set has no order of its own
         stiffness_nm_per_rad=positive("stiffness_nm_per_rad"),
         coulomb_nm=positive("coulomb_nm"),
         damping_ratio=positive("damping_ratio"),
