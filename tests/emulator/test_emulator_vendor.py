@@ -144,7 +144,7 @@ def test_joint_moves(arm, method, arguments):
 @pytest.mark.parametrize(
     ("method", "arguments", "joint", "angle"),
     [
-        ("send_angle", (4, 12.5, 100), 3, 12.5),
+        ("send_angle", (5, 12.5, 100), 4, 12.5),
         ("set_encoder", (1, 2048 + 512, 100), 0, 45.0),
         ("jog_increment_angle", (1, -10.0, 100), 0, 10.0),
         ("jog_increment", (6, 30.0, 100), 5, 30.0),
