@@ -128,13 +128,13 @@ def newest_or_new(robot: str, arm: Arm, seed: int) -> tuple[Path, bool]:
 def diagnose_stage(run: Run, *, period: Period | None = None, on_progress: OnProgress = silent) -> Diagnosis:
     """Excite the robot and write run logs and diagnosis."""
     from rejoint.diagnosis.diagnosis import diagnose
-    from rejoint.diagnosis.healthy import load_healthy
+    from rejoint.diagnosis.healthy import healthy_reference
 
     robot = open_robot(run.info.robot, arm=run.arm, seed=run.info.seed, period=period)
     try:
         diagnosis, logs = diagnose(
             robot,
-            load_healthy(run.arm),
+            healthy_reference(run.arm),
             seed=run.info.seed,
             on_progress=lambda what, share: on_progress(share, 1.0, what),
         )

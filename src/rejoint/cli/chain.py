@@ -36,7 +36,7 @@ from rejoint.runs import read_json
 def repair(
     robot: Robot = "emulated:worn",
     run: RunOption = None,
-    arm: ArmOption = "mycobot280",
+    arm: ArmOption = None,
     base: Base = None,
     tip: Tip = None,
     preset: Preset = "default",
@@ -60,7 +60,7 @@ def repair(
         controllers=controller_names(controllers), file=targets,
         sets=sets or (3 if emulated else 1), repetitions=repetitions or (2 if emulated else 1),
     )  # fmt: skip
-    chosen = choose_arm(terminal, arm, base, tip)
+    chosen = choose_arm(terminal, arm, base, tip, robot)
     path, resumed = (run, run.exists()) if run else work.newest_or_new(robot, chosen, seed)
     job = work.begin(path, robot, chosen, seed)
     terminal.say(f"{'Going on with' if resumed else 'Starting'} the repair of {robot} in {path}")

@@ -17,7 +17,7 @@ from rejoint.runs import read_log
 def import_(
     source: Annotated[Path, typer.Argument(help="File or folder: SAGE, CSV, MCAP or LeRobot dataset (v3).")],
     out: Annotated[Path, typer.Argument(help="New folder for the run logs.")],
-    arm: ArmOption = "mycobot280",
+    arm: ArmOption = None,
     base: Base = None,
     tip: Tip = None,
     kind: Annotated[

@@ -39,7 +39,7 @@ def identify_from_logs(terminal: Terminal, arm: Arm, logs: Path, out: Path) -> N
 def replay(
     twin: Annotated[Path, typer.Argument(help="Twin (.toml) to judge.")],
     logs: Logs,
-    arm: ArmOption = "mycobot280",
+    arm: ArmOption = None,
     base: Base = None,
     tip: Tip = None,
     published: Annotated[

@@ -11,13 +11,17 @@ from rejoint.arms import Arm
 from rejoint.arms.loading import read_arm
 from rejoint.cli.console import Terminal
 from rejoint.errors import InputError
+from rejoint.robots import DEFAULT_ARM, default_arm
 
 ROBOT_HELP = "Robot: emulated:PROFILE (in process), tcp://HOST:PORT, or serial:///dev/ttyAMA0."
 
 Robot = Annotated[str, typer.Argument(help=ROBOT_HELP, metavar="ROBOT")]
 Run = Annotated[Path, typer.Argument(help="Run folder.", metavar="RUN")]
 RunOption = Annotated[Path | None, typer.Option("--run", help="Run folder; by default a new one below runs/.")]
-ArmOption = Annotated[str, typer.Option("--arm", help="Arm: mycobot280, so101, or a .urdf, .xml (MJCF) or .toml file.")]
+ArmOption = Annotated[
+    str | None,
+    typer.Option("--arm", help="Arm: mycobot280 (default), so101, or a .urdf, .xml (MJCF) or .toml file."),
+]
 Base = Annotated[str | None, typer.Option(help="Body of the file at which the arm begins; by default its root.")]
 Tip = Annotated[str | None, typer.Option(help="Body or site of the file at which the arm ends.")]
 Seed = Annotated[int, typer.Option(help="Seed of everything random.", min=0)]
@@ -32,9 +36,11 @@ Period = Annotated[
 ]
 
 
-def choose_arm(terminal: Terminal, source: str, base: str | None, tip: str | None) -> Arm:
-    """Load an arm and tell what its description left open."""
-    loaded = read_arm(source, base=base, tip=tip)
+def choose_arm(
+    terminal: Terminal, source: str | None, base: str | None, tip: str | None, robot: str | None = None
+) -> Arm:
+    """Load an arm, by default the one that ``robot`` is, and tell what its description left open."""
+    loaded = read_arm(source or (DEFAULT_ARM if robot is None else default_arm(robot)), base=base, tip=tip)
     for note in loaded.notes:
         terminal.say(f"arm {loaded.arm.name}: {note}")
     return loaded.arm

@@ -34,7 +34,7 @@ from rejoint.errors import InputError
 def diagnose(
     robot: Robot = "emulated:worn",
     run: RunOption = None,
-    arm: ArmOption = "mycobot280",
+    arm: ArmOption = None,
     base: Base = None,
     tip: Tip = None,
     period: Period = None,
@@ -46,7 +46,7 @@ def diagnose(
     Example: `rejoint diagnose tcp://192.168.1.20:9000 --run runs/mine`
     """
     terminal = Terminal(json=json)
-    chosen = choose_arm(terminal, arm, base, tip)
+    chosen = choose_arm(terminal, arm, base, tip, robot)
     path = run or work.newest_or_new(robot, chosen, seed)[0]
     job = work.begin(path, robot, chosen, seed)
     with terminal.progress("diagnosing") as update:
@@ -60,7 +60,7 @@ def identify(
     run: Annotated[Path | None, typer.Argument(help="Run folder.", metavar="RUN")] = None,
     logs: Annotated[Path | None, typer.Option(help="Folder of run logs instead of a run.")] = None,
     out: Annotated[Path, typer.Option(help="Where the twin of --logs is written.")] = Path("twin.toml"),
-    arm: ArmOption = "mycobot280",
+    arm: ArmOption = None,
     base: Base = None,
     tip: Tip = None,
     json: Json = False,

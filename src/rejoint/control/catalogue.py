@@ -8,7 +8,7 @@ from pathlib import Path
 from rejoint.arms import Arm, Array
 from rejoint.control.controller import Controller
 from rejoint.control.default import DefaultController
-from rejoint.control.feedforward import NOMINAL_STIFFNESS, FeedforwardController
+from rejoint.control.feedforward import FeedforwardController
 from rejoint.control.integrator import IntegratorController
 from rejoint.control.pid import PidController, PidGains
 from rejoint.errors import InputError
@@ -27,11 +27,12 @@ CONTROLLERS = (*BASELINES, "policy")
 
 
 def make_controller(
-    name: str, arm: Arm, *, stiffness: Array | float = NOMINAL_STIFFNESS, policy: Path | None = None
+    name: str, arm: Arm, *, stiffness: Array | float | None = None, policy: Path | None = None
 ) -> Controller:
     """Build the controller called ``name``.
 
-    ``stiffness`` (n,) [N m/rad] is what the feed-forward believes of the servos; ``policy`` is the
+    ``stiffness`` (n,) [N m/rad] is what the feed-forward believes of the servos, by default
+    what a worn arm of this size may have; ``policy`` is the
     file that the name ``policy`` needs. InputError names the alternatives.
     """
     if name == "policy":

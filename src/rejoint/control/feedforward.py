@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from rejoint.arms import Arm, Array, frames, gravity_torque, position_jacobian
+from rejoint.arms.size import torque_size
 from rejoint.control.controller import Situation
 from rejoint.control.goal import Goal
 from rejoint.control.integrator import IntegratorGains
@@ -20,7 +21,8 @@ from rejoint.control.robot import Mask
 from rejoint.errors import InputError
 
 NOMINAL_STIFFNESS = 6.0
-"""[N m/rad] assumed where nothing is known of a worn servo (chosen: middle of the 3 to 12 of the twins trained on)."""
+"""[N m/rad] assumed of the servos of a worn arm of a myCobot's size where nothing is known (chosen: middle of the 3
+to 12 of the twins trained on); other arms scale with the load of their joints."""
 
 MOVING = 0.1
 """[rad/s] a joint faster than this is on its way (chosen: two encoder counts per period of 30 ms)."""
@@ -35,10 +37,9 @@ class FeedforwardController:
 
     name = "feedforward"
 
-    def __init__(
-        self, arm: Arm, stiffness: Array | float = NOMINAL_STIFFNESS, gains: IntegratorGains | None = None
-    ) -> None:
+    def __init__(self, arm: Arm, stiffness: Array | float | None = None, gains: IntegratorGains | None = None) -> None:
         self._arm, self._gains, self._goal = arm, gains or IntegratorGains(), Goal(arm)
+        stiffness = NOMINAL_STIFFNESS * torque_size(arm) if stiffness is None else stiffness
         self._stiffness = np.broadcast_to(np.asarray(stiffness, dtype=float), (arm.joints,)).copy()
         if not (self._stiffness > 0.0).all():
             raise InputError(f"feedforward: stiffness must be positive in N m/rad, got {self._stiffness.tolist()}")
