@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from rejoint import repair
 from rejoint.arms import Arm
 from rejoint.arms.loading import read_arm
 from rejoint.cli.console import Terminal
@@ -25,6 +27,7 @@ ArmOption = Annotated[
 Base = Annotated[str | None, typer.Option(help="Body of the file at which the arm begins; by default its root.")]
 Tip = Annotated[str | None, typer.Option(help="Body or site of the file at which the arm ends.")]
 Seed = Annotated[int, typer.Option(help="Seed of everything random.", min=0)]
+RunSeed = Annotated[int | None, typer.Option("--seed", help="Seed; by default that of the run.", min=0)]
 Json = Annotated[bool, typer.Option("--json", help="End standard output with one line of JSON.")]
 Preset = Annotated[str, typer.Option(help="Training recipe: default, or paper (the literal method).")]
 Targets = Annotated[Path | None, typer.Option(help="CSV file of targets in mm with the header x,y,z.")]
@@ -62,3 +65,8 @@ def period_seconds(text: str | None) -> tuple[float, float] | None:
 def controller_names(text: str) -> tuple[str, ...]:
     """Read a comma-separated list; empty for ``all``."""
     return () if text == "all" else tuple(name.strip() for name in text.split(",") if name.strip())
+
+
+def seeded(run: repair.Run, seed: int | None) -> repair.Run:
+    """Return the run with another seed, if one was given."""
+    return run if seed is None else replace(run, info=replace(run.info, seed=seed))

@@ -9,7 +9,7 @@ import typer
 
 from rejoint.arms import load_arm
 from rejoint.cli.console import Terminal
-from rejoint.cli.options import Seed
+from rejoint.cli.options import Json, Seed
 
 
 def emulate(
@@ -19,6 +19,7 @@ def emulate(
     pty: Annotated[bool, typer.Option("--pty", help="Serve a serial line (pseudo terminal) instead of TCP.")] = False,
     log: Annotated[Path | None, typer.Option(help="Write the true tool position here, as CSV.")] = None,
     seed: Seed = 0,
+    json: Json = False,
 ) -> None:
     """Serve a worn arm in real time on the myCobot's own wire protocol, until Ctrl-C.
 
@@ -27,10 +28,13 @@ def emulate(
     """
     from rejoint.emulator.emulate import emulate as serve
 
-    terminal = Terminal()
+    terminal = Terminal(json=json)
+    served: list[str] = []
 
     def announce(address: str) -> None:
+        served.append(address)
         terminal.say(f"A myCobot 280 with the wear profile '{wear}' answers at {address}  (Ctrl-C ends it)")
 
     serve(load_arm("mycobot280"), wear, host=host, port=port, pty=pty, seed=seed, announce=announce, log=log)
     terminal.say("Emulator ended.")
+    terminal.finish({"wear": wear, "address": served[-1]})

@@ -20,12 +20,14 @@ from rejoint.cli.options import (
     Robot,
     Run,
     RunOption,
+    RunSeed,
     Seed,
     Targets,
     Tip,
     choose_arm,
     controller_names,
     period_seconds,
+    seeded,
 )
 from rejoint.comparison.targets import draw_targets, read_targets
 from rejoint.errors import InputError
@@ -63,6 +65,7 @@ def identify(
     arm: ArmOption = None,
     base: Base = None,
     tip: Tip = None,
+    seed: RunSeed = None,
     json: Json = False,
 ) -> None:
     """Fit a digital twin to the excitation log of a run, or to a folder of logs alone.
@@ -76,7 +79,7 @@ def identify(
         offline.identify_from_logs(terminal, choose_arm(terminal, arm, base, tip), logs, out)
         return
     assert run is not None  # noqa: S101 - for the type checker; one of the two is given
-    job = work.open_run(run)
+    job = seeded(work.open_run(run), seed)
     with terminal.progress("identifying") as update:
         twin = work.identify_stage(job, on_progress=update)
     show.twin(terminal, twin)
@@ -88,6 +91,7 @@ def train(
     run: Run,
     preset: Preset = "default",
     restart: Annotated[bool, typer.Option("--restart", help="Forget an interrupted training.")] = False,
+    seed: RunSeed = None,
     json: Json = False,
 ) -> None:
     """Train a policy on randomised copies of the run's twin.
@@ -95,11 +99,14 @@ def train(
     Example: `rejoint train runs/mine`
     """
     terminal = Terminal(json=json)
-    job = work.open_run(run)
+    job = seeded(work.open_run(run), seed)
+    from rejoint.report.sections.training import draw_training
+
     if not job.folder.twin.exists():
         terminal.say(f"{run} has no twin.toml: training on broad ranges instead of on this arm.")
     with terminal.progress("training") as update:
         result = work.train_stage(job, preset=preset, resume=not restart, on_progress=update)
+    terminal.say(f"Curves: {draw_training(job.folder)}")
     show.training(terminal, result)
     terminal.result(f"Next: rejoint compare {job.info.robot} {run}")
     terminal.finish(result)
@@ -113,6 +120,7 @@ def compare(
     sets: Annotated[int, typer.Option(help="Target sets of ten targets each.", min=1)] = 10,
     repetitions: Annotated[int, typer.Option(help="Repetitions of every target set.", min=1)] = 6,
     period: Period = None,
+    seed: RunSeed = None,
     json: Json = False,
 ) -> None:
     """Try every controller on the same arm with the same targets.
@@ -120,7 +128,7 @@ def compare(
     Example: `rejoint compare emulated:worn runs/mine --sets 10 --repetitions 6`
     """
     terminal = Terminal(json=json)
-    job = work.open_run(run)
+    job = seeded(work.open_run(run), seed)
     trials = work.Trials(controllers=controller_names(controllers), sets=sets, repetitions=repetitions, file=targets)
     with terminal.progress("comparing") as update:
         result = work.compare_stage(job, robot, trials, period=period_seconds(period), on_progress=update)
@@ -136,6 +144,7 @@ def deploy(
     controller: Annotated[str, typer.Option(help="policy, or one of the baselines.")] = "policy",
     dwell: Annotated[float, typer.Option(help="Time per target in seconds.", min=0.1)] = 4.0,
     period: Period = None,
+    seed: RunSeed = None,
     json: Json = False,
 ) -> None:
     """Drive an arm to targets with the trained policy (or another controller); ten random ones by default.
@@ -143,7 +152,7 @@ def deploy(
     Example: `rejoint deploy tcp://192.168.1.20:9000 runs/mine --targets points.csv`
     """
     terminal = Terminal(json=json)
-    job = work.open_run(run)
+    job = seeded(work.open_run(run), seed)
     points = draw_targets(job.arm, sets=1, seed=job.info.seed)[0] if targets is None else read_targets(targets, job.arm)
     errors = work.deploy_stage(
         job, robot, work.Deployment(controller=controller, targets=points, dwell=dwell), period_seconds(period)

@@ -17,6 +17,7 @@ from rejoint.report.figures import training_curves
 from rejoint.report.gallery import Gallery
 from rejoint.report.numerals import number
 from rejoint.report.view import Part, Section
+from rejoint.runs import RunFolder
 
 KEY, SHORT, HEADING = "training", "Training", "Training of the policy"
 
@@ -54,6 +55,13 @@ def read_curves(path: Path) -> Curves:
     if not len(columns["step"]):
         raise FileError(path, "no update in the training curves", remedy)
     return Curves(**columns)
+
+
+def draw_training(folder: RunFolder) -> Path:
+    """Draw the training curves of a run alone, as the PNG file that the report would write; returns its path."""
+    gallery = Gallery()
+    training_section(read_curves(folder.training / "curves.parquet"), None, gallery)
+    return gallery.save(folder.figures)[0]
 
 
 def training_section(curves: Curves | None, contract: PolicyContract | None, gallery: Gallery) -> Section:
