@@ -6,11 +6,13 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from rejoint import repair as work
 from rejoint.arms import mycobot280
 from rejoint.cli import main
+from rejoint.cli.console import Terminal
 from rejoint.cli.options import controller_names, period_seconds
 from rejoint.errors import FileError, GuardTripError, InputError
 from rejoint.runs import RunFolder, RunInfo, read_log, write_json
@@ -199,6 +201,14 @@ def test_every_command_has_help_with_an_example(
         code, out, _ = run_cli(name, "--help", capsys=capsys, monkeypatch=monkeypatch)
         assert code == 0
         assert "Example" in out
+
+
+def test_results_of_every_kind_become_one_line_of_json(capsys: pytest.CaptureFixture[str]) -> None:
+    value = {"path": Path("a/b"), "array": np.array([1.5, 2.5]), "number": np.float64(0.5), "flag": np.bool_(True)}
+    Terminal(json=True).finish(value)
+    assert json.loads(capsys.readouterr().out) == {"path": "a/b", "array": [1.5, 2.5], "number": 0.5, "flag": True}
+    Terminal(json=False).finish(value)
+    assert capsys.readouterr().out == ""
 
 
 def test_a_run_folder_is_never_taken_over(tmp_path: Path) -> None:

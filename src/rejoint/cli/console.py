@@ -9,8 +9,10 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 
 import msgspec
+import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
@@ -54,7 +56,7 @@ class Terminal:
     def finish(self, value: object) -> None:
         """Print ``value`` as one JSON object on the last line, if ``--json`` was given."""
         if self.json:
-            sys.stdout.write(msgspec.json.encode(value).decode() + "\n")
+            sys.stdout.write(msgspec.json.encode(value, enc_hook=_plain).decode() + "\n")
             sys.stdout.flush()
 
     @contextmanager
@@ -74,6 +76,15 @@ class Terminal:
                 bar.update(task, completed=done, total=total, detail=text)
 
             yield update
+
+
+def _plain(value: object) -> object:
+    """Turn what JSON does not know into what it does."""
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    if isinstance(value, Path):
+        return str(value)
+    raise TypeError(f"a {type(value).__name__} has no place in JSON")
 
 
 def _plain_progress(terminal: Terminal, title: str) -> OnProgress:
