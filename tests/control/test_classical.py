@@ -7,7 +7,7 @@ from rejoint.arms import gravity_torque, mycobot280, position_jacobian, solve_po
 from rejoint.arms.kinematics import frames
 from rejoint.control.catalogue import BASELINES, CONTROLLERS, make_controller
 from rejoint.control.controller import Situation
-from rejoint.control.feedforward import FeedforwardController
+from rejoint.control.feedforward import FeedforwardController, FeedforwardGains
 from rejoint.control.integrator import IntegratorController, IntegratorGains
 from rejoint.control.law import STEP_LIMIT, dls_step, fade, limit_lead, null_space
 from rejoint.control.loop import Schedule, run
@@ -182,7 +182,7 @@ def test_default_misses_by_the_sag_and_integral_action_removes_it():
 
 def test_exact_feedforward_leaves_nothing_to_integrate():
     """Where the model is exact the arm settles at the target although nothing is integrated."""
-    no_feedback = IntegratorGains(rate=0.0)
+    no_feedback = FeedforwardGains(rate=0.0)
     exact = FeedforwardController(ARM, 6.0, no_feedback)
     assert (final_error(exact) < 2e-4).all()
     assert (final_error(FeedforwardController(ARM, 12.0, no_feedback)) > 5e-3).all()

@@ -7,7 +7,6 @@ import pytest
 
 from rejoint.arms import frames, gravity_torque, mycobot280, position_jacobian, solve_position, tcp_position
 from rejoint.control.controller import Situation
-from rejoint.control.feedforward import LEARNED_LIMIT
 from rejoint.control.observation import look
 from rejoint.control.residual import Commander, CommandLaw, working_envelope
 from rejoint.control.robot import JointState
@@ -78,8 +77,8 @@ def test_what_is_learned_is_bounded() -> None:
     first = command(commander, now, np.zeros((2, 6)))
     for cycle in range(300):
         last = command(commander, situation(rest, now.target, 0.02 * cycle), np.ones((2, 6)))
-    assert np.abs(last - first).max() <= LEARNED_LIMIT + 1e-9
-    assert np.abs(last - first).max() > 0.9 * LEARNED_LIMIT
+    assert np.abs(last - first).max() <= LAW.learning.learned_limit + 1e-9
+    assert np.abs(last - first).max() > 0.9 * LAW.learning.learned_limit
 
 
 def test_commands_stay_in_the_working_envelope() -> None:

@@ -8,6 +8,8 @@ its goal needs no push, one that is stuck does.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from rejoint.arms import Arm, Array, frames, gravity_torque, position_jacobian
@@ -24,12 +26,21 @@ NOMINAL_STIFFNESS = 6.0
 """[N m/rad] assumed of the servos of a worn arm of a myCobot's size where nothing is known (chosen: middle of the 3
 to 12 of the twins trained on); other arms scale with the load of their joints."""
 
-MOVING = 0.1
-"""[rad/s] a joint faster than this is on its way (chosen: two encoder counts per period of 30 ms)."""
-
-LEARNED_LIMIT = np.radians(45.0)
-"""[rad] largest correction of a joint (chosen: where one is stuck, the others must go this far to make up for it)."""
 _SMOOTHING = 0.5  # share of the newest difference in the speed estimate (chosen)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FeedforwardGains:
+    """Settings of what the feed-forward controller learns."""
+
+    rate: float = IntegratorGains.rate
+    """[1/s] fraction of the step that is integrated per second"""
+    fade: float = IntegratorGains.fade
+    """[m] distance at which the steps have faded to half"""
+    learned_limit: float = float(np.radians(45.0))
+    """[rad] largest correction of a joint (chosen: where one is stuck, the others must make up for it)"""
+    moving: float = 0.1
+    """[rad/s] a joint faster than this is on its way (chosen: two encoder counts per period of 30 ms)"""
 
 
 class FeedforwardController:
@@ -37,8 +48,8 @@ class FeedforwardController:
 
     name = "feedforward"
 
-    def __init__(self, arm: Arm, stiffness: Array | float | None = None, gains: IntegratorGains | None = None) -> None:
-        self._arm, self._gains, self._goal = arm, gains or IntegratorGains(), Goal(arm)
+    def __init__(self, arm: Arm, stiffness: Array | float | None = None, gains: FeedforwardGains | None = None) -> None:
+        self._arm, self._gains, self._goal = arm, gains or FeedforwardGains(), Goal(arm)
         stiffness = NOMINAL_STIFFNESS * torque_size(arm) if stiffness is None else stiffness
         self._stiffness = np.broadcast_to(np.asarray(stiffness, dtype=float), (arm.joints,)).copy()
         if not (self._stiffness > 0.0).all():
@@ -70,10 +81,10 @@ class FeedforwardController:
         elapsed = self._pace.tick(situation.state.time)[:, None]
         self._observe_speed(situation.state.position, elapsed)
         push = self._gains.rate * elapsed * step
-        on_its_way = (np.abs(self._speed) > MOVING) & (self._speed * push > 0.0)
+        on_its_way = (np.abs(self._speed) > self._gains.moving) & (self._speed * push > 0.0)
         # Bounded by itself, not by the measured position: on the way the command leads by the whole distance.
         correction = self._correction + np.where(on_its_way, 0.0, push) + extra
-        self._correction = np.clip(correction, -LEARNED_LIMIT, LEARNED_LIMIT)
+        self._correction = np.clip(correction, -self._gains.learned_limit, self._gains.learned_limit)
         return limit_position(self._arm, self._raised + self._correction)
 
     def forget(self, situation: Situation, where: Mask) -> None:

@@ -14,7 +14,7 @@ readings, by what the action is added to (``anchor``):
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Literal
 
@@ -22,7 +22,7 @@ import numpy as np
 
 from rejoint.arms import Arm, Array, clip_norm, solve_position
 from rejoint.control.controller import Situation
-from rejoint.control.feedforward import FeedforwardController
+from rejoint.control.feedforward import FeedforwardController, FeedforwardGains
 from rejoint.control.law import GAIN, STEP_LIMIT, limit_lead, limit_position
 from rejoint.control.observation import View
 from rejoint.control.robot import Mask
@@ -39,6 +39,8 @@ class CommandLaw:
     """what step and action are added to"""
     stiffness: tuple[float, ...] = ()
     """[N m/rad] of the servos, as far as it is known when the policy is trained; needed by the anchor ``goal``"""
+    learning: FeedforwardGains = field(default_factory=FeedforwardGains)
+    """what the controller under the anchor ``goal`` learns by itself, but for the fade, which is left to the policy"""
     step_gain: float = GAIN
     """fraction of the damped least-squares step taken each cycle"""
     step_limit: float = float(STEP_LIMIT)
@@ -92,7 +94,7 @@ class Commander:
         if law.anchor == "goal":
             if len(law.stiffness) != arm.joints:
                 raise InputError(f"the law needs the stiffness of {arm.joints} servos, got {list(law.stiffness)}")
-            self._base = FeedforwardController(arm, np.array(law.stiffness))
+            self._base = FeedforwardController(arm, np.array(law.stiffness), law.learning)
 
     def reset(self, situation: Situation, where: Mask) -> None:
         """Take over the new targets of the arms in ``where`` (B,)."""
