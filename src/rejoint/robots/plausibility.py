@@ -17,6 +17,8 @@ JUMP_SLACK = np.radians(5.0)
 """[rad] covers that answers are sampled up to 30 ms away from their arrival (chosen)"""
 COMMAND_TRAVEL = np.radians(10.0)
 """[rad] a command that went this far moves at least one joint by an encoder step (chosen)"""
+COMMANDED_JOINTS = 2
+"""joints that must have been sent that far (chosen: one alone may be stuck, which a diagnosis has to find out)"""
 REPEAT_GRACE = 0.3
 """[s] of identical answers that latency and acceleration explain (chosen)"""
 REPEAT_LIMIT = 1.5
@@ -72,8 +74,9 @@ class Continuity:
     def accept(self, time: float, position: Array, command: Array | None) -> float:
         """Take over an answer; return its age [s]: how long it should have changed and did not.
 
-        Standing still is no offence, and a stuck joint neither: only when the command in force has
-        moved by more than 10 deg since the last change, and not one of the encoders by one step.
+        Standing still is no offence, and a stuck joint neither: only when the commands in force of at
+        least two joints have moved by more than 10 deg since the last change, and not one of the
+        encoders by one step.
         Raises StaleReplyError when that lasts.
         """
         if self._last is None or np.any(position != self._last[1]):
@@ -85,7 +88,7 @@ class Continuity:
         if command is None or self._command_then is None:
             return 0.0
         if self._waiting_since is None:
-            if np.abs(command - self._command_then).max() > COMMAND_TRAVEL:
+            if np.count_nonzero(np.abs(command - self._command_then) > COMMAND_TRAVEL) >= COMMANDED_JOINTS:
                 self._waiting_since = time
             return 0.0
         age = time - self._waiting_since
