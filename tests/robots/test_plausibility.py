@@ -62,6 +62,12 @@ def test_a_stuck_joint_that_is_pushed_a_little_is_fresh():
     assert max(run(Continuity(ARM), [[0.1] * 6] * 200, pushed)) == 0.0
 
 
+def test_one_stuck_joint_is_not_taken_for_old_answers():
+    """A diagnosis moves joints one by one, and a joint too weak to follow must be found out, not refused."""
+    sent_away = [[0.1, 0.1, 0.1, 0.1 + np.radians(20), 0.1, 0.1]] * 199
+    assert max(run(Continuity(ARM), [[0.1] * 6] * 200, [[0.1] * 6, *sent_away])) == 0.0
+
+
 def test_answers_that_do_not_follow_a_large_command_age_and_are_refused():
     continuity = Continuity(ARM)
     ages = run(continuity, [[0.1] * 6] * 30, [[0.1] * 6] + [[0.5] * 6] * 29)
