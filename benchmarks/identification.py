@@ -20,9 +20,9 @@ import mujoco.rollout
 import numpy as np
 
 from rejoint.arms import Arm, load_arm
+from rejoint.exclusions import find_exclusions, table_height
 from rejoint.logs import import_logs
 from rejoint.runs import RunLog
-from rejoint.twin.exclusions import find_exclusions, table_height
 from rejoint.twin.fit import Fit, Problem, fit
 from rejoint.twin.fromlogs import FITTED, LogSettings, fit_motions, identify_logs, independent
 from rejoint.twin.judge import NO_TWIN, TIMESTEP, Candidate, Errors, judge

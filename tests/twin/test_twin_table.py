@@ -7,8 +7,8 @@ from motion_logs import ARM, TRUTH, pressing, record
 from rejoint.arms import gravity_torque, tcp_position
 from rejoint.arms.kinematics import frames, position_jacobian
 from rejoint.errors import InputError
+from rejoint.exclusions import find_exclusions
 from rejoint.twin.batch import TwinBatch
-from rejoint.twin.exclusions import find_exclusions
 from rejoint.twin.replay import Replay
 from rejoint.twin.segments import contact_windows
 from rejoint.twin.table import Table

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from rejoint.arms import Arm
 from rejoint.errors import InputError
+from rejoint.exclusions import Exclusions, find_exclusions, table_height
 from rejoint.runs import RunLog
-from rejoint.twin.exclusions import Exclusions, find_exclusions, table_height
 from rejoint.twin.fit import Fit, Problem, fit
 from rejoint.twin.identify import torque_bounds, twin_notes
 from rejoint.twin.judge import NO_TWIN, TIMESTEP, Candidate, Judgement, judge
