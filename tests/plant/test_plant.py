@@ -327,3 +327,37 @@ def test_what_no_arm_can_do_is_refused(call, found):
 def test_a_plant_of_no_arms_is_refused():
     with pytest.raises(InputError, match="at least one"):
         Plant(ARM, [], seed=0)
+
+
+def test_a_payload_is_a_heavier_last_link():
+    grams = np.array([0.0, 0.12, 0.25])
+    pair = Plant(ARM, [quiet()] * 3, seed=0, payload=grams)
+    tracks = rows(pair, ARM.rest + np.tile([0.3, 0.2, -0.1, 0.2, 0.1, 0.0], (3, 1)), 0.5)
+    for i, mass in enumerate(grams):
+        total = ARM.mass[-1] + mass
+        com = (ARM.mass[-1] * ARM.com[-1] + mass * ARM.tip[:3, 3]) / total
+        inertia = ARM.inertia[-1].copy()
+        for m, at in ((ARM.mass[-1], ARM.com[-1]), (mass, ARM.tip[:3, 3])):
+            d = at - com
+            inertia += m * (d @ d * np.eye(3) - np.outer(d, d))
+        heavier = dataclasses.replace(
+            ARM,
+            mass=np.array([*ARM.mass[:-1], total]),
+            com=np.array([*ARM.com[:-1], com]),
+            inertia=np.array([*ARM.inertia[:-1], inertia]),
+        )
+        alone = Plant(heavier, [quiet()], seed=0, first=i)
+        alone._joints = pair._joints[i : i + 1].copy()  # the same servos, whatever the weight would suggest
+        alone.reset(REST)
+        # Other principal axes of the same inertia round otherwise, and friction amplifies that.
+        np.testing.assert_allclose(
+            rows(alone, ARM.rest[None] + np.array([[0.3, 0.2, -0.1, 0.2, 0.1, 0.0]]), 0.5)[:, 0],
+            tracks[:, i],
+            atol=1e-6,
+        )
+    assert np.abs(tracks[-1, 2] - tracks[-1, 0]).max() > 0.01
+
+
+def test_a_payload_cannot_be_negative():
+    with pytest.raises(InputError, match="payload"):
+        Plant(ARM, [wear()], seed=0, payload=-0.1)

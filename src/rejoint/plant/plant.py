@@ -7,12 +7,15 @@ anything; mechanical stops end the travel of the joints.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
+import mujoco
 import numpy as np
 from mujoco.batch import Batch
 from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, gravity_torque, tcp_position
+from rejoint.arms.inertia import Lump, lump
 from rejoint.errors import InputError
 from rejoint.plant import servo
 from rejoint.plant.model import build_model
@@ -34,11 +37,22 @@ class Plant:
     would alone, ``Plant(arm, [wears[i]], seed=seed, first=first + i)``, at any number of threads.
     """
 
-    def __init__(self, arm: Arm, wears: Sequence[Wear], *, seed: int, threads: int = 1, first: int = 0) -> None:
+    def __init__(
+        self,
+        arm: Arm,
+        wears: Sequence[Wear],
+        *,
+        seed: int,
+        threads: int = 1,
+        first: int = 0,
+        payload: Array | float = 0.0,
+    ) -> None:
+        """Put the arms at rest; ``payload`` is a number or (B,) [kg], a point mass held at the TCP."""
         if not wears:
             raise InputError("a plant needs at least one wear profile, got none")
         self.arm = arm
         self.count = len(wears)
+        self._carried = _loaded(arm, np.broadcast_to(np.asarray(payload, dtype=float), self.count))
         self._joints = np.array([joint_records(arm, wear) for wear in wears])
         self._servos = np.zeros((self.count, arm.joints), servo.STATE)
         self._tick = np.zeros(self.count, np.int64)
@@ -50,6 +64,7 @@ class Plant:
         armature = self._batch.expand("dof_armature")
         armature[:, 0::2] = self._joints["reflected_inertia"]
         armature[:, 1::2] = servo.gear_armature(self._joints["link_stiffness"])
+        self._load_tools()
         self._qpos, self._qvel = self._batch.bind("qpos"), self._batch.bind("qvel")
         self._applied = self._batch.bind("qfrc_applied")
         self._servos["speed_limit"] = servo.ramp_speed(arm.max_speed)
@@ -186,13 +201,32 @@ class Plant:
     def _balance(self, position: Array) -> tuple[Array, Array, Array]:
         """Servo angles, gear angles and motor torques (B, n) of arms at rest whose encoders read ``position``."""
         joints, seen = self._joints, np.zeros_like(position)
-        load = gravity_torque(self.arm, position)
+        load = self._gravity(position)
         for _ in range(5):  # the gear turns the links by a degree or two, which hardly changes the load
             flank = np.where(np.abs(load) > _NO_LOAD, -0.5 * joints["play"] * np.sign(load), 0.0)
             gear = flank - load / joints["link_stiffness"]
             seen = np.where(joints["play_in_loop"], flank, 0.0)
-            load = gravity_torque(self.arm, position - seen + gear)
+            load = self._gravity(position - seen + gear)
         return position - seen, gear, load
+
+    def _gravity(self, position: Array) -> Array:
+        load = gravity_torque(self.arm, position)
+        for i, arm in self._carried.items():
+            load[i] = gravity_torque(arm, position[i])
+        return load
+
+    def _load_tools(self) -> None:
+        """Give the last bodies of the arms in `_carried` the masses of their last links."""
+        if not self._carried:
+            return
+        mass, com = self._batch.expand("body_mass"), self._batch.expand("body_ipos")
+        inertia, turn = self._batch.expand("body_inertia"), self._batch.expand("body_iquat")
+        for i, arm in self._carried.items():
+            moments, axes = np.linalg.eigh(arm.inertia[-1])
+            axes[:, 0] *= np.sign(np.linalg.det(axes))
+            mass[i, -1], com[i, -1], inertia[i, -1] = arm.mass[-1], arm.com[-1], moments
+            mujoco.mju_mat2Quat(turn[i, -1], axes.flatten())
+        self._batch.set_const(np.array(list(self._carried), dtype=np.int32))  # the masses of whole branches
 
     def _selected(self, where: Mask | None) -> Ids:
         return np.arange(self.count) if where is None else np.flatnonzero(where)
@@ -204,6 +238,23 @@ class Plant:
                 f"expected finite joint positions of shape {(self.count, self.arm.joints)} [rad], got {position!r}"
             )
         return position
+
+
+def _loaded(arm: Arm, payload: Array) -> dict[int, Arm]:
+    """Return the arms of a batch that carry a ``payload`` (B,) [kg], with the point mass joined to their last link."""
+    if not (np.isfinite(payload).all() and (payload >= 0).all()):
+        raise InputError(f"a payload is at least 0 kg, got {payload.tolist()}")
+    carried = {}
+    for i in np.flatnonzero(payload > 0.0):
+        link = Lump(mass=float(arm.mass[-1]), com=arm.com[-1], inertia=arm.inertia[-1])
+        joined = lump([link, Lump(mass=float(payload[i]), com=arm.tip[:3, 3], inertia=np.zeros((3, 3)))])
+        carried[int(i)] = replace(
+            arm,
+            mass=np.append(arm.mass[:-1], joined.mass),
+            com=np.vstack([arm.com[:-1], joined.com]),
+            inertia=np.concatenate([arm.inertia[:-1], joined.inertia[None]]),
+        )
+    return carried
 
 
 def joint_records(arm: Arm, wear: Wear) -> NDArray[np.void]:

@@ -37,11 +37,15 @@ class EmulatedRobot:
         threads: int = 1,
         start: Array | None = None,
         first: int = 0,
+        payload: Array | float = 0.0,
     ) -> None:
-        """Put the arms at rest at ``start`` (B, n) or (n,) [rad], by default in the rest posture."""
+        """Put the arms at rest at ``start`` (B, n) or (n,) [rad], by default in the rest posture.
+
+        ``payload``, a number or (B,) [kg], is what their tools carry and nobody knows of.
+        """
         self._address = address
         self._channel = Channel(latency=command_latency, age=readback_age, period=period)
-        self.plant = Plant(arm, wears, seed=seed, threads=threads, first=first)
+        self.plant = Plant(arm, wears, seed=seed, threads=threads, first=first, payload=payload)
         self._keys = stream_keys(seed, len(wears), first=first, purpose=_CHANNEL_PURPOSE)
         self._cycle = np.zeros(len(wears), np.int64)
         self._position = np.zeros((len(wears), arm.joints))
