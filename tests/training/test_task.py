@@ -229,3 +229,32 @@ def test_the_paper_s_episode_ends_with_success():
 def test_the_paper_s_observation_is_its_equation_16():
     assert sum(slot.size for slot in layout_slots(PAPER.task.layout, 6)) == 28
     assert CommandLaw() == TaskSettings().law
+
+
+def test_a_collision_costs_ten_and_ends_the_target_without_ending_the_return():
+    task = ReachTask(ARM, PaperRanges(arm=ARM, joint_noise=0.0), 6, PAPER.task, seed=0)
+    task.reset(staggered=False)
+    level, down = np.radians([0.0, -90, 0, 0, 0, 0]), np.radians([0.0, -135, 0, 0, 0, 0])
+    for agent, posture in ((1, down), (2, level), (4, down)):
+        task.twins.qpos[agent] = task._reference[agent] = task._sent[agent] = task._measured[agent] = posture
+        task.wire.clear(np.arange(6) == agent, posture[None], posture[None])
+    task._target[2] = tcp_position(ARM, level) + [0.0, 0.0, 0.05]
+    transition = task.step(np.zeros((6, 6)))
+    expected = np.isin(np.arange(6), [1, 4])
+    np.testing.assert_array_equal(transition.collided, expected)
+    np.testing.assert_array_equal(transition.truncated, expected)  # bootstrapped, as a time-out is
+    assert (transition.reward[expected] < -10.0).all()
+    assert (transition.reward[~expected] > -5.0).all()
+    assert (transition.final_observation[expected, -2] == 1.0).all()  # the collision buffer of equation 16
+    assert (transition.observation[:, -2] == 0.0).all()
+    np.testing.assert_array_equal(task.twins.qpos[expected], np.tile(ARM.rest, (2, 1)))  # initialised
+    assert (np.abs(task.twins.qpos[2] - ARM.rest).max()) > 1.0
+
+
+def test_our_task_does_not_look_at_collisions():
+    task = make(agents=2, settings=TaskSettings(hold_steps=10**9))
+    task.reset()
+    task.twins.qpos[:] = np.radians([0.0, -135, 0, 0, 0, 0])
+    transition = task.step(np.zeros((2, 6)))
+    assert not transition.collided.any()
+    assert not transition.truncated.any()

@@ -17,7 +17,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rejoint.arms import Arm, Array, frames, position_jacobian
+from rejoint.arms import Arm, Array, collides, frames, position_jacobian
 from rejoint.arms.inverse import DAMPING
 from rejoint.control.controller import Situation
 from rejoint.control.robot import Mask
@@ -118,7 +118,7 @@ def layout_slots(layout: Layout, joints: int) -> tuple[Slot, ...]:
             ("target", 3, "5 target [1/m]"),
             ("tcp", 3, "5 tcp(x) [1/m]"),
             ("distance", 1, "5 |e| [1/m]"),
-            ("collision", 1, "1 where the TCP is below the floor of the arm"),
+            ("collision", 1, "1 where x has a link touch another one or the ground"),
             ("success", 1, "1 where |e| < 5 mm"),
         )  # fmt: skip
     else:
@@ -178,7 +178,7 @@ class Observer:
         if self.layout == "residual":
             _residual(out, reading)
         else:
-            _equation_16(out, reading, self.arm.floor)
+            _equation_16(out, reading, self.arm)
         return np.clip(out, -LIMIT, LIMIT, out=out)
 
     def acted(self, action: Array) -> None:
@@ -220,7 +220,7 @@ def _residual(out: Observation, reading: Reading) -> None:
     out[:, m + 8 :] = reading.action
 
 
-def _equation_16(out: Observation, reading: Reading, floor: float) -> None:
+def _equation_16(out: Observation, reading: Reading, arm: Arm) -> None:
     """Fill ``out`` (B, 3n + 10) as `layout_slots` says."""
     n, view = reading.position.shape[1], reading.view
     columns = out.T
@@ -232,5 +232,5 @@ def _equation_16(out: Observation, reading: Reading, floor: float) -> None:
     out[:, m : m + 3] = 5.0 * reading.target
     out[:, m + 3 : m + 6] = 5.0 * view.tcp
     columns[m + 6] = 5.0 * view.distance
-    columns[m + 7] = view.tcp[:, 2] < floor
+    columns[m + 7] = collides(arm, frames(arm, reading.position))
     columns[m + 8] = view.distance < SUCCESS_DISTANCE

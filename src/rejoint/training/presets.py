@@ -80,6 +80,7 @@ PAPER = Preset(
         start_spread=0.0,
         start_sag=False,
         ends_on_success=True,
+        collisions=True,
     ),
     ppo=PpoSettings(
         rollout=50,  # chosen; with 100 updates it gives Table 3's 5000 time steps

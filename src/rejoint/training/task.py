@@ -5,7 +5,8 @@ from agent to agent and from cycle to cycle, so that every agent has its own con
 of them still advance in one call. Observation, command law and guard are those of deployment.
 
 A target is held for a fixed number of cycles. Its end is a time-out, not a failure: the return is
-bootstrapped from the state before the next target appears.
+bootstrapped from the state before the next target appears. So it is after a collision, where the task
+knows of any: with nothing more to lose, a policy would crash on purpose to end a bad episode.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rejoint.arms import Arm, Array, gravity_torque, tcp_position
+from rejoint.arms import Arm, Array, collides, frames, gravity_torque, tcp_position
 from rejoint.control.controller import Situation
 from rejoint.control.guard import GuardLimits, guard
 from rejoint.control.observation import Layout, Observation, Observer
@@ -60,6 +61,9 @@ class TaskSettings:
     """whether the first command leads the arm by a part of its sag, as after an earlier motion"""
     ends_on_success: bool = False
     """whether reaching 5 mm ends the episode (the paper) or is to be held (ours)"""
+    collisions: bool = False
+    """whether touching the ground or itself ends the target and exchanges the arm (the paper); else not looked at, for
+    the simulation has no contacts and an arm near its targets touches nothing"""
 
 
 class Transition(NamedTuple):
@@ -77,7 +81,9 @@ class Transition(NamedTuple):
     terminated: Mask
     """(N,) success where that ends the episode"""
     truncated: Mask
-    """(N,) time-outs"""
+    """(N,) time-outs and collisions"""
+    collided: Mask
+    """(N,) whether the arm has come to touch the ground or itself"""
     distance: Array
     """(N,) [m] between true TCP of the twin and target at the end of this cycle"""
 
@@ -106,14 +112,14 @@ class ReachTask:
         self._step, self._count = np.zeros(agents, dtype=np.int64), np.zeros(agents, dtype=np.int64)
         self._fixed = np.zeros((agents, truth_size(n)), dtype=np.float32)
 
-    def reset(self) -> tuple[Observation, Observation]:
-        """Begin everywhere, each agent at another point of its episode; returns observation and truth."""
+    def reset(self, *, staggered: bool = True) -> tuple[Observation, Observation]:
+        """Begin everywhere, ``staggered`` each agent at another point of its episode; returns observation and truth."""
         everyone = np.ones(self.agents, dtype=bool)
         self._new_arms(everyone)
         self._new_targets(everyone)
-        # Staggered, so that a batch holds all phases of a motion and not the same one everywhere.
-        self._step[:] = self._rng.integers(0, self.settings.hold_steps, self.agents)
-        self._count[:] = self._rng.integers(0, self.settings.targets, self.agents)
+        if staggered:  # so that a batch holds all phases of a motion and not the same one everywhere
+            self._step[:] = self._rng.integers(0, self.settings.hold_steps, self.agents)
+            self._count[:] = self._rng.integers(0, self.settings.targets, self.agents)
         distance = np.linalg.norm(self._target - self._tcp, axis=-1)
         return self.observer.observe(self._situation()), self._truth(distance, np.zeros(self.agents))
 
@@ -123,22 +129,25 @@ class ReachTask:
         self._command(applied)
         before = self.twins.qpos.copy()
         self._advance()
-        tcp = tcp_position(self.arm, self.twins.qpos)
+        now = frames(self.arm, self.twins.qpos)
+        tcp = now.tcp_position
         speed = np.linalg.norm(tcp - self._tcp, axis=-1) / self._period
         self._tcp = tcp
         distance = np.linalg.norm(self._target - tcp, axis=-1)
         self._step += 1
         final, final_truth = self.observer.observe(self._situation()), self._truth(distance, speed)
         reached = (distance < SUCCESS_DISTANCE) & self.settings.ends_on_success
+        collided = collides(self.arm, now) if self.settings.collisions else np.zeros(self.agents, dtype=bool)
         late = (self._step >= self.settings.hold_steps) & ~reached
         if self.settings.reward == "residual":
             reward = residual_reward(distance, speed, np.asarray(action, dtype=float))
             reward = reward - self.settings.posture_weight * (self.observer.view.homing**2).sum(axis=-1)
         else:
             joint_speed = (self.twins.qpos - before) / self._period[:, None]
-            reward = paper_reward(distance, joint_speed, tcp[:, 2] < self.arm.floor, reached, late)
-        observation, truth = self._renew(reached | late, final, final_truth)
-        return Transition(observation, truth, final, final_truth, reward, reached, late, distance)
+            reward = paper_reward(distance, joint_speed, collided, reached, late)
+        cut = late | (collided & ~reached)
+        observation, truth = self._renew(reached | cut, collided, final, final_truth)
+        return Transition(observation, truth, final, final_truth, reward, reached, cut, collided, distance)
 
     def state(self) -> dict[str, Any]:
         """Everything that a checkpoint must keep; copies."""
@@ -195,12 +204,14 @@ class ReachTask:
         self.wire.record(starts + substep[:, None], passed)
         self._measured = self._quantised(self.wire.read(self._time))
 
-    def _renew(self, ended: Mask, final: Observation, final_truth: Observation) -> tuple[Observation, Observation]:
-        """Give new targets, and after the last one new arms, where a target has ended."""
+    def _renew(
+        self, ended: Mask, collided: Mask, final: Observation, final_truth: Observation
+    ) -> tuple[Observation, Observation]:
+        """Give new targets where a target has ended, and new arms after the last one or a collision."""
         if not ended.any():
             return final, final_truth
         self._count[ended] += 1
-        exchanged = ended & (self._count >= self.settings.targets)
+        exchanged = ended & ((self._count >= self.settings.targets) | collided)
         if exchanged.any():
             self._new_arms(exchanged)
         self._new_targets(ended)

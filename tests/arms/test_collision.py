@@ -1,0 +1,101 @@
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rejoint.arms import collides, frames, mycobot280, segment_distance, so101, solve_position
+from rejoint.arms.collision import collision_shape
+
+ARM = mycobot280()
+POINT = st.tuples(*[st.floats(-1.0, 1.0)] * 3).map(np.array)
+
+
+def touches(*degrees: float) -> bool:
+    return bool(collides(ARM, frames(ARM, np.radians(degrees))))
+
+
+def test_a_healthy_posture_touches_nothing():
+    assert not collides(ARM, frames(ARM, ARM.rest))
+    assert not touches(0, 0, 0, 0, 0, 0)  # upright
+
+
+def test_an_arm_that_bends_down_touches_the_ground():
+    # Stretched out level at shoulder height (131 mm) nothing touches; 45 deg lower the elbow (110 mm out) is still
+    # above the 26 mm of its housing, the wrist (206 mm out) is not.
+    assert not touches(0, -90, 0, 0, 0, 0)
+    elbow = frames(ARM, np.radians([0.0, -135, 0, 0, 0, 0])).position
+    assert elbow[2, 2] == pytest.approx(0.13122 - 0.1104 * np.sin(np.pi / 4))
+    assert elbow[3, 2] < 0.0
+    assert touches(0, -135, 0, 0, 0, 0)
+
+
+def test_a_folded_arm_touches_itself():
+    # Elbow bent by 150 deg: the wrist comes back to the upper arm, 96 mm sin 30 deg = 48 mm from its axis, closer
+    # than two radii of 26 mm; at 135 deg (68 mm) it does not touch.
+    folded, less = np.radians([0.0, 0, 150, -150, 0, 0]), np.radians([0.0, 0, 135, -135, 0, 0])
+    shape = collision_shape(ARM)
+    assert shape.radius == pytest.approx(0.0260835)
+    for posture, expected in ((folded, True), (less, False)):
+        assert frames(ARM, posture).position[..., 2].min() >= 0.0
+        assert bool(collides(ARM, frames(ARM, posture))) is expected
+
+
+def test_neighbours_never_count_and_every_other_pair_does():
+    pairs = {tuple(pair) for pair in collision_shape(ARM).pairs.tolist()}
+    assert not any(j - i < 2 for i, j in pairs)
+    assert {(1, 3), (2, 4), (1, 6), (2, 6), (3, 6)} <= pairs
+
+
+@pytest.mark.parametrize("arm", [mycobot280(), so101()], ids=lambda arm: arm.name)
+def test_an_arm_is_free_at_rest_and_at_its_targets(arm):
+    targets = arm.targets.sample(np.random.default_rng(0), (300,))
+    solution = solve_position(arm, targets, np.broadcast_to(arm.rest, (300, arm.joints)))
+    assert not collides(arm, frames(arm, arm.rest))
+    assert collides(arm, frames(arm, solution.q)).mean() < 0.01
+
+
+def test_the_broad_test_hides_nothing():
+    rng = np.random.default_rng(1)
+    postures = rng.uniform(ARM.lower, ARM.upper, (400, 6))
+    shape, f = collision_shape(ARM), frames(ARM, postures)
+    ends = np.concatenate([np.zeros((400, 1, 3)), f.position, f.tcp_position[:, None]], axis=1)
+    expected = (ends[:, shape.grounded, 2] < shape.radius).any(axis=1)
+    for i, j in shape.pairs:
+        expected |= segment_distance(ends[:, i], ends[:, i + 1], ends[:, j], ends[:, j + 1]) < 2 * shape.radius
+    found = collides(ARM, f)
+    np.testing.assert_array_equal(found, expected)
+    assert 0.2 < found.mean() < 0.95
+    np.testing.assert_array_equal(collides(ARM, frames(ARM, postures.reshape(20, 20, 6))), found.reshape(20, 20))
+
+
+@given(POINT, POINT, POINT, POINT)
+@settings(max_examples=60, deadline=None)
+def test_segment_distance_is_the_smallest_over_all_points(a, b, c, d):
+    share = np.linspace(0.0, 1.0, 81)
+    one, other = a + share[:, None] * (b - a), c + share[:, None] * (d - c)
+    sampled = np.linalg.norm(one[:, None] - other[None], axis=-1).min()
+    exact = float(segment_distance(a, b, c, d))
+    assert exact <= sampled + 1e-12
+    assert exact >= sampled - (np.linalg.norm(b - a) + np.linalg.norm(d - c)) / 160 - 1e-12
+
+
+def test_segment_distance_of_points_and_parallels():
+    x, y = np.array([1.0, 0, 0]), np.array([0.0, 1, 0])
+    zero = np.zeros(3)
+    assert segment_distance(zero, zero, 3 * x, 3 * x) == pytest.approx(3.0)
+    assert segment_distance(zero, x, 2 * y, 2 * y + x) == pytest.approx(2.0)
+    assert segment_distance(zero, x, 3 * x, 4 * x) == pytest.approx(2.0)
+    assert segment_distance(-x, x, -y, y) == pytest.approx(0.0)
+
+
+def test_a_longer_arm_has_thicker_links():
+    longer = dataclasses.replace(ARM, offset=_stretched(ARM.offset), tip=_stretched(ARM.tip))
+    assert collision_shape(longer).radius == pytest.approx(2 * collision_shape(ARM).radius)
+
+
+def _stretched(pose):
+    scaled = pose.copy()
+    scaled[..., :3, 3] *= 2.0
+    return scaled
