@@ -238,7 +238,7 @@ def test_a_collision_costs_ten_and_ends_the_target_without_ending_the_return():
     for agent, posture in ((1, down), (2, level), (4, down)):
         task.twins.qpos[agent] = task._reference[agent] = task._sent[agent] = task._measured[agent] = posture
         task.wire.clear(np.arange(6) == agent, posture[None], posture[None])
-    task._target[2] = tcp_position(ARM, level) + [0.0, 0.0, 0.05]
+    task._target[2] = tcp_position(ARM, level) + np.array([0.0, 0.0, 0.05])
     transition = task.step(np.zeros((6, 6)))
     expected = np.isin(np.arange(6), [1, 4])
     np.testing.assert_array_equal(transition.collided, expected)

@@ -60,7 +60,7 @@ def collides(arm: Arm, f: Frames) -> NDArray[np.bool_]:
     """Tell for postures with the frames ``f`` (...) whether a link touches another one or the ground."""
     shape, ends = collision_shape(arm), _ends(f)
     flat = ends.reshape(-1, *ends.shape[-2:])
-    touched = (flat[:, shape.grounded, 2] < GROUND + shape.radius).any(axis=-1)
+    touched = np.any(flat[:, shape.grounded, 2] < GROUND + shape.radius, axis=-1, keepdims=True)[:, 0]
     first, second = shape.pairs.T
     middle = 0.5 * (flat[:, :-1] + flat[:, 1:])
     apart = middle[:, first] - middle[:, second]
