@@ -102,6 +102,13 @@ def test_the_paper_s_ranges_are_those_of_the_paper():
     assert draw.twin.offset.std() == pytest.approx(np.radians(1.0), rel=0.02)
 
 
+def test_the_paper_s_healthy_arm_is_one_stiff_pair():
+    draw = draws(training_ranges(ARM, None, dataclasses.replace(PAPER, ranges="paper-healthy")), 200)
+    np.testing.assert_allclose(draw.twin.stiffness, 0.06 * 1e4)
+    np.testing.assert_allclose(draw.twin.damping, 0.012 * 1e3)
+    assert draw.twin.offset.std() == pytest.approx(np.radians(1.0), rel=0.1)  # the noise of the task stays
+
+
 def test_the_paper_s_units_go_with_the_weight_of_the_arm():
     heavy = dataclasses.replace(ARM, mass=16.0 * ARM.mass, inertia=16.0 * ARM.inertia)
     one, other = draws(PaperRanges(arm=ARM), 50).twin, draws(PaperRanges(arm=heavy), 50).twin

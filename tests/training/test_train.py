@@ -20,7 +20,7 @@ from rejoint.training.networks import Actor, Critic, perceptron
 from rejoint.training.presets import DEFAULT, PAPER, PpoSettings, load_preset
 from rejoint.training.ranges import BroadRanges
 from rejoint.training.task import ReachTask, TaskSettings
-from rejoint.training.train import TrainingOptions, train
+from rejoint.training.train import TrainingOptions, snapshot_path, train
 
 ARM = mycobot280()
 SMALL = dataclasses.replace(
@@ -267,3 +267,15 @@ def test_a_policy_of_the_paper_s_preset_can_be_deployed(tmp_path):
     result = train(ARM, None, out=tmp_path, options=TrainingOptions(preset="paper", agents=8, threads=1, iterations=1))
     contract = load_policy(result.policy, ARM).contract
     assert (contract.layout, contract.law.anchor, contract.observation_size) == ("equation-16", "measured", 28)
+
+
+def test_snapshots_show_the_policy_on_its_way(tmp_path):
+    result = train(ARM, None, out=tmp_path, options=options(snapshot_every=2))
+    folder = RunFolder(tmp_path)
+    probes = [load_policy(snapshot_path(folder, k), ARM).contract.probe for k in (0, 2, 4)]
+    probes.append(load_policy(result.policy, ARM).contract.probe)
+    assert not snapshot_path(folder, 1).exists()
+    assert np.abs(probes[0]).max() < 0.05  # untrained: the classical law alone
+    assert len(set(probes)) == 4
+    again = train(ARM, None, out=tmp_path / "plain", options=options())
+    assert load_policy(again.policy, ARM).contract.probe == probes[3]  # keeping them changes nothing

@@ -47,10 +47,11 @@ class Preset:
     """A complete recipe."""
 
     name: str
-    ranges: Literal["identified", "paper"] = "identified"
-    """``identified``: the twin's covariance mixed with broad ranges; ``paper``: the paper's P and D"""
+    ranges: Literal["identified", "paper", "paper-healthy"] = "identified"
+    """``identified``: the twin's covariance mixed with broad ranges; ``paper``: the paper's P and D of a worn arm;
+    ``paper-healthy``: its one pair of P and D of an arm without wear"""
     joint_noise: float = float(np.radians(1.0))
-    """[rad] standard deviation of the paper's joint noise; used by the ranges ``paper`` only"""
+    """[rad] standard deviation of the paper's joint noise; used by the paper's ranges only"""
     task: TaskSettings = field(default_factory=TaskSettings)
     ppo: PpoSettings = field(default_factory=PpoSettings)
 

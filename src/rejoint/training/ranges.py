@@ -189,6 +189,10 @@ class MixedRanges:
         return Draw(twin=twin, **others)
 
 
+HEALTHY_STIFFNESS, HEALTHY_DAMPING = 1e4, 1e3
+"""P and D with which an arm moves as one without wear; Park et al. 2024, section IV-C, first condition of Fig. 10."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class PaperRanges:
     """The randomisation of Park et al. 2024, section III-D, rescaled to an arm of this weight.
@@ -214,28 +218,39 @@ class PaperRanges:
     frequency: Interval = (30.0, 60.0)
     """[Hz] control frequency"""
 
+    @classmethod
+    def healthy(cls, arm: Arm, joint_noise: float) -> PaperRanges:
+        """Make the ranges of the same task without wear: one pair of P and D, that of a normal arm."""
+        one, ratio = (HEALTHY_STIFFNESS, HEALTHY_STIFFNESS), HEALTHY_STIFFNESS / HEALTHY_DAMPING
+        return cls(arm=arm, stiffness=one, damping_divisor=(ratio, ratio), joint_noise=joint_noise)
+
     def draw(self, rng: np.random.Generator, count: int) -> Draw:
         """Draw ``count`` arms."""
-        joints = (count, self.arm.joints)
-        base, load, length = nominal_parameters(self.arm), torque_size(self.arm), length_size(self.arm)
         p = rng.uniform(*self.stiffness, (count, 1))
         d = rng.uniform(p / self.damping_divisor[1], p / self.damping_divisor[0])
+        noise = rng.normal(0.0, self.joint_noise, (count, self.arm.joints))
+        twin = replace(self.twins(p, d), offset=noise)
+        zero, none = np.zeros(count), np.zeros(noise.shape)
+        return Draw(
+            twin=twin, command_delay=zero, readback_delay=zero, gravity_scale=zero + 1.0, stiction=none + 1.0,
+            period=1.0 / rng.uniform(*self.frequency, count),
+        )  # fmt: skip
+
+    def twins(self, p: Array, d: Array) -> TwinParameters:
+        """Return twins with the paper's P and D (count, 1): PD servos of ample torque, without friction or delay."""
+        count, joints = len(p), (len(p), self.arm.joints)
+        base, load, length = nominal_parameters(self.arm), torque_size(self.arm), length_size(self.arm)
         none, lots = np.zeros(joints), np.full(joints, 100.0)
-        twin = TwinParameters(
+        return TwinParameters(
             stiffness=none + load * self.stiffness_unit * p,
             damping=none + load * length**0.5 * self.damping_unit * d,
             coulomb=none,
             armature=none + load * length * self.armature,
             torque_limit=lots * base.torque_limit,
-            offset=rng.normal(0.0, self.joint_noise, joints),
+            offset=none,
             delay=np.zeros(count),
             ramp_speed=np.full(count, 100.0) * base.ramp_speed,
         )
-        zero = np.zeros(count)
-        return Draw(
-            twin=twin, command_delay=zero, readback_delay=zero, gravity_scale=zero + 1.0, stiction=none + 1.0,
-            period=1.0 / rng.uniform(*self.frequency, count),
-        )  # fmt: skip
 
 
 def identified_ranges(arm: Arm, twin: Twin, share: float = TWIN_SHARE) -> MixedRanges:

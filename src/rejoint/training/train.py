@@ -43,6 +43,8 @@ class TrainingOptions:
     """updates; the preset's own number by default"""
     checkpoint_every: int = 10
     """updates between two checkpoints"""
+    snapshot_every: int | None = None
+    """updates between two policies that are kept beside the last one, the untrained one first; None: none"""
     resume: bool = False
     """continue from a checkpoint in ``out`` if there is one of this very training"""
 
@@ -97,8 +99,11 @@ def train(
         learner.load(checkpoint, identity)
     total = recipe.ppo.iterations
     writer = SummaryWriter(str(folder.training))
+    contract = _contract(arm, twin, recipe, options.seed)
     try:
         while learner.iteration < total:
+            if options.snapshot_every and learner.iteration % options.snapshot_every == 0:
+                export_policy(snapshot_path(folder, learner.iteration), learner.actor.net, contract)
             point = learner.iterate()
             _write_scalars(writer, point)
             if learner.iteration % options.checkpoint_every == 0 and learner.iteration < total:
@@ -108,7 +113,7 @@ def train(
     finally:
         writer.close()
     write_curves(curves, learner.curve)
-    export_policy(folder.policy, learner.actor.net, _contract(arm, twin, recipe, options.seed))
+    export_policy(folder.policy, learner.actor.net, contract)
     checkpoint.unlink(missing_ok=True)
     return _result(folder.policy, curves, recipe, options.seed, learner.curve)
 
@@ -117,9 +122,16 @@ def training_ranges(arm: Arm, twin: Twin | None, preset: Preset) -> Ranges:
     """Which arms a preset trains on."""
     if preset.ranges == "paper":
         return PaperRanges(arm=arm, joint_noise=preset.joint_noise)
+    if preset.ranges == "paper-healthy":
+        return PaperRanges.healthy(arm, preset.joint_noise)
     if twin is None:
         return BroadRanges(arm=arm)
     return identified_ranges(arm, twin)
+
+
+def snapshot_path(folder: RunFolder, updates: int) -> Path:
+    """Path of the policy kept after so many updates."""
+    return folder.training / f"policy-{updates:04}.onnx"
 
 
 def write_curves(path: Path, curve: Sequence[CurvePoint]) -> None:
