@@ -97,7 +97,7 @@ def table_height(arm: Arm, logs: Sequence[RunLog]) -> float | None:
     heights, held, weights = [], [], []
     for log in logs:
         tip, asked = (tcp_position(arm, q)[:, 2] for q in (log.position, log.command))
-        told = (_speed(log.time, log.position) < SLOW) & (_speed(log.time, log.command) < SLOW)
+        told = (joint_speed(log.time, log.position) < SLOW) & (joint_speed(log.time, log.command) < SLOW)
         told &= ~_stale(log)
         heights.append(tip[told])
         held.append((tip - asked)[told] > HELD_UP)
@@ -162,8 +162,8 @@ def _recovering(time: Array, rows: Rows) -> Rows:
     return np.asarray(time - latest <= RECOVERY)
 
 
-def _speed(time: Array, q: Array) -> Array:
-    """(T,) [rad/s] largest joint speed, over four rows to either side."""
+def joint_speed(time: Array, q: Array) -> Array:
+    """(T,) [rad/s] speed of the fastest joint of positions or commands (T, n) [rad], over four rows to either side."""
     rows = np.arange(len(time))
     before, after = np.maximum(rows - 4, 0), np.minimum(rows + 4, len(time) - 1)
     return np.abs((q[after] - q[before]) / np.maximum(time[after] - time[before], 1e-9)[:, None]).max(axis=1)

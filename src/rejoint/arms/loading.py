@@ -25,7 +25,7 @@ def load_arm(source: str, *, base: str | None = None, tip: str | None = None) ->
 
 
 def read_arm(source: str, *, base: str | None = None, tip: str | None = None) -> Loaded:
-    """Build an arm from a name of the catalogue or a path to a TOML, URDF or MJCF file.
+    """Build an arm from a name of the catalogue, in any case, or a path to a TOML, URDF or MJCF file.
 
     From a URDF or MJCF the serial chain from the body ``base`` to the body or site ``tip`` is cut
     out, see :func:`rejoint.arms.chain.cut`. The notes name every value that was not given or not
@@ -35,8 +35,8 @@ def read_arm(source: str, *, base: str | None = None, tip: str | None = None) ->
     is_file = path.suffix.lower() in SUFFIXES
     if (base or tip) and (not is_file or path.suffix.lower() == ".toml"):
         raise InputError(f"base and tip choose a chain of a URDF or MJCF file; {source} is a single chain already")
-    if source in CATALOGUE:
-        return Loaded(arm=CATALOGUE[source]())
+    if source.lower() in CATALOGUE:
+        return Loaded(arm=CATALOGUE[source.lower()]())
     if not is_file:
         raise InputError(
             f"no arm is called {source!r}; known arms: {', '.join(sorted(CATALOGUE))}, "

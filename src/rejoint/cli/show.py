@@ -64,7 +64,7 @@ def comparison(terminal: Terminal, result: Comparison, advice: Recommendation) -
 def verdict(terminal: Terminal, before: Diagnosis, result: Comparison, advice: Recommendation) -> None:
     """Print what the whole repair came to."""
     settled = result.row(advice.controller).hold.settled
-    if settled is not None:
+    if settled is not None and before.open_loop is not None:
         terminal.result(
             f"Before: {before.open_loop.error_mm.value:.1f} mm off. After, with '{advice.controller}': "
             f"{1e3 * settled.mean.value:.2f} mm (both by the arm's own encoders)."

@@ -7,10 +7,12 @@ from dataclasses import dataclass
 from rejoint.arms import Arm
 from rejoint.arms.size import length_size
 from rejoint.control.robot import Robot
+from rejoint.diagnosis.evidence import Evidence
 from rejoint.diagnosis.excitation import FULL, Plan
 from rejoint.diagnosis.healthy import HealthyReference
 from rejoint.diagnosis.measurement import Measurement, measure
 from rejoint.diagnosis.open_loop import OpenLoop, open_loop_errors
+from rejoint.diagnosis.postures import settled_postures
 from rejoint.diagnosis.record import DiagnosisLogs, OnProgress, record
 from rejoint.diagnosis.verdict import Finding, find
 from rejoint.errors import InputError
@@ -19,7 +21,7 @@ HIDDEN_MARGIN_MM = 1.0
 """Distance between tool and encoders, beyond the healthy range, from which it is called wear on a myCobot 280 (chosen);
 goes with the reach."""
 
-_KINDS = {
+KINDS = {
     "stuck": "stuck",
     "weak_gain": "soft, so that it sags or stops short",
     "friction": "stiff to turn",
@@ -29,6 +31,7 @@ _KINDS = {
     "lag": "late",
     "noise": "restless in its readings",
 }
+"""What each kind of finding makes of a joint, in words"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,12 +49,14 @@ class Diagnosis:
     """the worst at the tool first"""
     unseen: tuple[str, ...]
     """what the encoders cannot tell, in sentences"""
-    open_loop: OpenLoop
-    """ten targets"""
+    open_loop: OpenLoop | None
+    """ten targets; None where there are only logs of other motion"""
     measurement: Measurement
     """every joint in numbers"""
     healthy: HealthyReference | None
     """what it was compared with"""
+    evidence: Evidence | None = None
+    """what the logs hold where there are only logs"""
 
 
 def diagnose(
@@ -75,12 +80,11 @@ def judge(arm: Arm, logs: DiagnosisLogs, healthy: HealthyReference | None) -> Di
         raise InputError(f"the healthy reference is of arm {healthy.arm}, expected {arm.name}")
     measurement = measure(arm, logs.excitation, None if healthy is None else healthy.motors_kg_m2)
     open_loop = open_loop_errors(arm, logs.targets)
-    findings = find(arm, measurement, logs.targets, healthy)
-    condition = "bad" if any(f.severity == "bad" for f in findings) else "worn" if findings else "ok"
+    findings = find(arm, measurement, settled_postures(logs.targets), healthy)
     return Diagnosis(
         arm=arm.name,
         robot=logs.targets.robot,
-        condition=condition,
+        condition=condition_of(findings),
         verdict=_verdict(open_loop, findings, healthy),
         findings=findings,
         unseen=_unseen(open_loop, measurement, healthy, HIDDEN_MARGIN_MM * length_size(arm)),
@@ -88,6 +92,11 @@ def judge(arm: Arm, logs: DiagnosisLogs, healthy: HealthyReference | None) -> Di
         measurement=measurement,
         healthy=healthy,
     )
+
+
+def condition_of(findings: tuple[Finding, ...]) -> str:
+    """Return ``ok``, ``worn`` or ``bad``."""
+    return "bad" if any(f.severity == "bad" for f in findings) else "worn" if findings else "ok"
 
 
 def _verdict(open_loop: OpenLoop, findings: tuple[Finding, ...], healthy: HealthyReference | None) -> str:
@@ -101,7 +110,7 @@ def _verdict(open_loop: OpenLoop, findings: tuple[Finding, ...], healthy: Health
         return f"{first} No joint shows wear that its encoder can see."
     joints = {finding.joint: finding for finding in reversed(findings)}  # the worst finding of a joint wins
     causes = sorted(joints.values(), key=lambda f: -f.tcp_mm)[:3]
-    named = "; ".join(f"{f.joint} is {_KINDS[f.kind]} ({f.tcp_mm:.1f} mm)" for f in causes)
+    named = "; ".join(f"{f.joint} is {KINDS[f.kind]} ({f.tcp_mm:.1f} mm)" for f in causes)
     others = len(joints) - len(causes)
     more = f" {others} more joint{'s show' if others > 1 else ' shows'} wear." if others else ""
     lead = "Because" if error.value > (healthy.error_mm.high or 0.0 if healthy else 0.0) else "What is worn"

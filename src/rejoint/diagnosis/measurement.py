@@ -49,12 +49,12 @@ class JointMetrics:
     """following error over speed, beyond the delay that all joints share; None if it hardly moves"""
     damping_ratio: Estimate | None
     """of the servo loop, friction left out: 1 aperiodic, 0.3 rings; None where the motion does not tell"""
-    overshoot: Estimate
-    """fraction of a step"""
-    hunting_rad: Estimate
-    """rms motion while every command stands still, in the worst postures"""
-    noise_rad: Estimate
-    """rms of a single reading at rest"""
+    overshoot: Estimate | None
+    """fraction of a step; None without steps"""
+    hunting_rad: Estimate | None
+    """rms motion while every command stands still, in the worst postures; None if they never do"""
+    noise_rad: Estimate | None
+    """rms of a single reading at rest; None without rest"""
     torque_limit_nm: Estimate | None
     """that reaches the load when the motor gives all it has: its limit less stiction; None where it never did"""
     torque_seen_nm: float
@@ -67,6 +67,8 @@ class JointMetrics:
     """share of a slow sweep that the joint follows; None where no sweep could be sent"""
     stuck_rad: float
     """farthest that the joint stayed off what its own stiffness explains, in a held posture"""
+    offset_rad: Estimate | None = None
+    """position under no load, minus command; measured from logs alone"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,8 +76,8 @@ class Measurement:
     """What an excitation says about an arm."""
 
     joints: tuple[JointMetrics, ...]
-    delay_s: float
-    """of commands and answers on their way"""
+    delay_s: float | None
+    """of commands and answers on their way; None where it cannot be told from the lag of the joints"""
     period_s: float
     """median time between readings"""
 
@@ -112,8 +114,8 @@ def _joint(data: ExcitationLog, joint: int, delay: float, dynamics: Fit, stiffne
         joint=data.arm.joint_names[joint],
         stiffness_nm_per_rad=k,
         stiffness_source=stiffness.source,
-        hysteresis_rad=None if half_width is None else _scaled(half_width, 2.0),
-        coulomb_nm=None if k is None or half_width is None else _friction(k, half_width),
+        hysteresis_rad=None if half_width is None else scaled(half_width, 2.0),
+        coulomb_nm=None if k is None or half_width is None else friction_torque(k, half_width),
         lag_s=lag,
         damping_ratio=_damping_ratio(dynamics),
         overshoot=metrics.overshoot(data, joint),
@@ -193,10 +195,10 @@ def link_inertia(arm: Arm, q: Array) -> Array:
 def _damping_ratio(dynamics: Fit) -> Estimate | None:
     """(d/k) / (2 sqrt(J/k)); the uncertainty of d/k dominates."""
     ratio, lag = float(dynamics.coefficients[0]), dynamics.estimate(1)
-    return None if ratio <= 0 else _scaled(lag, 0.5 / ratio**0.5)
+    return None if ratio <= 0 else scaled(lag, 0.5 / ratio**0.5)
 
 
-def _friction(stiffness: Estimate, half_width: Estimate) -> Estimate:
+def friction_torque(stiffness: Estimate, half_width: Estimate) -> Estimate:
     """F = k (F/k); a half width that is not above zero gives no friction, with the bound that it allows."""
     if half_width.value > 0:
         return product(stiffness, half_width)
@@ -210,7 +212,8 @@ def _stuck(held: metrics.Holds) -> float:
     return float(np.abs(held.error.mean(axis=1) - expected).max())
 
 
-def _scaled(estimate: Estimate, factor: float) -> Estimate:
+def scaled(estimate: Estimate, factor: float) -> Estimate:
+    """Multiply a number and its interval."""
     low, high = estimate.low, estimate.high
     return Estimate(
         factor * estimate.value, None if low is None else factor * low, None if high is None else factor * high

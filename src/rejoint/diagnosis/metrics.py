@@ -37,7 +37,7 @@ _MIN_TORQUE_RANGE = 2e-3
 """[N m] variation of gravity torque below which it is not fitted: the column would only add noise (chosen; goes with
 the load of the arm)."""
 
-_MIN_SWEEP = 0.1
+MIN_SWEEP = 0.1
 """[rad] range of a sweep below which nothing is said about how it was followed (chosen: a third of the plan's)."""
 
 _MIN_STEP = 0.02
@@ -66,7 +66,7 @@ def sweep_gain(data: ExcitationLog, joint: int) -> float | None:
     """Share of a sweep's range that the joint really covers; None if the sweep was not sent (the guard forbade it)."""
     rows = np.concatenate([data.rows(segment) for segment in data.of_kind("sweep", joint)])
     asked = float(np.ptp(data.log.command[rows, joint])) if len(rows) else 0.0
-    return float(np.ptp(data.log.position[rows, joint])) / asked if asked > _MIN_SWEEP else None
+    return float(np.ptp(data.log.position[rows, joint])) / asked if asked > MIN_SWEEP else None
 
 
 def nuisance(data: ExcitationLog, averages: Averages) -> tuple[Array, Array]:
@@ -162,7 +162,8 @@ def noise(data: ExcitationLog, joint: int) -> Estimate:
     """Rms [rad] of a single reading while nothing is asked for, from differences of neighbours."""
     rows = [data.rows(segment, skip=0.5) for segment in data.of_kind("still")]
     data.require(sum(map(len, rows)) >= 12, "readings at rest", joint)
-    blocks = np.array_split(np.diff(data.log.position[np.concatenate(rows), joint]), 6)
+    steps = np.concatenate([np.diff(data.log.position[part, joint]) for part in rows])
+    blocks = np.array_split(steps, 6)
     power = mean_of(np.array([float((block**2).mean()) / 2 for block in blocks]))
     low, high = max(power.low or 0.0, 0.0), max(power.high or 0.0, 0.0)
     return Estimate(power.value**0.5, low**0.5, high**0.5)

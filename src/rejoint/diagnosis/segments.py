@@ -62,6 +62,11 @@ class ExcitationLog:
             segments = msgspec.json.decode(log.extra[_KEY], type=tuple[Segment, ...])
         except msgspec.MsgspecError as error:
             raise InputError(f"run log {log.label}: its segments are damaged ({error}); record it again") from error
+        return cls.with_segments(arm, log, segments)
+
+    @classmethod
+    def with_segments(cls, arm: Arm, log: RunLog, segments: tuple[Segment, ...]) -> ExcitationLog:
+        """Take segments that somebody has found in a log, on the log's clock."""
         return cls(
             arm=arm, log=log, segments=segments, gravity=gravity_torque(arm, log.position), reference=_ramp(arm, log)
         )

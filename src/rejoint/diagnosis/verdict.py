@@ -16,9 +16,8 @@ from rejoint.arms import Arm, Array, frames, gravity_torque, position_jacobian
 from rejoint.arms.size import length_size
 from rejoint.diagnosis.healthy import OVERSHOOT_ALLOWED, HealthyReference
 from rejoint.diagnosis.measurement import JointMetrics, Measurement
-from rejoint.diagnosis.open_loop import settled_rows
+from rejoint.diagnosis.postures import Postures
 from rejoint.diagnosis.regression import Estimate, mean_of
-from rejoint.runs import RunLog
 
 BAD_MM = 3.0
 """Error at the tool from which a finding is called bad: what the whole of a healthy myCobot shows (3.09 mm, Park et
@@ -73,7 +72,7 @@ class _Case:
     row: JointMetrics
     healthy: JointMetrics | None
     levers: Array
-    """(K,) [m] way of the TCP per radian in the postures of the targets"""
+    """(K,) [m] way of the TCP per radian in the postures"""
     loads: Array
     """(K,) [N m] size of the gravity torque there"""
     errors: Array
@@ -98,7 +97,8 @@ class _Case:
     @property
     def hunts(self) -> bool:
         """Whether the joint swings while it should hold still."""
-        return (self.row.hunting_rad.low or 0.0) > QUIET_COUNTS * self.encoder_step
+        swing = self.row.hunting_rad
+        return swing is not None and (swing.low or 0.0) > QUIET_COUNTS * self.encoder_step
 
     def finding(self, kind: str, quantity: str, measured: Estimate, tcp: float, sentence: str) -> Finding:
         reference = getattr(self.healthy, quantity, None)
@@ -124,11 +124,11 @@ class _Case:
         return getattr(self.row, quantity), getattr(self.healthy, quantity) if self.healthy is not None else None
 
 
-def find(arm: Arm, measurement: Measurement, targets: RunLog, healthy: HealthyReference | None) -> tuple[Finding, ...]:
+def find(
+    arm: Arm, measurement: Measurement, postures: Postures, healthy: HealthyReference | None
+) -> tuple[Finding, ...]:
     """Name everything that is wrong, the worst at the tool first."""
-    settled = settled_rows(targets)
-    q = np.array([targets.position[rows].mean(axis=0) for rows in settled])
-    commands = np.array([targets.command[rows].mean(axis=0) for rows in settled])
+    q, commands = postures.position, postures.command
     levers = np.linalg.norm(position_jacobian(arm, frames(arm, q)), axis=-2)
     loads, errors = np.abs(gravity_torque(arm, q)), np.abs(commands - q)
     common = _common_lag(measurement, healthy)
@@ -193,7 +193,7 @@ def friction(case: _Case) -> Iterator[Finding]:
 def play_in_loop(case: _Case) -> Iterator[Finding]:
     """Tell whether the joint does not come to rest although nothing is asked for."""
     swing = case.row.hunting_rad
-    if not case.hunts or (case.healthy is not None and not case.beyond("hunting_rad")):
+    if swing is None or not case.hunts or (case.healthy is not None and not case.beyond("hunting_rad")):
         return
     width = np.degrees(2 * 2**0.5 * swing.value)
     yield case.finding(
@@ -227,7 +227,7 @@ def low_damping(case: _Case) -> Iterator[Finding]:
         return
     if not (case.below("damping_ratio") if case.healthy is not None else ratio.high < RINGING_RATIO):
         return
-    over = case.row.overshoot.value
+    over = 0.0 if case.row.overshoot is None else case.row.overshoot.value
     if over < OVERSHOOT_ALLOWED:  # friction stops it: nothing that an owner would see
         return
     yield case.finding(
@@ -262,7 +262,7 @@ def lag(case: _Case) -> Iterator[Finding]:
 def noise(case: _Case) -> Iterator[Finding]:
     """Tell whether the readings jump although nothing moves. A joint that hunts does move."""
     level = case.row.noise_rad
-    if not case.beyond("noise_rad") or case.hunts:
+    if level is None or not case.beyond("noise_rad") or case.hunts:
         return
     yield case.finding(
         "noise", "noise_rad", level, case.lever * level.value,

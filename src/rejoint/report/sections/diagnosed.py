@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from rejoint.diagnosis.diagnosis import Diagnosis
+from rejoint.diagnosis.open_loop import OpenLoop
+from rejoint.diagnosis.regression import Estimate
 from rejoint.diagnosis.verdict import Finding
 from rejoint.report.figures import Series, error_per_target
 from rejoint.report.gallery import Gallery
@@ -35,11 +37,11 @@ def diagnosis_section(diagnosis: Diagnosis, gallery: Gallery) -> Section:
         "" if diagnosis.healthy is None else f" Blue: this arm. Green: mean and range of {diagnosis.healthy.source}."
     )
     parts = (
-        Part(texts=(diagnosis.verdict,), figures=(_open_loop(diagnosis, gallery),)),
+        _seen(diagnosis, gallery),
         _findings(diagnosis),
         Part(
             heading="Every joint in numbers",
-            texts=(f"Measured with slow sweeps, steps, holds and a mixed motion; with 95 % intervals.{source}",),
+            texts=(f"{_how(diagnosis)}; with 95 % intervals.{source}",),
             figures=joint_pictures(joints, healthy, gallery), columns=3, tables=(joint_table(joints, healthy),),
         ),
         Part(heading="What the encoders cannot tell", lines=diagnosis.unseen),
@@ -56,8 +58,40 @@ def healthy_error(diagnosis: Diagnosis) -> Series | None:
     return Series(label="healthy arm, mean and range", look=GREEN, value=np.array([error.value]), low=low, high=high)
 
 
-def _open_loop(diagnosis: Diagnosis, gallery: Gallery) -> Picture:
-    targets = diagnosis.open_loop.targets
+def _how(diagnosis: Diagnosis) -> str:
+    if diagnosis.evidence is None:
+        return "Measured with slow sweeps, steps, holds and a mixed motion"
+    return "Measured on slow motion, steps and rest in logs of other motion"
+
+
+def _seen(diagnosis: Diagnosis, gallery: Gallery) -> Part:
+    """Show what the diagnosis rests on: ten targets, or logs."""
+    if diagnosis.open_loop is not None:
+        return Part(texts=(diagnosis.verdict,), figures=(_open_loop(diagnosis, diagnosis.open_loop, gallery),))
+    evidence = diagnosis.evidence
+    if evidence is None:
+        return Part(texts=(diagnosis.verdict,))
+    seconds = (
+        ("in free space", evidence.free_seconds),
+        ("with the tool on a table, and just after", evidence.contact_seconds),
+        ("at a stop, and just after", evidence.stop_seconds), ("with dead readings", evidence.dead_seconds),
+    )  # fmt: skip
+    facts = [("recorded motions", f"{evidence.motions}, {evidence.seconds:.0f} s in all")]
+    facts += [(what, f"{value:.0f} s") for what, value in seconds]
+    if evidence.table_height_m is not None:
+        facts.append(("tool on the table at", number(evidence.table_height_m * 1e3, 3, "mm") + " above the base"))
+    if evidence.rest_error_mm is not None:
+        facts.append(("tool at rest, from where it was sent", _with_interval(evidence.rest_error_mm)))
+    return Part(texts=(diagnosis.verdict,), facts=tuple(facts))
+
+
+def _with_interval(estimate: Estimate) -> str:
+    likely = interval(estimate.low, estimate.high, 3)
+    return number(estimate.value, 3, "mm") + (f" ({likely})" if likely else "")
+
+
+def _open_loop(diagnosis: Diagnosis, found: OpenLoop, gallery: Gallery) -> Picture:
+    targets = found.targets
     series = [
         Series(label="this arm, by its encoders", look=GREY, value=np.array([target.error_mm for target in targets]))
     ]
@@ -93,6 +127,13 @@ def _finding(finding: Finding) -> Row:
 
 
 def error_range(diagnosis: Diagnosis) -> str:
-    """Return the 95 % interval [mm] of the mean error open loop; empty where it is not known."""
-    error = diagnosis.open_loop.error_mm
-    return interval(error.low, error.high, 3)
+    """Return the 95 % interval [mm] of `mean_error`; empty where it is not known."""
+    error = mean_error(diagnosis)
+    return "" if error is None else interval(error.low, error.high, 3)
+
+
+def mean_error(diagnosis: Diagnosis) -> Estimate | None:
+    """Return the mean error [mm] as the arm was found: at ten targets, or at rest in logs of other motion."""
+    if diagnosis.open_loop is not None:
+        return diagnosis.open_loop.error_mm
+    return None if diagnosis.evidence is None else diagnosis.evidence.rest_error_mm

@@ -33,6 +33,8 @@ class Quantity:
     meaning: str
     """in words that an owner understands"""
     log: bool = False
+    signed: bool = False
+    """whether it may be below zero"""
 
 
 QUANTITIES = (
@@ -48,6 +50,8 @@ QUANTITIES = (
              meaning="1 comes to rest at once, 0.3 rings"),
     Quantity(field="overshoot", name="overshoot", unit="%", factor=1e2,
              meaning="how far it shoots beyond after a step"),
+    Quantity(field="offset_rad", name="offset", unit="deg", factor=DEG,
+             meaning="how far the joint rests from its command where nothing loads it", signed=True),
     Quantity(field="hunting_rad", name="unrest", unit="deg", factor=DEG,
              meaning="motion while nothing is asked of the joint"),
     Quantity(field="noise_rad", name="noise", unit="deg", factor=DEG,
@@ -85,7 +89,10 @@ def joint_table(joints: Sequence[JointMetrics], healthy: Sequence[JointMetrics] 
     rows = []
     for quantity in QUANTITIES:
         name = f"{quantity.name} [{quantity.unit}]"
-        cells = [_cell(quantity, _estimate(quantity, row)) for row in joints]
+        found = [_estimate(quantity, row) for row in joints]
+        if all(one is None for one in found) and quantity.field == "offset_rad":
+            continue  # an excitation does not measure it
+        cells = [_cell(quantity, one) for one in found]
         rows.append(Row(cells=(Cell(name, "measured"), *cells)))
         if healthy is not None:
             ranges = [_range(quantity, _estimate(quantity, row)) for row in healthy]
@@ -104,7 +111,8 @@ def _series(quantity: Quantity, rows: Sequence[JointMetrics], label: str, look: 
     ends: Array = np.array([_ends(_estimate(quantity, row)) for row in rows]) * quantity.factor
     low = np.where(np.isfinite(ends[:, 1]), ends[:, 1], ends[:, 0])  # an open bound is not drawn
     high = np.where(np.isfinite(ends[:, 2]), ends[:, 2], ends[:, 0])
-    return Series(label=label, look=look, value=ends[:, 0], low=np.maximum(low, 0.0), high=high)
+    return Series(label=label, look=look, value=ends[:, 0], low=low if quantity.signed else np.maximum(low, 0.0),
+                  high=high)  # fmt: skip
 
 
 def _ends(estimate: Estimate | None) -> tuple[float, float, float]:

@@ -8,7 +8,7 @@ from rejoint.comparison.recommend import Recommendation, difference
 from rejoint.comparison.result import Comparison, ControllerRow, Spread
 from rejoint.report.contents import Contents
 from rejoint.report.numerals import UNKNOWN, interval, number
-from rejoint.report.sections.diagnosed import error_range
+from rejoint.report.sections.diagnosed import error_range, mean_error
 from rejoint.report.view import KeyNumber, Page, Section, Told
 from rejoint.report.words import plural
 
@@ -80,13 +80,15 @@ def _millimetres(spread: Spread | None) -> str:
 
 def _keys(contents: Contents, advice: Recommendation | None) -> tuple[KeyNumber, ...]:
     keys = []
-    if contents.diagnosis is not None:
-        error = contents.diagnosis.open_loop.error_mm
+    error = None if contents.diagnosis is None else mean_error(contents.diagnosis)
+    if contents.diagnosis is not None and error is not None:
         healthy = contents.diagnosis.healthy
+        at_targets = contents.diagnosis.open_loop is not None
+        what = "missed its targets by, as found" if at_targets else "rested off its commands by, as found"
         note = "" if healthy is None else f"a healthy arm: {number(healthy.error_mm.value, 2, 'mm')}"
         likely = error_range(contents.diagnosis)
         note = "; ".join(part for part in (f"95 %: {likely}" if likely else "", note) if part)
-        keys.append(KeyNumber("missed its targets by, as found", number(error.value, 3, "mm"), note))
+        keys.append(KeyNumber(what, number(error.value, 3, "mm"), note))
     if advice is None or contents.comparison is None:
         return tuple(keys)
     best = contents.comparison.row(advice.controller)
@@ -136,10 +138,12 @@ def _wrong(contents: Contents) -> tuple[str, ...]:
 
 def _done(contents: Contents) -> tuple[str, ...]:
     lines = []
-    if contents.diagnosis is not None:
+    if contents.diagnosis is not None and contents.diagnosis.open_loop is not None:
         lines.append(
             f"Every joint was measured, and {plural(len(contents.diagnosis.open_loop.targets), 'target')} tried."
         )
+    elif contents.diagnosis is not None and contents.diagnosis.evidence is not None:
+        lines.append(f"Every joint was measured in logs of {plural(contents.diagnosis.evidence.motions, 'motion')}.")
     if contents.twin is not None:
         held = contents.twin.held_out
         lines.append(
@@ -170,7 +174,7 @@ def _unknown(contents: Contents) -> tuple[str, ...]:
         "it, and no controller that relies on them can remove that part."
     ]
     known = (comparison is not None and comparison.true_known) or (
-        diagnosis is not None and diagnosis.open_loop.hidden_mm is not None
+        diagnosis is not None and diagnosis.open_loop is not None and diagnosis.open_loop.hidden_mm is not None
     )
     if known:
         lines.append(

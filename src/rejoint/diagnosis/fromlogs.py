@@ -1,0 +1,164 @@
+"""A diagnosis from logs alone: whatever an arm was doing when something recorded it.
+
+The same numbers per joint as from an excitation, as far as the logs tell them, against the same healthy
+reference. Rows that do not show the free arm are left out, or an arm that lies on its table would look like
+one with a weak elbow.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from rejoint.arms import Arm, tcp_position
+from rejoint.diagnosis.diagnosis import KINDS, Diagnosis, condition_of
+from rejoint.diagnosis.evidence import Evidence
+from rejoint.diagnosis.healthy import HealthyReference
+from rejoint.diagnosis.logmetrics import measure_joint
+from rejoint.diagnosis.measurement import Measurement
+from rejoint.diagnosis.postures import Postures, joined, resting_postures
+from rejoint.diagnosis.regression import Estimate, mean_of
+from rejoint.diagnosis.spans import join_logs
+from rejoint.diagnosis.verdict import Finding, find
+from rejoint.errors import InputError
+from rejoint.exclusions import Exclusions, find_exclusions, table_height
+from rejoint.runs import RunLog
+
+SHORTEST = 20.0
+"""[s] of free motion below which a diagnosis is refused (chosen, as for an identification)"""
+
+
+def diagnose_logs(
+    arm: Arm,
+    logs: Sequence[RunLog],
+    healthy: HealthyReference | None,
+    *,
+    source: str = "logs",
+    on_progress: Callable[[str, float], object] = lambda _what, _share: None,
+) -> Diagnosis:
+    """Judge an arm by logs of any motion.
+
+    ``source`` is what the diagnosis names as its robot. InputError if the logs are of another arm or hold
+    too little free motion.
+    """
+    if healthy is not None and healthy.arm != arm.name:
+        raise InputError(f"the healthy reference is of arm {healthy.arm}, expected {arm.name}")
+    for log in logs:
+        if log.arm != arm.name or len(log.joint_names) != arm.joints:
+            raise InputError(f"run log {log.label} is of arm {log.arm}, expected {arm.name}")
+    on_progress("contacts and stops", 0.0)
+    height = table_height(arm, logs)
+    excluded = find_exclusions(arm, logs, height)
+    rest = joined([resting_postures(log, rows, stops=True) for log, rows in zip(logs, excluded, strict=True)])
+    evidence = _evidence(arm, logs, excluded, height)
+    if evidence.free_seconds < SHORTEST:
+        raise InputError(
+            f"diagnosis: {evidence.free_seconds:.0f} s of free motion, expected at least {SHORTEST:.0f} s"
+            f"{left_out(evidence)}"
+        )
+    data = join_logs(arm, logs, excluded)
+    rows = []
+    for joint, name in enumerate(arm.joint_names):
+        on_progress(name, 0.1 + 0.9 * joint / arm.joints)
+        rows.append(measure_joint(data, joint))
+    measurement = Measurement(joints=tuple(rows), delay_s=None, period_s=float(np.median(np.diff(data.log.time))))
+    findings = find(arm, measurement, rest if len(rest.position) else _everywhere(logs, excluded), healthy)
+    return Diagnosis(
+        arm=arm.name, robot=source, condition=condition_of(findings), verdict=_verdict(evidence, findings, healthy),
+        findings=findings, unseen=_unseen(measurement), open_loop=None, measurement=measurement, healthy=healthy,
+        evidence=evidence,
+    )  # fmt: skip
+
+
+def left_out(evidence: Evidence) -> str:
+    """Say what of the logs does not show the free arm, as the end of a sentence; empty where all of it does."""
+    parts = (
+        (evidence.contact_seconds, "with the tool on a table"), (evidence.stop_seconds, "at a stop"),
+        (evidence.dead_seconds, "of dead readings"),
+    )  # fmt: skip
+    named = [f"{seconds:.0f} s {what}" for seconds, what in parts if seconds >= 0.5]
+    return f"; left out: {', '.join(named)}" if named else ""
+
+
+def _evidence(arm: Arm, logs: Sequence[RunLog], excluded: Sequence[Exclusions], height: float | None) -> Evidence:
+    def seconds(kind: str) -> float:
+        return sum(float(getattr(rows, kind)[1:] @ np.diff(log.time)) for log, rows in zip(logs, excluded, strict=True))
+
+    return Evidence(
+        motions=len(logs),
+        seconds=sum(float(log.time[-1] - log.time[0]) for log in logs),
+        free_seconds=seconds("free"),
+        contact_seconds=seconds("contact"),
+        stop_seconds=seconds("stop"),
+        dead_seconds=seconds("stale"),
+        table_height_m=height,
+        rest_error_mm=_rest_error(arm, logs, excluded),
+    )
+
+
+def _rest_error(arm: Arm, logs: Sequence[RunLog], excluded: Sequence[Exclusions]) -> Estimate | None:
+    """Mean over the motions [mm] of how far the tool rests from where it was sent, by encoder kinematics."""
+    means = []
+    for log, rows in zip(logs, excluded, strict=True):
+        rest = resting_postures(log, rows)
+        if len(rest.position):
+            gap = tcp_position(arm, rest.command) - tcp_position(arm, rest.position)
+            means.append(float(np.linalg.norm(gap, axis=-1).mean()) * 1e3)
+    return mean_of(np.array(means)) if means else None
+
+
+def _everywhere(logs: Sequence[RunLog], excluded: Sequence[Exclusions]) -> Postures:
+    """Postures of the free arm in motion, for logs in which it never rests."""
+    chosen = [
+        np.flatnonzero(rows.free)[:: max(int(rows.free.sum()) // 20, 1)] for rows in excluded
+    ]  # some twenty of each
+    return Postures(
+        position=np.concatenate([log.position[rows] for log, rows in zip(logs, chosen, strict=True)]),
+        command=np.concatenate([log.position[rows] for log, rows in zip(logs, chosen, strict=True)]),
+    )
+
+
+def _verdict(evidence: Evidence, findings: tuple[Finding, ...], healthy: HealthyReference | None) -> str:
+    motions = f"{evidence.motions} recorded motion{'s' * (evidence.motions != 1)}"
+    first = f"{motions}, {evidence.free_seconds:.0f} s of them in free space{left_out(evidence)}."
+    error = evidence.rest_error_mm
+    if error is not None:
+        usual = "" if healthy is None else f"; a healthy arm of this kind: {healthy.error_mm.value:.1f} mm"
+        likely = "" if error.low is None or error.high is None else f" ({error.low:.1f} to {error.high:.1f})"
+        first += (
+            f" Where it rests, the tool is {error.value:.1f} mm{likely} from where it was sent, by the arm's own "
+            f"encoders{usual}."
+        )
+    if not findings:
+        return f"{first} No joint shows wear in these logs."
+    joints = {finding.joint: finding for finding in reversed(findings)}  # the worst finding of a joint wins
+    worst = sorted(joints.values(), key=lambda f: -f.tcp_mm)
+    named = "; ".join(f"{f.joint} is {KINDS[f.kind]} ({f.tcp_mm:.1f} mm)" for f in worst[:3])
+    more = len(worst) - 3
+    others = "" if more <= 0 else f" {more} more joint{'s show' if more > 1 else ' shows'} wear."
+    against = "" if healthy is None else f" Compared with {healthy.source}."
+    return f"{first} What stands out: {named}.{others}{against}"
+
+
+def _unseen(measurement: Measurement) -> tuple[str, ...]:
+    """Say what these logs leave open, in sentences."""
+    lines = []
+    for missing, words in (
+        ("stiffness_nm_per_rad", "The stiffness of {}, and so the torque that friction takes, cannot be told: gravity "
+         "does not load it enough in these motions, or they disagree too much."),
+        ("hysteresis_rad", "Friction, lag and zero of {} cannot be told: too little slow motion, or in one direction "
+         "only."),
+        ("overshoot", "Whether {} shoots over cannot be told: too few steps."),
+        ("noise_rad", "Noise and unrest of {} cannot be told: the arm hardly rests while no command moves."),
+    ):  # fmt: skip
+        joints = [row.joint for row in measurement.joints if getattr(row, missing) is None]
+        if joints:
+            lines.append(words.format("every joint" if len(joints) == len(measurement.joints) else ", ".join(joints)))
+    lines += [
+        "Lag here holds the delay of commands and answers: only steps recorded on one clock would tell them apart.",
+        "Logs of ordinary motion tell neither torque limits nor damping apart from lag; `rejoint diagnose ROBOT` does.",
+        "The encoders sit before the gears: play and flex behind them, and so the true error of the tool, cannot be "
+        "seen.",
+    ]
+    return tuple(lines)
