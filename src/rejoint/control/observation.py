@@ -34,6 +34,9 @@ LIMIT = 8.0
 SUCCESS_DISTANCE = 0.005
 """[m] distance threshold of the success buffer S; Park et al. 2024, section III-D."""
 
+POINT_SCALE = 5.0
+"""[1/m] factor on the points and the distance of equation 16 (chosen: brings them to about one)."""
+
 _RIDGE = DAMPING**2 * np.eye(3)
 _LONGEST_WAIT = 2.0  # [s] chosen: later than that the arm should have settled
 _ONE_DEGREE, _FIFTH_OF_A_DEGREE = float(np.radians(1.0)), float(np.radians(0.2))
@@ -229,8 +232,8 @@ def _equation_16(out: Observation, reading: Reading, arm: Arm) -> None:
     out[:, n + 1 : 2 * n + 1] = reading.position
     out[:, 2 * n + 1 : 3 * n + 1] = 0.5 * reading.velocity
     m = 3 * n + 1
-    out[:, m : m + 3] = 5.0 * reading.target
-    out[:, m + 3 : m + 6] = 5.0 * view.tcp
-    columns[m + 6] = 5.0 * view.distance
+    out[:, m : m + 3] = POINT_SCALE * reading.target
+    out[:, m + 3 : m + 6] = POINT_SCALE * view.tcp
+    columns[m + 6] = POINT_SCALE * view.distance
     columns[m + 7] = collides(arm, frames(arm, reading.position))
     columns[m + 8] = view.distance < SUCCESS_DISTANCE

@@ -67,11 +67,12 @@ def canvas(
     figure = Figure(figsize=size, layout="constrained", facecolor="none")
     grid = figure.subplots(rows, columns, squeeze=False, sharex="col", width_ratios=widths)
     for axes in grid.flat:
-        _style(axes)
+        style(axes)
     return figure, grid
 
 
-def _style(axes: Axes) -> None:
+def style(axes: Axes) -> None:
+    """Give axes the look of all figures."""
     axes.set_facecolor("none")
     axes.set_axisbelow(True)
     for side in ("top", "right"):
@@ -84,7 +85,8 @@ def _style(axes: Axes) -> None:
         text.set(color=INK, fontsize=FONT)
 
 
-def _title(axes: Axes, text: str) -> None:
+def heading(axes: Axes, text: str) -> None:
+    """Write the name of a panel."""
     axes.set_title(text, loc="left", fontsize=FONT + 0.5, color=INK, fontweight="bold")
 
 
@@ -180,7 +182,7 @@ def trajectory(path: Path3, limits: Array) -> Figure:
         axes.set(xlabel="xyz"[across] + " [mm]", ylabel="xyz"[up] + " [mm]")
         for axis, span in ((axes.xaxis, spans[across]), (axes.yaxis, spans[up])):
             axis.set_major_locator(MultipleLocator(50 if span < 400 else 100))
-        _title(axes, name)
+        heading(axes, name)
     grid[0, 0].invert_xaxis()
     return figure
 
@@ -251,7 +253,7 @@ def by_joint(
         if axes.get_ylim()[0] > 0 or _none_negative(measured):
             axes.set_ylim(bottom=0)
     axes.grid(visible=False, axis="x")
-    _title(axes, title)
+    heading(axes, title)
     return figure
 
 
@@ -292,6 +294,6 @@ def training_curves(steps: Array, curves: Sequence[tuple[str, Array]], look: Loo
     for axes, (name, values) in zip(grid[:, 0], curves, strict=True):
         axes.plot(steps / 1e6, values, color=look.colour, linewidth=1.5)
         axes.yaxis.set_major_locator(MaxNLocator(4))
-        _title(axes, name)
+        heading(axes, name)
     grid[-1, 0].set(xlabel="environment steps [million]", xlim=(steps[0] / 1e6, steps[-1] / 1e6))
     return figure
