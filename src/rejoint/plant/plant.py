@@ -87,6 +87,11 @@ class Plant:
         return self._servos["torque"].copy()
 
     @property
+    def torque_limit(self) -> Array:
+        """(B, n) [N m] of the motors at standstill."""
+        return self._joints["torque_limit"].copy()
+
+    @property
     def temperature(self) -> Array:
         """(B, n) [deg C] of the servos."""
         return self._servos["temperature"].copy()

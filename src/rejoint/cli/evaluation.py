@@ -1,0 +1,107 @@
+"""Commands about the controllers themselves rather than about one arm."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from rejoint import repair
+from rejoint.arms import load_arm
+from rejoint.cli.console import Terminal
+from rejoint.cli.options import Json, Seed, controller_names
+from rejoint.errors import InputError
+from rejoint.runs import read_json, write_json
+
+OUT = Path("runs") / "family"
+
+
+def evaluate(
+    family: Annotated[bool, typer.Option("--family", help="On arms of the worn family that nothing was chosen on.")],
+    policy: Annotated[list[Path] | None, typer.Option(help="Policy file; repeatable, such as one per seed.")] = None,
+    controllers: Annotated[
+        str, typer.Option(help="Comma-separated baselines and rivals, 'all' or 'none'.")
+    ] = "integrator,feedforward,tuned-integrator,tuned-feedforward,adaptive",
+    variants: Annotated[str, typer.Option(help="Comma-separated conditions, or 'all'.")] = "all",
+    arms: Annotated[int, typer.Option(help="Number of arms.", min=1)] = 100,
+    targets: Annotated[int, typer.Option(help="Targets at which each arm is held.", min=1)] = 5,
+    gains: Annotated[
+        Path | None, typer.Option(help="Gains of rivals instead of their own, from `rejoint tune`.")
+    ] = None,
+    crossing: Annotated[bool, typer.Option(help="Also run the protocol of Park et al. 2024 (ten targets).")] = True,
+    out: Annotated[Path, typer.Option(help="Folder for results; the same command resumes there.")] = OUT,
+    seed: Seed = 0,
+    threads: Annotated[int, typer.Option(help="Threads of the simulation.", min=1)] = 2,
+    json: Json = False,
+) -> None:
+    """Try controllers on a hundred arms that nobody has met, and on the same under conditions that make it hard.
+
+    Example: `rejoint evaluate --family --policy runs/a/policy.onnx --policy runs/b/policy.onnx`
+    """
+    from rejoint.comparison.result import Protocol
+    from rejoint.evaluation.contestants import classical, known_names, learned
+    from rejoint.evaluation.evaluate import evaluate as run
+    from rejoint.evaluation.family import VARIANTS, Family, find_variant
+    from rejoint.evaluation.tables import terminal_tables
+    from rejoint.evaluation.trials import TrialSettings
+
+    if not family:
+        raise InputError("evaluate needs --family: the arms that controllers are tried on")
+    terminal = Terminal(json=json)
+    arm = load_arm("mycobot280")
+    names = {"all": known_names(), "none": ()}.get(controllers, controller_names(controllers))
+    tuned = {} if gains is None else read_json(gains, dict[str, dict[str, float]])
+    contestants = [classical(name, tuned) for name in names] + [learned(path, arm) for path in policy or []]
+    if not contestants:
+        raise InputError("evaluate: nobody takes part; name --controllers or give a --policy")
+    chosen = VARIANTS if variants == "all" else [find_variant(name) for name in controller_names(variants)]
+    settings = TrialSettings(
+        family=Family(arms=arms, targets=targets, seed=seed), protocol=Protocol(), crossing=crossing, threads=threads
+    )
+    with terminal.progress("evaluating") as update:
+        result = run(arm, contestants, chosen, settings, out, update)
+    for title, headers, rows in terminal_tables(result):
+        terminal.table(title, headers, rows)
+    counted = f"{len(result.failures)} holds failed; they are listed one by one on the page"
+    terminal.result(f"{counted}: {(out / 'evaluation.html').resolve()}")
+    terminal.finish({"out": str(out), "best": result.best, "rows": result.rows, "pairs": result.pairs})
+
+
+def tune(
+    rival: Annotated[str, typer.Argument(help="tuned-integrator, tuned-feedforward or adaptive.", metavar="RIVAL")],
+    run: Annotated[Path | None, typer.Option(help="Run whose twin is tuned on; without one, broad ranges.")] = None,
+    generations: Annotated[int, typer.Option(help="Generations of CMA-ES.", min=1)] = 40,
+    out: Annotated[Path, typer.Option(help="File of gains; those of other rivals in it stay.")] = Path("gains.json"),
+    seed: Seed = 0,
+    json: Json = False,
+) -> None:
+    """Tune a classical rival by CMA-ES on the randomised twins that policies are trained on.
+
+    Example: `rejoint tune tuned-feedforward --out gains.json`, then `rejoint evaluate --family --gains gains.json`
+    """
+    from rejoint.rivals.catalogue import find_rival
+    from rejoint.rivals.tuning import TuningSettings
+    from rejoint.rivals.tuning import tune as search
+    from rejoint.training.ranges import BroadRanges, Ranges, identified_ranges
+    from rejoint.twin.file import read_twin
+
+    terminal, chosen = Terminal(json=json), find_rival(rival)
+    job = None if run is None else repair.open_run(run)
+    arm = load_arm("mycobot280") if job is None else job.arm
+    ranges: Ranges = BroadRanges(arm=arm)
+    if job is not None:
+        ranges = identified_ranges(arm, read_twin(job.folder.twin, arm))
+    known = read_json(out, dict[str, dict[str, float]]) if out.exists() else {}
+    with terminal.progress(f"tuning {rival}") as update:
+
+        def report(done: int, cost: float, centre: Mapping[str, float]) -> None:  # noqa: ARG001 - too much for a line
+            update(done, generations, f"cost {cost:.2f} s")
+
+        settings = TuningSettings(generations=generations, seed=seed)
+        found = search(arm, ranges, chosen.intervals, chosen.make, settings, report)
+    write_json(out, known | {rival: found})
+    terminal.table(rival, ["gain", "value"], [[name, f"{value:.3g}"] for name, value in found.items()])
+    terminal.result(f"Next: rejoint evaluate --family --controllers {rival} --gains {out}")
+    terminal.finish({"rival": rival, "gains": found, "out": str(out)})

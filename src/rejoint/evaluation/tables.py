@@ -1,0 +1,90 @@
+"""The evaluation as tables of words: the same cells on the page and at the terminal."""
+
+from __future__ import annotations
+
+from rejoint.comparison.result import Estimate
+from rejoint.evaluation.result import Evaluation, Pair, Row
+from rejoint.report.numerals import NEVER, UNKNOWN, interval, number
+from rejoint.report.view import Cell
+
+MM, PERCENT = 1e3, 1e2
+
+HEADERS = (
+    "settled, encoders [mm]", "95 % below [mm]", "farther than 5 mm [%]", "settled, true [mm]", "oscillation [mm]",
+    "stays within 10 / 5 / 2 mm after [s]", "ten targets [s]",
+)  # fmt: skip
+
+
+def row_cells(row: Row, best: bool = False) -> list[Cell]:
+    """Cells of one controller on one variant; the first is its name."""
+    note = [f"{row.seeds} training seeds"] if row.seeds > 1 else []
+    stays = " / ".join(NEVER if w.median is None else number(w.median, 2) for w in row.within)
+    shares = " / ".join(f"{w.share.value * PERCENT:.0f}" for w in row.within)
+    return [
+        Cell(row.controller, "\n".join([*note, *(["best rival"] if best else [])])),
+        Cell(number(row.settled.value * MM, 3), _interval(row.settled, MM)),
+        Cell(number(row.settled_p95 * MM, 3)),
+        Cell(number(row.outside.value * PERCENT, 2), _interval(row.outside, PERCENT, 2)),
+        Cell(number(row.settled_true.value * MM, 2), f"95 %: {number(row.true_p95 * MM, 2)}"),
+        Cell(number(row.oscillation * MM, 2)),
+        Cell(stays, f"{shares} %"),
+        _cycle(row),
+    ]
+
+
+def pair_headers(evaluation: Evaluation) -> tuple[str, ...]:
+    """Headers of `pair_cells`."""
+    within = [f"time to stay within {distance * MM:g} mm, ratio" for distance in evaluation.protocol.within]
+    return ("settled, encoders [mm]", "settled, true [mm]", *within, "ten targets [s]")
+
+
+def pair_cells(pair: Pair) -> list[Cell]:
+    """Cells of one controller against one rival; the first names the two."""
+    return [
+        Cell(f"{pair.controller} against {pair.rival}"),
+        _signed(pair.settled, MM),
+        _signed(pair.settled_true, MM),
+        *(_ratio(ratio) for ratio in pair.stay_ratio),
+        _signed(pair.cycle_time, 1.0),
+    ]
+
+
+def terminal_tables(evaluation: Evaluation) -> list[tuple[str, list[str], list[list[str]]]]:
+    """Title, headers and rows of a table per variant, and one of the pairs against the best rivals."""
+    tables = []
+    for variant in evaluation.variants:
+        rows = [
+            [cell.text for cell in row_cells(row)] for row in evaluation.rows if row.variant == variant
+        ]  # fmt: skip
+        tables.append((f"{variant}: {evaluation.family.arms} arms", ["controller", *HEADERS], rows))
+    pairs = [
+        [pair.variant, *(" ".join(part for part in (cell.text, cell.note and f"({cell.note})") if part)
+         for cell in pair_cells(pair))]
+        for pair in evaluation.pairs
+        if pair.rival == evaluation.best.get(pair.variant)
+    ]  # fmt: skip
+    if pairs:
+        headers = ["variant", "against the best rival", *pair_headers(evaluation)]
+        tables.append(("Paired differences, 95 % intervals over arms", headers, pairs))
+    return tables
+
+
+def _cycle(row: Row) -> Cell:
+    if row.cycle_time is None or row.success is None:
+        return Cell(UNKNOWN)
+    return Cell(number(row.cycle_time.value, 3), f"{number(row.success.value * PERCENT, 3)} % reached")
+
+
+def _interval(value: Estimate, factor: float, digits: int = 3) -> str:
+    return interval(value.low * factor, value.high * factor, digits)
+
+
+def _signed(value: Estimate | None, factor: float) -> Cell:
+    if value is None:
+        return Cell(UNKNOWN)
+    return Cell(f"{'+' if value.value > 0 else ''}{number(value.value * factor, 2)}", _interval(value, factor, 2))
+
+
+def _ratio(value: Estimate) -> Cell:
+    ends = [NEVER if end == float("inf") else number(end, 2) for end in (value.low, value.high)]
+    return Cell(NEVER if value.value == float("inf") else number(value.value, 2), " to ".join(ends))

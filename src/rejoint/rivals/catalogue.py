@@ -1,0 +1,131 @@
+"""Rivals by name: what may be tuned, within which bounds, and the gains that the tuning found."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from rejoint.arms import Arm, Array
+from rejoint.control.controller import Controller
+from rejoint.errors import InputError
+from rejoint.rivals.adaptive import AdaptiveController, AdaptiveGains
+from rejoint.rivals.scheduled import ScheduledController, ScheduledGains
+
+Interval = tuple[float, float]
+
+_SCHEDULED: dict[str, Interval] = {
+    "far_rate": (0.5, 30.0),
+    "near_rate": (0.3, 20.0),
+    "schedule": (0.5e-3, 20e-3),
+    "deadband": (1e-5, 1e-3),
+    "proportional": (1e-3, 1.0),
+    "damping": (1e-4, 0.3),
+    "prediction": (1e-3, 0.1),
+    "moving": (0.01, 3.0),
+    "speed": (0.05, 5.0),
+    "lead": (np.radians(4.0), np.radians(40.0)),
+}
+"""Bounds of the search, centred on what works by hand (chosen: a decade or two each)"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rival:
+    """A controller with gains that can be tuned."""
+
+    make: Callable[[Arm, Mapping[str, Array]], Controller]
+    """from gains by name, numbers or (B, 1)"""
+    intervals: Mapping[str, Interval]
+    """bounds of the search; their logarithmic centre is its start"""
+    gains: Mapping[str, float]
+    """found by ``rejoint tune NAME`` on the broad ranges, seed 0"""
+
+
+def _scheduled(name: str, anchored: bool, arm: Arm, gains: Mapping[str, Array]) -> Controller:
+    return ScheduledController(arm, name, ScheduledGains(**gains), anchored=anchored)
+
+
+def _adaptive(arm: Arm, gains: Mapping[str, Array]) -> Controller:
+    return AdaptiveController(arm, "adaptive", AdaptiveGains(**gains))
+
+
+RIVALS: dict[str, Rival] = {
+    "tuned-integrator": Rival(
+        make=partial(_scheduled, "tuned-integrator", False),
+        intervals=_SCHEDULED,
+        gains={
+            "far_rate": 4.0,
+            "near_rate": 2.0,
+            "schedule": 3e-3,
+            "deadband": 1e-4,
+            "proportional": 0.03,
+            "damping": 5e-3,
+            "prediction": 0.01,
+            "moving": 0.1,
+            "speed": 1.0,
+            "lead": 0.26,
+        },
+    ),
+    "tuned-feedforward": Rival(
+        make=partial(_scheduled, "tuned-feedforward", True),
+        intervals=_SCHEDULED | {"feedforward": (0.2, 1.8), "ramp": (0.5, 20.0), "carry": (0.2, 1.0)},
+        gains={
+            "far_rate": 4.0,
+            "near_rate": 2.0,
+            "schedule": 3e-3,
+            "deadband": 1e-4,
+            "proportional": 0.03,
+            "damping": 5e-3,
+            "prediction": 0.01,
+            "moving": 0.1,
+            "speed": 1.0,
+            "lead": 0.7,
+            "feedforward": 1.0,
+            "ramp": 5.0,
+            "carry": 1.0,
+        },
+    ),
+    "adaptive": Rival(
+        make=_adaptive,
+        intervals={
+            "softness_rate": (0.3, 100.0),
+            "load_rate": (0.3, 100.0),
+            "offset_rate": (0.1, 10.0),
+            "scale": (np.radians(0.5), np.radians(30.0)),
+            "damping": (1e-4, 1.0),
+            "dead_zone": (np.radians(0.01), np.radians(1.0)),
+            "proportional": (1e-3, 1.0),
+            "derivative": (1e-4, 0.1),
+            "prior": (0.2, 1.8),
+        },
+        gains={
+            "softness_rate": 5.0,
+            "load_rate": 5.0,
+            "offset_rate": 1.5,
+            "scale": 0.07,
+            "damping": 0.01,
+            "dead_zone": 1.5e-3,
+            "proportional": 0.03,
+            "derivative": 0.003,
+            "prior": 0.8,
+        },
+    ),
+}
+
+
+def find_rival(name: str) -> Rival:
+    """Look up a rival; InputError names the alternatives."""
+    if name not in RIVALS:
+        raise InputError(f"no rival is called {name!r}; known rivals: {', '.join(RIVALS)}")
+    return RIVALS[name]
+
+
+def make_rival(name: str, arm: Arm, gains: Mapping[str, float] | None = None) -> Controller:
+    """Build a rival with gains by name, by default those that the tuning found; InputError for other names."""
+    rival = find_rival(name)
+    gains = rival.gains if gains is None else gains
+    if set(gains) != set(rival.intervals):
+        raise InputError(f"{name}: gains {sorted(gains)}, expected {sorted(rival.intervals)}")
+    return rival.make(arm, {key: np.asarray(value) for key, value in gains.items()})

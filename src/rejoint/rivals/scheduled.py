@@ -1,0 +1,139 @@
+"""Gain-scheduled integral control, alone or around a gravity feed-forward: everything an engineer would add by hand.
+
+To the plain integrator this adds a rate that depends on the distance (Rugh and Shamma, Automatica 36, 2000), a dead
+zone with a continuous edge, a proportional and a damping term that are not remembered, conditional
+integration (Astrom and Rundqwist, ACC 1989) with a clamped state, prediction over the dead time by the measured
+speed, and a bound on the speed of the correction. With ``feedforward`` the command starts from the posture
+that a sagging arm needs, approached along a ramp, and what was learned carries over in part.
+
+Every gain may be a number, or an array (B, 1) that gives each arm of a batch its own: that is how the
+tuning tries many at once.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rejoint.arms import Arm, Array, clip_norm, frames, gravity_torque, position_jacobian
+from rejoint.arms.size import torque_size
+from rejoint.control.controller import Situation
+from rejoint.control.feedforward import NOMINAL_STIFFNESS
+from rejoint.control.goal import Goal
+from rejoint.control.law import dls_step, limit_position, null_space
+from rejoint.control.pace import Pace
+from rejoint.control.robot import Mask
+
+Gain = float | Array
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ScheduledGains:
+    """Settings of both laws; the last four matter to the feed-forward alone."""
+
+    far_rate: Gain
+    """[1/s] fraction of the joint step that is integrated per second, far from the target"""
+    near_rate: Gain
+    """[1/s] the same at the target"""
+    schedule: Gain
+    """[m] distance at which the rate is half way between the two"""
+    deadband: Gain
+    """[m] closer to the target nothing is integrated"""
+    proportional: Gain
+    """fraction of the joint step that is added without being remembered"""
+    damping: Gain
+    """[s] times the measured joint speed is subtracted"""
+    prediction: Gain
+    """[s] by which the measured position is extrapolated at its speed"""
+    moving: Gain
+    """[rad/s] a joint that moves faster than this in the right direction is not pushed"""
+    speed: Gain
+    """[rad/s] largest speed of what is integrated"""
+    lead: Gain
+    """[rad] anti-windup: largest distance between the integrated command, or the correction, and where it belongs"""
+    feedforward: Gain = 0.0
+    """fraction of the sag of nominal servos that is compensated beforehand"""
+    ramp: Gain = 100.0
+    """[rad/s] speed at which the raised posture is approached"""
+    carry: Gain = 1.0
+    """fraction of the correction that is kept at a new target"""
+
+
+class ScheduledController:
+    """The law; ``anchored`` to the goal posture (feed-forward) or not (integrator)."""
+
+    def __init__(self, arm: Arm, name: str, gains: ScheduledGains, *, anchored: bool) -> None:
+        self._arm, self._name, self._gains, self._anchored = arm, name, gains, anchored
+        self._goal, self._pace, self._speed = Goal(arm), Pace(), JointSpeed()
+        self._stiffness = NOMINAL_STIFFNESS * torque_size(arm)
+        self._start = self._raised = self._integral = np.zeros((0, arm.joints))
+
+    @property
+    def name(self) -> str:
+        """Name in tables."""
+        return self._name
+
+    def reset(self, situation: Situation, where: Mask) -> None:
+        """Take over new targets of the arms in ``where`` (B,)."""
+        gains, sent = self._gains, situation.sent
+        if len(self._integral) != len(sent):
+            self._integral = np.zeros_like(sent) if self._anchored else sent.copy()
+            self._start, self._raised = sent.copy(), sent.copy()
+        if not self._anchored:
+            return
+        self._goal.reset(situation, where)
+        goal = self._goal.position[where]
+        # What was learned in the null space moves no tool, but adds up from target to target until the arm folds.
+        idle = null_space(position_jacobian(self._arm, frames(self._arm, goal)), self._integral[where])
+        carry = np.broadcast_to(gains.carry, (len(sent), 1))[where]
+        share = np.broadcast_to(gains.feedforward, (len(sent), 1))[where]
+        self._integral[where] = carry * (self._integral[where] - idle)
+        self._start[where] = sent[where] - self._integral[where]
+        self._raised[where] = goal + share * gravity_torque(self._arm, goal) / self._stiffness
+
+    def command(self, situation: Situation) -> Array:
+        """Return the integrated command with its passing terms, (B, n) [rad]."""
+        arm, gains, measured = self._arm, self._gains, situation.state.position
+        elapsed = self._pace.tick(situation.state.time)[:, None]
+        speed = self._speed.observe(measured, elapsed)
+        seen = dls_step(arm, measured + gains.prediction * speed, situation.target)
+        distance = np.linalg.norm(seen.error, axis=-1, keepdims=True)
+        rate = gains.near_rate + (gains.far_rate - gains.near_rate) * distance / (distance + gains.schedule)
+        step = seen.step * np.maximum(distance - gains.deadband, 0.0) / np.maximum(distance, 1e-9)
+        push = elapsed * _bounded(rate * step, gains.speed)
+        on_its_way = (np.abs(speed) > gains.moving) & (speed * push > 0.0)
+        passing = gains.proportional * step - gains.damping * speed
+        integral = self._integral + np.where(on_its_way, 0.0, push)
+        if self._anchored:
+            self._integral = np.clip(integral, -gains.lead, gains.lead)
+            way = self._raised - self._start
+            reach = gains.ramp * situation.since_target[:, None]
+            return limit_position(arm, self._start + np.clip(way, -reach, reach) + self._integral + passing)
+        pull = clip_norm(null_space(seen.jacobian, 0.01 * (arm.rest - integral)), np.radians(0.1))
+        integral = integral + (distance > 0.01) * pull  # keeps the arm from folding, see `IntegratorGains`
+        self._integral = limit_position(arm, np.clip(integral, measured - gains.lead, measured + gains.lead))
+        return limit_position(arm, self._integral + passing)
+
+
+class JointSpeed:
+    """Joint speeds from measured positions, smoothed over about two cycles."""
+
+    def __init__(self) -> None:
+        self._position = self._speed = np.zeros((0, 0))
+
+    def observe(self, position: Array, elapsed: Array) -> Array:
+        """Return speeds (B, n) [rad/s] from positions (B, n) [rad] that are ``elapsed`` (B, 1) [s] after the last."""
+        if self._position.shape != position.shape:
+            self._position, self._speed = position.copy(), np.zeros_like(position)
+        news = elapsed > 0.0
+        difference = (position - self._position) / np.where(news, elapsed, 1.0)
+        self._speed = np.where(news, 0.5 * difference + 0.5 * self._speed, self._speed)
+        self._position = position.copy()
+        return self._speed
+
+
+def _bounded(rate: Array, speed: Gain) -> Array:
+    """Scale whole vectors (B, n) down so that no element exceeds ``speed``."""
+    largest = np.abs(rate).max(axis=-1, keepdims=True)
+    return rate * np.minimum(1.0, speed / np.maximum(largest, 1e-12))

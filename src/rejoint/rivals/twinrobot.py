@@ -1,0 +1,101 @@
+"""Randomised twins behind the interface of a robot, so that controllers are tuned on what the policy is trained on.
+
+The motion of one cycle is that of `rejoint.training.task.ReachTask`: the same wire, servo ramp, friction
+and number of physics steps; a test holds the two together bit for bit.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rejoint.arms import Arm, Array, gravity_torque, tcp_position
+from rejoint.control.robot import JointState, Mask
+from rejoint.training.ranges import Draw
+from rejoint.training.task import SUBSTEPS
+from rejoint.training.wire import Wire
+from rejoint.twin.batch import TwinBatch
+from rejoint.twin.model import stribeck_friction
+from rejoint.twin.reference import approach
+
+
+class TwinRobot:
+    """One twin per drawn arm, in lockstep, each with its own period, delays and clock."""
+
+    def __init__(
+        self, arm: Arm, draw: Draw, *, seed: int, threads: int = 1, jitter: float = 0.2, copies: int = 1
+    ) -> None:
+        """Put the twins at rest in the rest posture, held there by the first command.
+
+        ``copies``: the batch holds the same arms that many times over, with the same jitter.
+        """
+        count, n = len(draw.period), arm.joints
+        self._arm, self._draw, self._jitter, self._copies = arm, draw, jitter, copies
+        self._rng = np.random.default_rng(seed)
+        self.twins = TwinBatch(arm, count, threads=threads)
+        self.twins.write(draw.twin, gravity_scale=draw.gravity_scale)
+        self.wire = Wire(count, n, SUBSTEPS)
+        self.wire.command_delay[:], self.wire.readback_delay[:] = draw.command_delay, draw.readback_delay
+        position = np.tile(arm.rest, (count, 1))
+        held = draw.gravity_scale[:, None] * gravity_torque(arm, position) / draw.twin.stiffness - draw.twin.offset
+        self.twins.restart(position)
+        self._reference = position + held
+        self.wire.clear(np.ones(count, dtype=bool), self._reference, position)
+        self._time, self._measured = np.zeros(count), self._quantised(position)
+
+    @property
+    def arm(self) -> Arm:
+        """The arm's kinematics, limits and masses."""
+        return self._arm
+
+    @property
+    def address(self) -> str:
+        """What it is."""
+        return "twins"
+
+    @property
+    def count(self) -> int:
+        """Number B of twins."""
+        return len(self._time)
+
+    def read(self) -> JointState:
+        """Return the newest joint state."""
+        return JointState(time=self._time.copy(), position=self._measured.copy(), age=np.zeros(self.count))
+
+    def step(self, command: Array, active: Mask | None = None) -> JointState:
+        """Send ``command`` (B, n) [rad] and let one period pass; twins that are not ``active`` move on unseen."""
+        news = np.ones(self.count, dtype=bool) if active is None else active
+        self.wire.send(command, self._time)
+        spread = self._rng.uniform(1.0 - self._jitter, 1.0 + self._jitter, self.count // self._copies)
+        period = self._draw.period * np.tile(spread, self._copies)
+        self._advance(period)
+        self._time = self._time + period
+        self._measured = np.where(news[:, None], self._quantised(self.wire.read(self._time)), self._measured)
+        return self.read()
+
+    def true_tcp(self) -> Array:
+        """(B, 3) [m] of the twins' links; twins have no play."""
+        return tcp_position(self._arm, self.twins.qpos)
+
+    def stop(self) -> None:
+        """Hold where they are; nobody reads twins that have stopped."""
+
+    def close(self) -> None:
+        """Nothing to release."""
+
+    def _advance(self, period: Array) -> None:
+        draw, substep = self._draw, period / SUBSTEPS
+        self.twins.set_timestep(substep)
+        starts = self._time[:, None] + substep[:, None] * np.arange(SUBSTEPS)
+        goals = self.wire.in_force(starts)
+        reach = (draw.twin.ramp_speed * substep)[:, None]
+        passed = np.empty_like(goals)
+        for k in range(SUBSTEPS):
+            self._reference = approach(self._reference, goals[:, k], reach)
+            self.twins.ctrl[:] = self._reference
+            self.twins.set_friction(stribeck_friction(draw.twin.coulomb, draw.stiction, self.twins.qvel))
+            self.twins.step()
+            passed[:, k] = self.twins.qpos
+        self.wire.record(starts + substep[:, None], passed)
+
+    def _quantised(self, position: Array) -> Array:
+        return np.round(position / self._arm.encoder_step) * self._arm.encoder_step
