@@ -1,6 +1,7 @@
 """Figures show the given data, name their units and are the same every time."""
 
 import io
+import itertools
 import re
 import xml.etree.ElementTree as ET
 
@@ -165,3 +166,22 @@ def test_no_two_looks_share_colour_marker_or_line():
     assert len(set(map(id, palette.CONTROLLERS.values()))) == len(palette.CONTROLLERS)
     css = theme_css()
     assert css["light"].count("--look-") == css["dark"].count("--look-") == len(palette.LOOKS)
+
+
+@pytest.mark.parametrize(
+    "names", [("J1", "J2", "J3", "J4", "J5", "J6"), ("shoulder_pan", "shoulder_lift", "elbow") * 2]
+)
+def test_names_of_joints_do_not_run_into_each_other(names):
+    figure = by_joint("lag [ms]", names, series(count=6))
+    figure.draw_without_rendering()
+    labels = figure.axes[0].get_xticklabels()
+    assert [label.get_text() for label in labels] == list(names)
+    level = labels[0].get_rotation() == 0.0
+    assert level == (names[0] == "J1")
+    boxes = [label.get_window_extent() for label in labels]
+    if level:
+        assert all(left.x1 < right.x0 for left, right in itertools.pairwise(boxes))
+    else:  # slanted lines of text keep their distance: the anchors lie further apart than a line is high
+        anchors = np.array([label.get_transform().transform(label.get_position())[0] for label in labels])
+        height = labels[0].get_fontsize() * figure.dpi / 72
+        assert (np.diff(anchors) * np.sin(np.radians(35)) > height).all()

@@ -26,6 +26,8 @@ FONT = 9.5
 WIDE, HALF, THIRD = 10.4, 5.2, 3.4
 """[inch] widths of figures that stand alone, in two and in three columns"""
 LEGEND_COLUMNS = 6
+LETTERS = 36
+"""letters that fit side by side below a figure of a third of the page"""
 REACHED_MM = 10.0
 """[mm] radius within which a target counts as reached; Park et al. 2024, section IV.A"""
 
@@ -241,7 +243,9 @@ def by_joint(
                 fmt=measured.look.marker, color=measured.look.colour, markerfacecolor=face, markersize=5.5, capsize=2.5,
                 linewidth=1.4,
             )  # fmt: skip
-    axes.set_xticks(at, list(joints))
+    crowded = max(map(len, joints)) * len(joints) > LETTERS
+    slant = {"rotation": 35, "ha": "right", "rotation_mode": "anchor"} if crowded else {}
+    axes.set_xticks(at, list(joints), **slant)
     axes.set_xlim(-0.6, len(joints) - 0.4)
     axes.use_sticky_edges = False
     axes.margins(y=0.12)

@@ -17,9 +17,9 @@ CONTROLLERS = {
 
 
 def joint_label(name: str) -> str:
-    """Return a short label: ``joint3`` becomes ``J3``, other names stay."""
+    """Return a short label: ``joint3`` becomes ``J3``, ``elbow_joint`` becomes ``elbow``, other names stay."""
     match = re.fullmatch(r"joint_?(\d+)", name)
-    return f"J{match[1]}" if match else name
+    return f"J{match[1]}" if match else name.removesuffix("_joint") or name
 
 
 def listed(words: Sequence[str], last: str) -> str:
