@@ -13,7 +13,7 @@ import msgspec
 import typer
 from rich.console import Console
 
-from rejoint.cli import chain, evaluation, foreign, offline, serving, stages
+from rejoint.cli import chain, evaluation, foreign, offline, reproducing, serving, stages
 from rejoint.errors import GuardTripError, RejointError
 
 app = typer.Typer(
@@ -26,7 +26,7 @@ app = typer.Typer(
 )
 COMMANDS: tuple[Callable[..., None], ...] = (
     chain.repair, stages.diagnose, stages.identify, stages.train, stages.compare, stages.deploy, stages.report,
-    offline.replay, foreign.import_, foreign.export, serving.emulate, evaluation.evaluate,
+    offline.replay, foreign.import_, foreign.export, serving.emulate, reproducing.reproduce, evaluation.evaluate,
     evaluation.tune,
 )  # fmt: skip
 for command in COMMANDS:
