@@ -135,6 +135,56 @@ def test_two_equal_chains_are_ambiguous(tmp_path: Path) -> None:
         read_arm(written(tmp_path, text))
 
 
+def gripper(kind: str, limit: str = '<limit lower="0" upper="1" velocity="3" effort="1"/>') -> str:
+    """Two fingers behind the tool of `bare_urdf`; of kind ``mimic`` the second follows the first."""
+    names = ("grip_left", "grip_right") if kind == "named" else ("motor", "idler")
+    fingers = []
+    for i, name in enumerate(names[: 1 if kind == "named" else 2]):
+        mimic = f'<mimic joint="{names[0]}"/>' if i == 1 and kind == "mimic" else ""
+        fingers.append(
+            f'<link name="f{i}">{inertial(0.1)}</link><joint name="{name}" type="revolute"><parent link="tool"/>'
+            f'<child link="f{i}"/><axis xyz="0 1 0"/>{limit}{mimic}</joint>'
+        )
+    return "".join(fingers) + "</robot>"
+
+
+@pytest.mark.parametrize(("kind", "held"), [("mimic", "motor, idler"), ("named", "grip_left")])
+def test_a_gripper_is_held_without_being_named(tmp_path: Path, kind: str, held: str) -> None:
+    text = bare_urdf({i: inertial(1.0) for i in range(1, 5)}).replace("</robot>", gripper(kind))
+    path = written(tmp_path, text, "bare.urdf")
+    loaded = with_given_workspace(path)
+    assert loaded.arm.joint_names == ("j1", "j2", "j3", "j4")
+    assert loaded.arm.mass[3] == pytest.approx(1.2 if kind == "mimic" else 1.1)
+    assert any("tip: none given; tool taken" in note for note in loaded.notes)
+    hint = f"tip: {held.split(',')[0]} behind it taken for a gripper's and held; name a tip to drive it"
+    assert hint in loaded.notes
+    assert with_given_workspace(path, "f0").arm.joints == 5  # who names the finger gets it
+
+
+def test_two_fingers_that_nothing_couples_stay_ambiguous(tmp_path: Path) -> None:
+    text = bare_urdf({i: inertial(1.0) for i in range(1, 5)}).replace("</robot>", gripper("free"))
+    with pytest.raises(InputError, match=r"tip of the arm \(5 joints each\): f0, f1; .* such as tool,"):
+        read_arm(written(tmp_path, text, "bare.urdf"))
+
+
+def test_an_arm_on_a_lift_beside_wheels_is_hinted_at(tmp_path: Path) -> None:
+    wheel = (
+        '<link name="wheel{0}"/><joint name="wheel{0}" type="continuous"><parent link="base"/><child link="wheel{0}"/>'
+        '<axis xyz="0 1 0"/></joint>'
+    )
+    text = bare_urdf({i: inertial(1.0) for i in range(1, 5)}, {1: "prismatic"})
+    message = r"a chain of 3 hinges begins behind l1 \(j1 is a slide joint\): give that as the base"
+    for wheels in ("", wheel.format(1) + wheel.format(2)):
+        with pytest.raises(InputError, match=message):
+            read_arm(written(tmp_path, text.replace("</robot>", wheels + "</robot>"), "bare.urdf"))
+
+
+def test_an_arm_that_moves_in_a_plane_is_refused(tmp_path: Path) -> None:
+    text = bare_urdf({i: inertial(1.0) for i in range(1, 5)}).replace('<axis xyz="0 0 1"/>', '<axis xyz="0 1 0"/>')
+    with pytest.raises(InputError, match="its 4 joints move the TCP on a line or a surface only"):
+        read_arm(written(tmp_path, text, "bare.urdf"))
+
+
 URDF = """<?xml version="1.0"?><robot name="bare" xmlns:xacro="http://www.ros.org/wiki/xacro">
 <link name="base"><visual><geometry><mesh filename="package://none/base.dae"/></geometry></visual></link>
 {links}{joints}</robot>"""

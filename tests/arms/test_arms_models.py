@@ -1,9 +1,11 @@
 """Arms from URDF and MJCF files that other people wrote, against MuJoCo and against each other.
 
-The files ship inside the packages robopal (MJCF of Panda and UR5e, both forms of a Diana) and
-airo-models (URDF of UR3e and UR5e), which are installed with the development extra. Neither is imported.
+The files ship inside the packages robopal (MJCF of Panda and UR5e, both forms of a Diana), airo-models (URDF
+of UR3e and UR5e) and ManipulaPy (URDF of arms of five more makers), which are installed with the development extra.
+None is imported.
 """
 
+import dataclasses
 import os
 from functools import lru_cache
 from importlib.util import find_spec
@@ -13,8 +15,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from rejoint.arms import Arm, Loaded, frames, gravity_torque, jacobian, read_arm, so101, solve_position, tcp_pose
-from rejoint.arms.draft import DEFAULT_SPEED
+from rejoint.arms import Arm, Box, Loaded, frames, gravity_torque, jacobian, read_arm, so101, solve_position, tcp_pose
+from rejoint.arms.chain import cut
+from rejoint.arms.draft import DEFAULT_SPEED, finish
+from rejoint.arms.modelfile import read_tree
 
 
 def packaged(package: str, path: str) -> Path:
@@ -34,9 +38,21 @@ FILES = {
     "ur3e-urdf": ("airo_models", "arms/ur3e/ur3e.urdf", "base_link", "tool0", 6),
 }
 
+# Another author's arms: seven joints, continuous ones, grippers with fingers of their own or coupled, a root called
+# world, an inertia that belongs to no body, links without any.
+DATA = "ManipulaPy_data"
+MORE = {
+    "ur10": ("ManipulaPy", f"{DATA}/universal_robots/ur10/ur10.urdf", "base_link", "tool0", 6),
+    "crx10ia": ("ManipulaPy", f"{DATA}/fanuc_crx/crx10ia.urdf", "base_link", "flange", 6),
+    "iiwa14": ("ManipulaPy", f"{DATA}/kuka_iiwa/iiwa14/iiwa14.urdf", "iiwa_link_0", "iiwa_link_ee", 7),
+    "gen3": ("ManipulaPy", f"{DATA}/kinova/gen3/gen3.urdf", "base_link", "EndEffector_Link", 7),
+    "jaco": ("ManipulaPy", f"{DATA}/kinova/jaco/jaco_6dof.urdf", "j2s6s300_link_base", "j2s6s300_end_effector", 6),
+    "xarm6": ("ManipulaPy", f"{DATA}/xarm/xarm6_with_gripper.urdf", "link_base", "xarm_gripper_base_link", 6),
+}
+
 
 def file_of(name: str) -> Path:
-    return packaged(*FILES[name][:2])
+    return packaged(*{**FILES, **MORE}[name][:2])
 
 
 @lru_cache
@@ -46,6 +62,13 @@ def loaded_of(name: str) -> Loaded:
 
 def arm_of(name: str) -> Arm:
     return loaded_of(name).arm
+
+
+def arm_without_workspace(name: str) -> Arm:
+    """Read an arm without deriving its workspace, which takes a second or more."""
+    draft = cut(read_tree(file_of(name)), *MORE[name][2:4])
+    middle = np.nan_to_num((draft.lower + draft.upper) / 2)
+    return finish(dataclasses.replace(draft, rest=middle, targets=Box(lower=-np.ones(3), upper=np.ones(3)))).arm
 
 
 def stripped_model(path: Path) -> mujoco.MjModel:
@@ -73,10 +96,10 @@ def relative_tip(model: mujoco.MjModel, data: mujoco.MjData, base: str, tip: str
     return pose
 
 
-@pytest.mark.parametrize("name", FILES)
+@pytest.mark.parametrize("name", [*FILES, *MORE])
 def test_kinematics_and_gravity_agree_with_mujoco_on_the_whole_file(name: str) -> None:
-    arm, model = arm_of(name), stripped_model(file_of(name))
-    base, tip, joints = FILES[name][2:]
+    arm, model = arm_of(name) if name in FILES else arm_without_workspace(name), stripped_model(file_of(name))
+    base, tip, joints = {**FILES, **MORE}[name][2:]
     assert arm.joints == joints
     data = mujoco.MjData(model)
     for q in np.random.default_rng(1).uniform(arm.lower, arm.upper, (100, joints)):

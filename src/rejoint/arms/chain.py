@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -13,6 +14,9 @@ from rejoint.arms.draft import Draft
 from rejoint.arms.inertia import Lump, lump
 from rejoint.arms.rotations import inverse, pose_of, rotation_about
 from rejoint.errors import InputError
+
+_GRIPPER = re.compile("grip|jaw|finger|claw", re.IGNORECASE)
+"""In the name of a joint: it opens and closes a gripper (as named in the URDFs of SO-100, WidowX and Koch arms)."""
 
 WORLD = 0
 """Index of the world, the parent of every root body."""
@@ -49,6 +53,8 @@ class Joint:
     """[rad] limits, NaN where there is none"""
     speed: float
     """[rad/s] speed limit, NaN where there is none"""
+    drives: bool = False
+    """whether joints of other branches follow it, as the fingers of a gripper follow its motor"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -88,8 +94,8 @@ class Tree:
 def cut(tree: Tree, base: str | None, tip: str | None) -> Draft:
     """Make a draft of the chain from the body ``base`` to the body or site ``tip``.
 
-    Without ``tip`` it is the last link of the longest chain of hinges, without ``base`` the root
-    that the tip hangs on. Bodies beside the chain are frozen where they are and add their mass to the link
+    Without ``tip`` it is the last link of the longest chain of hinges, a gripper's left out, without ``base`` the
+    root that the tip hangs on. Bodies beside the chain are frozen where they are and add their mass to the link
     that carries them. InputError when a name is unknown, the choice is ambiguous, or a joint
     of the chain is not a hinge.
     """
@@ -186,24 +192,48 @@ def _longest(tree: Tree, start: int | None, notes: list[str]) -> tuple[int, Arra
             continue
         own = tree.joints_of([index])
         floating = start is None and body.parent == WORLD and [joint.kind for joint in own] == ["free"]
-        if body.parent in hinges and (floating or all(joint.kind == "hinge" for joint in own)):
+        if body.parent in hinges and (floating or all(map(_of_the_arm, own))):
             hinges[index] = hinges[body.parent] + (0 if floating else len(own))
     parents = {tree.bodies[index].parent for index in hinges if index != start and index != WORLD}
     leaves = [index for index in hinges if index not in parents]
     most = max((hinges[index] for index in leaves), default=0)
     longest = [index for index in leaves if hinges[index] == most]
     if most == 0:
-        raise InputError(f"{tree.name}: no chain of hinges was found; the bodies are: {_names(tree, hinges)}")
+        hint = _behind_others(tree, most)
+        raise InputError(f"{tree.name}: no chain of hinges was found; the bodies are: {_names(tree, hinges)}{hint}")
     if len(longest) > 1:
-        raise InputError(
-            f"{tree.name}: several links could be the tip of the arm ({most} joints each): "
-            f"{_names(tree, longest)}; name the tip that you mean{_parting(tree, longest)}"
-        )
+        hint = _behind_others(tree, most) or f"; name the tip that you mean{_parting(tree, longest)}"
+        ends = _names(tree, longest)
+        raise InputError(f"{tree.name}: several links could be the tip of the arm ({most} joints each): {ends}{hint}")
     end = longest[0]
     sites = [site.name for site in tree.sites if site.body == end]
     more = f" (it carries the sites {', '.join(sites)}, which can be named instead)" if sites else ""
     notes.append(f"tip: none given; {tree.bodies[end].name} taken, the end of the longest chain ({most} joints){more}")
+    beyond = [joint.name for joint in tree.joints if joint.kind == "hinge" and tree.bodies[joint.body].parent == end]
+    if beyond:
+        notes.append(f"tip: {', '.join(beyond)} behind it taken for a gripper's and held; name a tip to drive it")
     return end, tree.bodies[end].pose
+
+
+def _of_the_arm(joint: Joint) -> bool:
+    """Tell a hinge that an arm turns by from a gripper's."""
+    return joint.kind == "hinge" and not joint.drives and not _GRIPPER.search(joint.name)
+
+
+def _behind_others(tree: Tree, most: int) -> str:
+    """Where a chain of more than ``most`` hinges begins behind a joint of another kind, as a hint."""
+    start, hinges = {WORLD: WORLD}, {WORLD: 0}
+    for index, body in enumerate(tree.bodies[1:], start=1):
+        own = tree.joints_of([index])
+        whole = all(map(_of_the_arm, own))
+        start[index] = start[body.parent] if whole else index
+        hinges[index] = hinges[body.parent] + len(own) if whole else 0
+    end = max(hinges, key=lambda index: hinges[index])
+    if hinges[end] <= most:
+        return ""
+    base = start[end]
+    kinds = ", ".join(f"{joint.name} is a {joint.kind} joint" for joint in tree.joints_of([base]))
+    return f"; a chain of {hinges[end]} hinges begins behind {tree.bodies[base].name} ({kinds}): give that as the base"
 
 
 def _parting(tree: Tree, ends: list[int]) -> str:

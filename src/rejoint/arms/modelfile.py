@@ -46,11 +46,12 @@ def read_tree(path: Path) -> Tree:
     except (ValueError, mujoco.FatalError) as error:
         raise FileError(path, f"MuJoCo cannot compile it: {_line(error)}", "correct the file") from error
     bodies, data = _bodies(mujoco, model, contents)
+    drives = _drives(model, coupled)
     speeds = _urdf_speeds(root) if urdf else {}
     return Tree(
         name=root.get("name") or root.get("model") or path.stem,
         bodies=bodies,
-        joints=tuple(_joint(model, data, j, speeds, coupled) for j in range(model.njnt)),
+        joints=tuple(_joint(model, data, j, speeds, coupled, drives) for j in range(model.njnt)),
         sites=_sites(model, data),
         notes=tuple(notes),
     )
@@ -144,9 +145,22 @@ def _contents(spec: Any, notes: list[str]) -> dict[str, Lump | None]:  # noqa: A
     return result
 
 
-def _coupled(mujoco: ModuleType, spec: Any) -> set[str]:  # noqa: ANN401
-    """Joints that follow another one (URDF ``mimic``, MJCF ``equality/joint``) or are held in place."""
-    return {equality.name1 for equality in spec.equalities if equality.type == mujoco.mjtEq.mjEQ_JOINT}
+def _coupled(mujoco: ModuleType, spec: Any) -> dict[str, str]:  # noqa: ANN401
+    """Joints that follow another one (URDF ``mimic``, MJCF ``equality/joint``), and which; "" where they are held."""
+    return {equality.name1: equality.name2 for equality in spec.equalities if equality.type == mujoco.mjtEq.mjEQ_JOINT}
+
+
+def _drives(model: Any, coupled: dict[str, str]) -> set[str]:  # noqa: ANN401
+    """Joints that another one follows which does not hang below them."""
+    body = {model.joint(j).name: int(model.jnt_bodyid[j]) for j in range(model.njnt)}
+
+    def hangs_below(lower: int, upper: int) -> bool:
+        while lower != 0 and lower != upper:
+            lower = int(model.body_parentid[lower])
+        return lower == upper
+
+    pairs = [(follower, leader) for follower, leader in coupled.items() if leader in body and follower in body]
+    return {leader for follower, leader in pairs if not hangs_below(body[follower], body[leader])}
 
 
 def _bodies(mujoco: ModuleType, model: Any, contents: dict[str, Lump | None]) -> tuple[tuple[Body, ...], Any]:  # noqa: ANN401
@@ -184,7 +198,14 @@ def _sites(model: Any, data: Any) -> tuple[Site, ...]:  # noqa: ANN401
     )
 
 
-def _joint(model: Any, data: Any, j: int, speeds: dict[str, float], coupled: set[str]) -> Joint:  # noqa: ANN401
+def _joint(
+    model: Any,  # noqa: ANN401
+    data: Any,  # noqa: ANN401
+    j: int,
+    speeds: dict[str, float],
+    coupled: dict[str, str],
+    drives: set[str],
+) -> Joint:
     name, kind = model.joint(j).name or f"joint{j + 1}", _KINDS[int(model.jnt_type[j])]
     limited = bool(model.jnt_limited[j])
     return Joint(
@@ -197,6 +218,7 @@ def _joint(model: Any, data: Any, j: int, speeds: dict[str, float], coupled: set
         lower=float(model.jnt_range[j, 0]) if limited else np.nan,
         upper=float(model.jnt_range[j, 1]) if limited else np.nan,
         speed=speeds.get(name, np.nan),
+        drives=name in drives,
     )
 
 

@@ -54,6 +54,9 @@ AXIS_CLEARANCE = 0.15
 TORQUE_SHARE = 0.9
 """part of the largest holding torque that targets may need (chosen)"""
 
+_FLAT = 1e-6
+"""manipulability by the cube of the summed link lengths below which no posture moves the TCP in space (rounding)"""
+
 _CANDIDATES, _SPREAD = 8, 16
 """start postures of the search, and their distance in rank, so that they lie apart"""
 _CLIMB = 200
@@ -88,6 +91,11 @@ def derive_workspace(arm: Arm, seed: int = 0) -> tuple[Array, Box]:
     one with the largest region. InputError if no posture has any.
     """
     survey = _survey(arm, seed)
+    if survey.manipulability < _FLAT * survey.reach**3:
+        raise InputError(
+            f"arm {arm.name}: its {arm.joints} joints move the TCP on a line or a surface only, and targets are points "
+            "in space; choose a base and a tip with at least three joints between them that do not all lie in parallel"
+        )
     best: tuple[float, Array, Box] | None = None
     for rest in _rest_candidates(survey, seed):
         box = _largest_box(replace(survey, arm=replace(arm, rest=rest)))
