@@ -51,10 +51,12 @@ def training(terminal: Terminal, result: TrainingResult) -> None:
 def comparison(terminal: Terminal, result: Comparison, advice: Recommendation) -> None:
     """Print the table of all controllers and the one to use."""
     from rejoint.report.tables import comparison_table
+    from rejoint.report.words import plural
 
     headers, rows = comparison_table(result)
     sets, count = len(result.targets), len(result.targets[0])
-    title = f"{result.robot}: {sets} sets of {count} targets, {result.repetitions} repetitions"
+    trials = f"{plural(sets, 'set')} of {plural(count, 'target')}, {plural(result.repetitions, 'repetition')}"
+    title = f"{result.robot}: {trials}"
     terminal.table(title, headers, rows, bold=result.controllers.index(advice.controller))
     terminal.result(f"Recommended: {advice.controller}")
     for reason in advice.why:
