@@ -54,13 +54,15 @@ def test_repair_goes_on_where_it_stopped(
 
 
 def test_a_twin_is_replayed_on_the_logs_it_came_from(
-    finished: RunFolder, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    finished: RunFolder, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    words = ("replay", str(finished.twin), "--logs", str(finished.path / "logs"), "--json")
+    words = ("replay", str(finished.twin), "--logs", str(finished.path / "logs"), "--out", str(tmp_path), "--json")
     code, out, err = run_cli(*words, capsys=capsys, monkeypatch=monkeypatch)
     assert code == 0, err
     mean = json.loads(out.splitlines()[-1])["mean"]
     assert mean["twin"]["all"]["tcp"] < mean["no twin"]["all"]["tcp"]
+    assert (tmp_path / "replay.html").read_text(encoding="utf-8").startswith("<!DOCTYPE html>")
+    assert {path.name for path in (tmp_path / "figures").iterdir()} >= {"motions-free.png", "worst-joints.png"}
 
 
 def test_deploy_logs_what_it_did(

@@ -7,7 +7,7 @@ repeated, resumed, replaced, or run on another machine.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
@@ -30,11 +30,13 @@ from rejoint.control.policy import PolicyController
 from rejoint.control.robot import Robot
 from rejoint.errors import FileError, InputError
 from rejoint.robots import open_robot
-from rejoint.runs import RunFolder, RunInfo, read_json, read_log, write_json, write_log
+from rejoint.runs import RunFolder, RunInfo, RunLog, read_json, read_log, write_json, write_log
 
 if TYPE_CHECKING:  # these need the simulator, which a Raspberry Pi does not have
     from rejoint.diagnosis.diagnosis import Diagnosis
     from rejoint.training.train import TrainingResult
+    from rejoint.twin.fromlogs import LogIdentification
+    from rejoint.twin.judge import Candidate
     from rejoint.twin.twin import Twin
 
 OnProgress = Callable[[float, float, str], None]
@@ -85,6 +87,16 @@ class Run:
 
 def begin(path: Path, robot: str, arm: Arm, seed: int) -> Run:
     """Open the run folder at ``path``, or make it; InputError if it belongs to another robot."""
+    run = prepare(path, robot, arm, seed)
+    if not run.folder.info.exists():
+        if arm.name not in CATALOGUE:
+            write_arm_toml(path / "arm.toml", arm)
+        write_json(run.folder.info, run.info)
+    return run
+
+
+def prepare(path: Path, robot: str, arm: Arm, seed: int) -> Run:
+    """Open the run folder at ``path``, or say what `begin` will make of it, without writing; errors as there."""
     folder = RunFolder(path)
     if folder.info.exists():
         run = open_run(path)
@@ -96,11 +108,8 @@ def begin(path: Path, robot: str, arm: Arm, seed: int) -> Run:
         return run
     if path.is_dir() and any(path.iterdir()):
         raise InputError(f"{path} is not a run folder and not empty; give another --run")
-    if arm.name not in CATALOGUE:
-        write_arm_toml(path / "arm.toml", arm)
     created = datetime.now().isoformat(timespec="seconds")
     info = RunInfo(robot=robot, arm=arm.name, seed=seed, version=__version__, created=created)
-    write_json(folder.info, info)
     return Run(folder=folder, info=info, arm=arm)
 
 
@@ -158,7 +167,36 @@ def identify_stage(run: Run, *, on_progress: OnProgress = silent) -> Twin:
         run.arm, [log], IdentifySettings(seed=run.info.seed), lambda what, share: on_progress(share, 1.0, what)
     )
     write_twin(run.folder.twin, twin)
+    run.folder.judgement.unlink(missing_ok=True)  # it was of another twin
     return twin
+
+
+def diagnose_logs_stage(run: Run, logs: Sequence[RunLog], *, on_progress: OnProgress = silent) -> Diagnosis:
+    """Judge an arm by logs of any motion and write the diagnosis into the folder of ``run``."""
+    from rejoint.diagnosis.fromlogs import diagnose_logs
+    from rejoint.diagnosis.healthy import healthy_reference
+
+    diagnosis = diagnose_logs(
+        run.arm, logs, healthy_reference(run.arm), source=run.info.robot,
+        on_progress=lambda what, share: on_progress(share, 1.0, what),
+    )  # fmt: skip
+    begin(run.folder.path, run.info.robot, run.arm, run.info.seed)
+    write_json(run.folder.diagnosis, diagnosis)
+    return diagnosis
+
+
+def identify_logs_stage(
+    run: Run, logs: Sequence[RunLog], beside: Sequence[Candidate] = (), *, on_progress: OnProgress = silent
+) -> LogIdentification:
+    """Fit a twin to logs of any motion; write it, and how it and those ``beside`` it predict, into a run folder."""
+    from rejoint.twin.file import write_twin
+    from rejoint.twin.fromlogs import identify_logs
+
+    found = identify_logs(run.arm, logs, on_progress=lambda what, share: on_progress(share, 1.0, what), beside=beside)
+    begin(run.folder.path, run.info.robot, run.arm, run.info.seed)
+    write_twin(run.folder.twin, found.twin)
+    write_json(run.folder.judgement, found.judgement)
+    return found
 
 
 def train_stage(

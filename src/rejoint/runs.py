@@ -126,6 +126,11 @@ class RunFolder:
         return self.path / "twin.toml"
 
     @property
+    def judgement(self) -> Path:
+        """The twin and others judged on motion that the fit has not seen."""
+        return self.path / "judgement.json"
+
+    @property
     def training(self) -> Path:
         """Folder of training curves and checkpoints."""
         return self.path / "training"

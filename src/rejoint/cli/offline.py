@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace as changed
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
+import msgspec
 import typer
 
+from rejoint import repair as work
 from rejoint.arms import Arm
 from rejoint.cli import show
 from rejoint.cli.console import Terminal
@@ -16,24 +18,42 @@ from rejoint.errors import FileError
 from rejoint.runs import RunLog, read_log
 
 if TYPE_CHECKING:
-    from rejoint.twin.judge import Errors, Judgement
+    from rejoint.twin.judge import Candidate, Errors, Judgement
 
 Logs = Annotated[Path, typer.Option(help="Folder of run logs (.parquet), such as `rejoint import` writes.")]
+Published = Annotated[
+    list[str] | None,
+    typer.Option(help="FILE or NAME=FILE: a published parameter set (TOML) to judge beside the twin; repeatable."),
+]
 
 
-def identify_from_logs(terminal: Terminal, arm: Arm, logs: Path, out: Path) -> None:
-    """Fit a twin to the run logs in a folder and write it to ``out``."""
-    from rejoint.twin.file import write_twin
-    from rejoint.twin.fromlogs import identify_logs
+def diagnose_from_logs(terminal: Terminal, job: work.Run, logs: Path) -> None:
+    """Judge an arm by the run logs in a folder and write the diagnosis into the run folder of ``job``."""
+    motions = read_folder(logs)
+    with terminal.progress("diagnosing") as update:
+        diagnosis = work.diagnose_logs_stage(job, motions, on_progress=update)
+    show.diagnosis(terminal, diagnosis)
+    terminal.result(f"Next: rejoint identify --logs {logs} --arm {job.arm.name} --run {job.folder.path}")
+    terminal.finish({"run": str(job.folder.path), "diagnosis": diagnosis})
 
+
+def identify_from_logs(terminal: Terminal, job: work.Run, logs: Path, published: list[str] | None) -> None:
+    """Fit a twin to the run logs in a folder, judge it, and write both and the report into a run folder."""
+    from rejoint.report.page import write_report
+
+    beside = read_sets(published, job.arm)
     motions = read_folder(logs)
     with terminal.progress("identifying") as update:
-        found = identify_logs(arm, motions, on_progress=lambda what, share: update(share, 1.0, what))
-    write_twin(out, found.twin)
+        found = work.identify_logs_stage(job, motions, beside, on_progress=update)
     show.twin(terminal, found.twin)
-    _show_errors(terminal, found.judgement)
-    terminal.result(str(out))
-    terminal.finish({"twin": str(out), "fitted": found.fitted, "judgement": found.judgement})
+    show_errors(terminal, found.judgement)
+    path = write_report(job.folder.path)
+    terminal.result(f"Twin: {job.folder.twin}")
+    terminal.result(f"Report: {path}")
+    terminal.finish({
+        "run": str(job.folder.path), "twin": str(job.folder.twin), "report": str(path), "fitted": found.fitted,
+        "judgement": found.judgement,
+    })  # fmt: skip
 
 
 def replay(
@@ -42,26 +62,38 @@ def replay(
     arm: ArmOption = None,
     base: Base = None,
     tip: Tip = None,
-    published: Annotated[
-        list[Path] | None, typer.Option(help="TOML file of a published parameter set to judge beside it; repeatable.")
-    ] = None,
+    published: Published = None,
+    out: Annotated[Path, typer.Option(help="Folder for the page and its figures.")] = Path("replay"),
     json: Json = False,
 ) -> None:
     """Predict every motion open loop with a twin and show how far off it is, free space and contact apart.
 
-    Example: `rejoint replay so101.toml --logs logs/so101 --arm so101`
+    Example: `rejoint replay runs/so101/twin.toml --logs logs/so101 --arm so101 --published maker.toml --out replay`
     """
+    from rejoint.report.replay import write_replay
     from rejoint.twin.file import read_twin
     from rejoint.twin.judge import Candidate, judge
-    from rejoint.twin.published import read_published
 
     terminal = Terminal(json=json)
     chosen = choose_arm(terminal, arm, base, tip)
-    candidates = [Candidate.of("twin", read_twin(twin, chosen))]
-    candidates += [read_published(path, chosen) for path in published or []]
+    candidates = [Candidate.of("twin", read_twin(twin, chosen)), *read_sets(published, chosen)]
     judgement = judge(chosen, candidates, read_folder(logs), threads=2)
-    _show_errors(terminal, judgement)
-    terminal.finish(judgement)
+    show_errors(terminal, judgement)
+    page = write_replay(out, judgement, twin=str(twin), logs=str(logs))
+    terminal.result(f"Page: {page}")
+    terminal.finish({**msgspec.to_builtins(judgement), "page": str(page)})
+
+
+def read_sets(published: list[str] | None, arm: Arm) -> list[Candidate]:
+    """Read published parameter sets given as FILE or NAME=FILE."""
+    from rejoint.twin.published import read_published
+
+    found = []
+    for given in published or []:
+        name, named, path = given.rpartition("=")
+        one = read_published(Path(path), arm)
+        found.append(changed(one, name=name.strip()) if named and name.strip() else one)
+    return found
 
 
 def read_folder(path: Path) -> list[RunLog]:
@@ -72,7 +104,10 @@ def read_folder(path: Path) -> list[RunLog]:
     return [read_log(file) for file in files]
 
 
-def _show_errors(terminal: Terminal, judgement: Judgement) -> None:
+def show_errors(terminal: Terminal, judgement: Judgement) -> None:
+    """Print the errors of every motion, and which prediction to trust."""
+    from rejoint.report.trust import answer
+
     names = list(judgement.mean)
     headers = ["motion", "s", *(f"{name}: free / contact / all mm" for name in names)]
     rows = [
@@ -81,12 +116,8 @@ def _show_errors(terminal: Terminal, judgement: Judgement) -> None:
     ]
     rows.append(["mean over motions", "", *(_cell(judgement.mean[name]) for name in names)])
     terminal.table("Open-loop prediction error of the tool, rms, by encoder kinematics", headers, rows, len(rows) - 1)
-    for name in names:
-        free = judgement.mean[name].free
-        if free is not None:
-            terminal.result(f"{name}: {np.degrees(free.joint):.2f} deg per joint in free space")
-    if judgement.repeatability is not None:
-        terminal.result(f"The arm repeats itself within {1e3 * judgement.repeatability.tcp:.2f} mm.")
+    for line in answer(judgement):
+        terminal.result(line)
 
 
 def _cell(errors: Errors) -> str:

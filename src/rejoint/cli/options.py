@@ -18,6 +18,12 @@ from rejoint.robots import DEFAULT_ARM, default_arm
 ROBOT_HELP = "Robot: emulated:PROFILE (in process), tcp://HOST:PORT, or serial:///dev/ttyAMA0."
 
 Robot = Annotated[str, typer.Argument(help=ROBOT_HELP, metavar="ROBOT")]
+OptionalRobot = Annotated[
+    str | None, typer.Argument(help=f"{ROBOT_HELP} By default emulated:worn.", metavar="ROBOT", show_default=False)
+]
+LogsOption = Annotated[
+    Path | None, typer.Option("--logs", help="Folder of run logs (see `rejoint import`) instead of a robot or a run.")
+]
 Run = Annotated[Path, typer.Argument(help="Run folder.", metavar="RUN")]
 RunOption = Annotated[Path | None, typer.Option("--run", help="Run folder; by default a new one below runs/.")]
 ArmOption = Annotated[
@@ -47,6 +53,12 @@ def choose_arm(
     for note in loaded.notes:
         terminal.say(f"arm {loaded.arm.name}: {note}")
     return loaded.arm
+
+
+def run_of_logs(arm: Arm, logs: Path, path: Path | None, seed: int) -> repair.Run:
+    """Prepare the run of a folder of logs: the one at ``path``, or the newest one of these logs, or a new one."""
+    robot = f"logs:{logs}"
+    return repair.prepare(path or repair.newest_or_new(robot, arm, seed)[0], robot, arm, seed)
 
 
 def period_seconds(text: str | None) -> tuple[float, float] | None:

@@ -15,6 +15,8 @@ from rejoint.cli.options import (
     Base,
     Controllers,
     Json,
+    LogsOption,
+    OptionalRobot,
     Period,
     Preset,
     Robot,
@@ -27,6 +29,7 @@ from rejoint.cli.options import (
     choose_arm,
     controller_names,
     period_seconds,
+    run_of_logs,
     seeded,
 )
 from rejoint.comparison.targets import draw_targets, read_targets
@@ -34,7 +37,8 @@ from rejoint.errors import InputError
 
 
 def diagnose(
-    robot: Robot = "emulated:worn",
+    robot: OptionalRobot = None,
+    logs: LogsOption = None,
     run: RunOption = None,
     arm: ArmOption = None,
     base: Base = None,
@@ -43,11 +47,18 @@ def diagnose(
     seed: Seed = 0,
     json: Json = False,
 ) -> None:
-    """Find out what is wrong with an arm: ten targets open loop, then an excitation of every joint.
+    """Find out what is wrong with an arm: ten targets open loop and an excitation, or from logs of any motion alone.
 
-    Example: `rejoint diagnose tcp://192.168.1.20:9000 --run runs/mine`
+    Example: `rejoint diagnose tcp://192.168.1.20:9000 --run runs/mine`, or
+    `rejoint diagnose --logs logs/so101 --arm so101 --run runs/mine`
     """
     terminal = Terminal(json=json)
+    if logs is not None:
+        if robot is not None or period is not None:
+            raise InputError("diagnose takes either a robot or --logs FOLDER, and --logs no --period")
+        offline.diagnose_from_logs(terminal, run_of_logs(choose_arm(terminal, arm, base, tip), logs, run, seed), logs)
+        return
+    robot = robot or "emulated:worn"
     chosen = choose_arm(terminal, arm, base, tip, robot)
     path = run or work.newest_or_new(robot, chosen, seed)[0]
     job = work.begin(path, robot, chosen, seed)
@@ -60,24 +71,28 @@ def diagnose(
 
 def identify(
     run: Annotated[Path | None, typer.Argument(help="Run folder.", metavar="RUN")] = None,
-    logs: Annotated[Path | None, typer.Option(help="Folder of run logs instead of a run.")] = None,
-    out: Annotated[Path, typer.Option(help="Where the twin of --logs is written.")] = Path("twin.toml"),
+    logs: LogsOption = None,
+    folder: RunOption = None,
+    published: offline.Published = None,
     arm: ArmOption = None,
     base: Base = None,
     tip: Tip = None,
     seed: RunSeed = None,
     json: Json = False,
 ) -> None:
-    """Fit a digital twin to the excitation log of a run, or to a folder of logs alone.
+    """Fit a digital twin to the excitation log of a run, or to logs of any motion alone, and then write the report.
 
-    Example: `rejoint identify runs/mine`, or `rejoint identify --logs logs/so101 --arm so101 --out so101.toml`
+    Example: `rejoint identify runs/mine`, or `rejoint identify --logs logs/so101 --arm so101 --run runs/so101`
     """
     terminal = Terminal(json=json)
     if (run is None) == (logs is None):
         raise InputError("identify takes either a run folder or --logs FOLDER")
     if logs is not None:
-        offline.identify_from_logs(terminal, choose_arm(terminal, arm, base, tip), logs, out)
+        job = run_of_logs(choose_arm(terminal, arm, base, tip), logs, folder, seed or 0)
+        offline.identify_from_logs(terminal, job, logs, published)
         return
+    if folder is not None or published:
+        raise InputError("--run and --published go with --logs; without it, name the run folder alone")
     assert run is not None  # noqa: S101 - for the type checker; one of the two is given
     job = seeded(work.open_run(run), seed)
     with terminal.progress("identifying") as update:

@@ -17,6 +17,7 @@ from rejoint.errors import FileError, InputError
 from rejoint.report.sections.training import Curves, read_curves
 from rejoint.runs import RunFolder, RunInfo, RunLog, read_json, read_log
 from rejoint.twin.file import read_twin
+from rejoint.twin.judge import Judgement
 from rejoint.twin.twin import Twin
 
 T = TypeVar("T")
@@ -37,6 +38,8 @@ class Contents:
     info: RunInfo | None
     diagnosis: Diagnosis | None
     twin: Twin | None
+    judgement: Judgement | None
+    """of the twin and others, where it was fitted to logs alone"""
     curves: Curves | None
     contract: PolicyContract | None
     comparison: Comparison | None
@@ -54,17 +57,19 @@ def read_contents(path: Path) -> Contents:
     info = _optional(folder.info, lambda file: read_json(file, RunInfo))
     diagnosis = _optional(folder.diagnosis, lambda file: read_json(file, Diagnosis))
     twin = _optional(folder.twin, read_twin)
+    judgement = _optional(folder.judgement, lambda file: read_json(file, Judgement))
     comparison = _optional(folder.comparison, lambda file: read_json(file, Comparison))
     curves = _optional(folder.training / "curves.parquet", read_curves)
-    names = [one.arm for one in (comparison, diagnosis, twin) if one is not None]
+    names = [one.arm for one in (comparison, diagnosis, twin, judgement) if one is not None]
     arm = _arm(path, names if info is None else [folder.arm(info.arm)], names)
     contract = _optional(folder.policy, lambda file: load_policy(file, arm).contract)
-    if all(part is None for part in (diagnosis, twin, curves, contract, comparison)):
+    if all(part is None for part in (diagnosis, twin, judgement, curves, contract, comparison)):
         raise FileError(path, "nothing to report: no stage has been run here", "run `rejoint diagnose` first")
     known = () if comparison is None else comparison.controllers
     return Contents(
-        folder=folder, arm=arm, info=info, diagnosis=diagnosis, twin=twin, curves=curves, contract=contract,
-        comparison=comparison, crossing=_trials(folder, "crossing", known), hold=_trials(folder, "hold", known),
+        folder=folder, arm=arm, info=info, diagnosis=diagnosis, twin=twin, judgement=judgement, curves=curves,
+        contract=contract, comparison=comparison, crossing=_trials(folder, "crossing", known),
+        hold=_trials(folder, "hold", known),
     )  # fmt: skip
 
 

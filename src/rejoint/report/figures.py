@@ -92,7 +92,8 @@ def heading(axes: Axes, text: str) -> None:
     axes.set_title(text, loc="left", fontsize=FONT + 0.5, color=INK, fontweight="bold")
 
 
-def _legend(figure: Figure, axes: Axes, order: Sequence[str]) -> None:
+def legend(figure: Figure, axes: Axes, order: Sequence[str]) -> None:
+    """Put the labels above the figure in the given order."""
     found = dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True))
     labels = [label for label in order if label in found]
     figure.legend(
@@ -101,7 +102,8 @@ def _legend(figure: Figure, axes: Axes, order: Sequence[str]) -> None:
     )  # fmt: skip
 
 
-def _plain_log(axis: Axis, digits: tuple[float, ...] = (1.0, 2.0, 5.0)) -> None:
+def plain_log(axis: Axis, digits: tuple[float, ...] = (1.0, 2.0, 5.0)) -> None:
+    """Label a logarithmic axis with plain numbers."""
     axis.set_major_locator(LogLocator(base=10, subs=digits))
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_formatter(NullFormatter())
@@ -119,7 +121,7 @@ def error_per_target(series: Sequence[Series], reference: Series | None = None) 
         at = np.arange(1, count + 1) + (i - (len(series) - 1) / 2) * width
         axes.bar(
             at, one.value, width * 0.92, label=one.label, color=one.look.colour, hatch=one.look.hatch,
-            edgecolor=GROUND, linewidth=0.0, yerr=_whiskers(one), ecolor=INK, error_kw={"elinewidth": 0.7},
+            edgecolor=GROUND, linewidth=0.0, yerr=whiskers(one), ecolor=INK, error_kw={"elinewidth": 0.7},
         )  # fmt: skip
     if reference is not None:
         colour = reference.look.colour
@@ -133,11 +135,12 @@ def error_per_target(series: Sequence[Series], reference: Series | None = None) 
     axes.set(xlabel="target", ylabel="error [mm]", xlim=(0.4, count + 0.6), ylim=(0, None))
     axes.set_xticks(np.arange(1, count + 1))
     axes.grid(visible=False, axis="x")
-    _legend(figure, axes, [one.label for one in (*series, *([reference] if reference else []))] + [reached])
+    legend(figure, axes, [one.label for one in (*series, *([reference] if reference else []))] + [reached])
     return figure
 
 
-def _whiskers(one: Series) -> Array | None:
+def whiskers(one: Series) -> Array | None:
+    """Lengths (2, K) of the error bars below and above; None without an interval."""
     if one.low is None or one.high is None:
         return None
     return np.clip(np.stack([one.value - one.low, one.high - one.value]), 0, None)
@@ -151,7 +154,7 @@ def intervals(rows: Sequence[Series], xlabel: str, *, log: bool = False) -> Figu
     figure, grid = canvas((HALF, 0.75 + 0.3 * len(rows)))
     axes = grid[0, 0]
     for y, one in enumerate(rows):
-        bars = _whiskers(one)
+        bars = whiskers(one)
         for k, value in enumerate(one.value):
             axes.errorbar(
                 value, y, xerr=None if bars is None else bars[:, k : k + 1], fmt=one.look.marker, markersize=6,
@@ -160,7 +163,7 @@ def intervals(rows: Sequence[Series], xlabel: str, *, log: bool = False) -> Figu
             )  # fmt: skip
     if log:
         axes.set_xscale("log")
-        _plain_log(axes.xaxis)
+        plain_log(axes.xaxis)
     else:
         axes.set_xlim(left=0)
     axes.set_yticks(range(len(rows)), [one.label for one in rows])
@@ -215,11 +218,11 @@ def error_over_time(time: Array, series: Sequence[Series], ylabel: str = "encode
         if one.low is not None and one.high is not None:
             axes.fill_between(time, one.low, one.high, color=one.look.colour, alpha=0.16, linewidth=0)
     axes.set_yscale("log")
-    _plain_log(axes.yaxis)
+    plain_log(axes.yaxis)
     for level in (10.0, 5.0, 2.0):
         axes.axhline(level, color=INK, linewidth=0.6, alpha=0.5, linestyle=(0, (4, 3)))
     axes.set(xlabel="time since the target was set [s]", ylabel=ylabel, xlim=(time[0], time[-1]))
-    _legend(figure, axes, [one.label for one in series])
+    legend(figure, axes, [one.label for one in series])
     return figure
 
 
@@ -235,7 +238,7 @@ def by_joint(
     if reference is not None:
         _reference(axes, at, reference)
     hollow = np.zeros(len(joints), dtype=bool) if measured.hollow is None else measured.hollow
-    bars = _whiskers(measured)
+    bars = whiskers(measured)
     for chosen, face in ((~hollow, measured.look.colour), (hollow, GROUND)):
         if chosen.any():
             axes.errorbar(
@@ -251,7 +254,7 @@ def by_joint(
     axes.margins(y=0.12)
     if log:
         axes.set_yscale("log")
-        _plain_log(axes.yaxis, (1.0, 2.0, 3.0, 5.0))
+        plain_log(axes.yaxis, (1.0, 2.0, 3.0, 5.0))
     else:
         axes.yaxis.set_major_locator(MaxNLocator(5))
         if axes.get_ylim()[0] > 0 or _none_negative(measured):

@@ -13,11 +13,13 @@ from rejoint.report.contents import Contents, read_contents
 from rejoint.report.embed import theme_css
 from rejoint.report.gallery import Gallery
 from rejoint.report.numerals import UNKNOWN
-from rejoint.report.sections import compared, diagnosed, motion, training, twin
+from rejoint.report.sections import compared, diagnosed, motion, training, trust, twin
 from rejoint.report.sections.details import commands, details_section
 from rejoint.report.sections.verdict import page_of
 from rejoint.report.view import Page, Section
 from rejoint.runs import write_whole
+from rejoint.twin.parameters import prior
+from rejoint.twin.unknown import unknown_prior
 
 
 def write_report(folder: Path) -> Path:
@@ -50,6 +52,7 @@ def make_page(contents: Contents, gallery: Gallery) -> Page:
         _comparison(contents, advice, gallery),
         _motion(contents, gallery),
         _diagnosis(contents, gallery),
+        *_trust(contents, gallery),
         _twin(contents, gallery),
         _training(contents, gallery),
         details_section(contents),
@@ -85,7 +88,14 @@ def _missing(section: ModuleType, what: str, contents: Contents, stage: str) -> 
 def _twin(contents: Contents, gallery: Gallery) -> Section:
     if contents.twin is None:
         return _missing(twin, "No twin has been identified yet", contents, "identify")
-    return twin.twin_section(contents.arm, contents.twin, gallery)
+    belief = prior(contents.arm) if contents.judgement is None else unknown_prior(contents.arm)
+    return twin.twin_section(contents.twin, belief, gallery)
+
+
+def _trust(contents: Contents, gallery: Gallery) -> tuple[Section, ...]:
+    if contents.judgement is None:  # only a twin from logs is judged beside others
+        return ()
+    return (trust.trust_section(contents.judgement, gallery),)
 
 
 def _training(contents: Contents, gallery: Gallery) -> Section:

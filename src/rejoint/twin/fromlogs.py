@@ -20,7 +20,7 @@ from rejoint.errors import InputError
 from rejoint.exclusions import Exclusions, find_exclusions, table_height
 from rejoint.runs import RunLog
 from rejoint.twin.fit import Fit, Problem, fit
-from rejoint.twin.identify import torque_bounds, twin_notes
+from rejoint.twin.identify import fitted_twin
 from rejoint.twin.judge import NO_TWIN, TIMESTEP, Candidate, Judgement, judge
 from rejoint.twin.parameters import healthy_parameters, unpack
 from rejoint.twin.replay import PredictionError, Replay, Window
@@ -101,8 +101,9 @@ def identify_logs(
     logs: Sequence[RunLog],
     settings: LogSettings = DEFAULT_LOG_SETTINGS,
     on_progress: Callable[[str, float], None] = lambda _stage, _fraction: None,
+    beside: Sequence[Candidate] = (),
 ) -> LogIdentification:
-    """Fit a twin to logs and judge it on those kept from the fit.
+    """Fit a twin to logs and judge it, and the candidates ``beside`` it, on those kept from the fit.
 
     ``on_progress`` is called with the stage and the fraction done. InputError if the logs are of another
     arm, hold too little free motion, or lack a motion that is to be held out.
@@ -119,10 +120,12 @@ def identify_logs(
     candidates = [
         Candidate(name=FITTED, parameters=parameters, stiction=stiction, table=table),
         Candidate(name=HEALTHY, parameters=healthy_parameters(arm), stiction=1.0),
+        *beside,
     ]
     judgement = judge(arm, candidates, unseen, table=height, timestep=settings.timestep, threads=settings.threads)
     on_progress("intervals", 0.9)
-    twin = _twin(problem, found, judgement, table)
+    knowledge = uncertainty(problem, found, independent(problem))
+    twin = fitted_twin(problem, found, knowledge, _held_out(judgement), table)
     on_progress("done", 1.0)
     return LogIdentification(twin=twin, fitted=tuple(log.label for log in seen), judgement=judgement)
 
@@ -206,29 +209,6 @@ def independent(problem: Problem) -> NDArray[np.integer]:
     """(rows,) numbers of the stretches that intervals take as independent: motions, or windows where there are few."""
     windows = problem.replay.windows
     return by_motion(windows) if len({w.log for w in windows}) >= CLUSTERED else problem.window
-
-
-def _twin(problem: Problem, found: Fit, judgement: Judgement, table: Table | None) -> Twin:
-    """Put together what is known, with bounds that hold what the arm has shown."""
-    replay, belief = problem.replay, problem.prior
-    arm, windows = replay.arm, replay.windows
-    knowledge = uncertainty(problem, found, independent(problem))
-    twin = Twin(
-        arm=arm.name,
-        joint_names=arm.joint_names,
-        parameters=unpack(found.vector, arm.joints),
-        covariance=knowledge.covariance,
-        lower=belief.lower,
-        upper=belief.upper,
-        narrowing=knowledge.narrowing,
-        identified=knowledge.identified,
-        held_out=_held_out(judgement),
-        fit_seconds=sum(float(replay.times(i)[-1]) for i in range(len(windows))),
-        stiction=replay.stiction,
-        table=table,
-    )
-    notes = twin_notes(arm, replay.logs, twin, found)
-    return replace(twin, lower=torque_bounds(problem, replay.logs, twin), notes=tuple(notes))
 
 
 def _held_out(judgement: Judgement) -> HeldOut:

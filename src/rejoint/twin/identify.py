@@ -28,8 +28,9 @@ from rejoint.twin.parameters import (
     vector_names,
 )
 from rejoint.twin.replay import PredictionError, Replay, cut, divide, measured_velocity, prediction_error
+from rejoint.twin.table import Table
 from rejoint.twin.twin import HeldOut, Twin
-from rejoint.twin.uncertainty import TORQUE_LIMIT, uncertainty
+from rejoint.twin.uncertainty import TORQUE_LIMIT, Uncertainty, uncertainty
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,21 +95,32 @@ def identify(
     on_progress("intervals", 0.9)
     knowledge = uncertainty(fine, found)
     held_out = _held_out(arm, Replay(arm, logs, unseen, settings.timestep, settings.threads), found.vector)
+    twin = fitted_twin(fine, found, knowledge, held_out)
+    on_progress("done", 1.0)
+    return twin
+
+
+def fitted_twin(
+    problem: Problem, found: Fit, knowledge: Uncertainty, held_out: HeldOut, table: Table | None = None
+) -> Twin:
+    """Put together what is known, with bounds that hold what the arm has shown."""
+    replay, belief = problem.replay, problem.prior
     twin = Twin(
-        arm=arm.name,
-        joint_names=arm.joint_names,
-        parameters=unpack(found.vector, arm.joints),
+        arm=replay.arm.name,
+        joint_names=replay.arm.joint_names,
+        parameters=unpack(found.vector, problem.joints),
         covariance=knowledge.covariance,
         lower=belief.lower,
         upper=belief.upper,
         narrowing=knowledge.narrowing,
         identified=knowledge.identified,
         held_out=held_out,
-        fit_seconds=sum(float(fine.replay.times(i)[-1]) for i in range(len(seen))),
+        fit_seconds=sum(float(replay.times(i)[-1]) for i in range(len(replay.windows))),
+        stiction=replay.stiction,
+        table=table,
     )
-    twin = replace(twin, lower=torque_bounds(fine, logs, twin), notes=tuple(twin_notes(arm, logs, twin, found)))
-    on_progress("done", 1.0)
-    return twin
+    notes = twin_notes(replay.arm, replay.logs, twin, found)
+    return replace(twin, lower=torque_bounds(problem, replay.logs, twin), notes=tuple(notes))
 
 
 def _starts(arm: Arm, belief: Prior, count: int, rng: np.random.Generator) -> Array:

@@ -17,10 +17,14 @@ KEY, SHORT, HEADING = "details", "Details", "Details"
 
 _PACKAGES = ("numpy", "mujoco", "torch", "skrl", "onnxruntime", "pymycobot", "matplotlib")
 
+LOGS = "logs:"
+"""Beginning of what stands for the robot of a run that was made from logs alone"""
+
 _FILES = (
     ("run.json", "robot, arm, seed"),
     ("diagnosis.json", "what is wrong with the arm, per joint"),
     ("twin.toml", "the identified twin with its intervals"),
+    ("judgement.json", "that twin and others judged on motion that no fit has seen"),
     ("policy.onnx", "the trained policy with its contract"),
     ("training/curves.parquet", "training curves, one row per update"),
     ("comparison.json", "every controller: results per target, statistics"),
@@ -39,6 +43,11 @@ def details_section(contents: Contents) -> Section:
     if contents.comparison is not None:
         parts.insert(1, Part(heading="Targets", tables=(_targets(contents.comparison),)))
     return Section(key=KEY, short=SHORT, heading=HEADING, parts=tuple(parts))
+
+
+def _arm(contents: Contents) -> str:
+    """Return what builds the arm: its name in the catalogue, or its description in the run folder."""
+    return contents.folder.arm(contents.arm.name)
 
 
 def _facts(contents: Contents) -> tuple[tuple[str, str], ...]:
@@ -94,10 +103,14 @@ def commands(contents: Contents) -> dict[str, Command]:
     info = contents.info
     robot, seed = ("ROBOT", 0) if info is None else (shlex.quote(info.robot), info.seed)
     diagnose = f"rejoint diagnose {robot} --run {run} --seed {seed}"
+    identify = f"rejoint identify {run}"
+    if info is not None and info.robot.startswith(LOGS):
+        given = f"--logs {shlex.quote(info.robot.removeprefix(LOGS))} --arm {shlex.quote(_arm(contents))} --run {run}"
+        robot, diagnose, identify = "ROBOT", f"rejoint diagnose {given}", f"rejoint identify {given}"
     return {
         "repair": Command("Everything, from the beginning:", f"rejoint repair {robot} --seed {seed}"),
         "diagnose": Command("Measure and judge the arm:", diagnose),
-        "identify": Command("Fit the twin:", f"rejoint identify {run}"),
+        "identify": Command("Fit the twin:", identify),
         "train": Command("Train the policy:", f"rejoint train {run}"),
         "compare": Command("Try every controller on the arm:", f"rejoint compare {robot} {run}"),
         "report": Command("Make this page again:", f"rejoint report {run}"),

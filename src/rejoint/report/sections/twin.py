@@ -6,11 +6,12 @@ from collections.abc import Callable
 
 import numpy as np
 
-from rejoint.arms import Arm, Array
+from rejoint.arms import Array
 from rejoint.report import palette
 from rejoint.report.figures import Series, by_joint, ranked_bars
 from rejoint.report.gallery import Gallery
 from rejoint.report.numerals import interval, number
+from rejoint.report.prediction import correlations
 from rejoint.report.view import Cell, Part, Picture, Row, Section, Table
 from rejoint.report.words import joint_label, listed, plural, sentence
 from rejoint.twin.parameters import (
@@ -20,7 +21,6 @@ from rejoint.twin.parameters import (
     Parameter,
     Prior,
     TwinParameters,
-    prior,
     unpack,
 )
 from rejoint.twin.twin import Z95, Twin
@@ -34,6 +34,9 @@ SHOWN: dict[str, tuple[str, float]] = {
 }
 """Parameters shown in another unit than their own, and the factor to it"""
 
+LEAST_RELATED = 3
+"""Identified parameters below which their correlations need no figure (chosen)"""
+
 NAMES = {
     "stiffness": "stiffness",
     "damping": "damping",
@@ -46,9 +49,9 @@ NAMES = {
 }
 
 
-def twin_section(arm: Arm, twin: Twin, gallery: Gallery) -> Section:
-    """Build the section from the identified twin of ``arm``."""
-    parts = (_prediction(twin, gallery), _parameters(arm, twin, gallery), _doubts(twin))
+def twin_section(twin: Twin, belief: Prior, gallery: Gallery) -> Section:
+    """Build the section from an identified twin and what was believed of its arm before."""
+    parts = (_prediction(twin, gallery), _parameters(twin, belief, gallery), *_together(twin, gallery), _doubts(twin))
     return Section(key=KEY, short=SHORT, heading=HEADING, parts=parts)
 
 
@@ -73,9 +76,9 @@ def _prediction(twin: Twin, gallery: Gallery) -> Part:
     return Part(texts=(text,), figures=(picture,), columns=2)
 
 
-def _parameters(arm: Arm, twin: Twin, gallery: Gallery) -> Part:
+def _parameters(twin: Twin, belief: Prior, gallery: Gallery) -> Part:
     joints = [joint_label(name) for name in twin.joint_names]
-    pictures = tuple(_picture(p, twin, prior(arm), gallery) for p in JOINT_PARAMETERS)
+    pictures = tuple(_picture(p, twin, belief, gallery) for p in JOINT_PARAMETERS)
     text = (
         "Filled: identified, with its 95 % interval. Hollow: the motion says no more than was believed before. "
         "Pale: 95 % of what was believed before any motion was seen."
@@ -141,6 +144,27 @@ def _table(twin: Twin, joints: list[str]) -> Table:
         sentence(f"{listed([NAMES[p.name] for p in ARM_PARAMETERS], 'and')} are common to all joints"),
     )
     return Table(caption="Parameters of the twin", headers=("parameter", *joints), rows=tuple(rows), notes=notes)
+
+
+def _together(twin: Twin, gallery: Gallery) -> tuple[Part, ...]:
+    """Show the correlations of what was identified, joint by joint."""
+    rank = {name: place for place, name in enumerate(twin.joint_names)}
+    parts = [(i, *name.partition(".")[::2]) for i, name in enumerate(twin.names) if twin.identified[i]]
+    if len(parts) < LEAST_RELATED:
+        return ()
+    parts.sort(key=lambda part: rank.get(part[2], len(rank)))  # stable: the kinds keep their order
+    chosen = [i for i, _, _ in parts]
+    sigma = np.sqrt(np.diag(twin.covariance))[chosen]
+    matrix = twin.covariance[np.ix_(chosen, chosen)] / np.outer(sigma, sigma)
+    strong = ", ".join(f"{_name(a)} and {_name(b)} {value:+.2f}" for a, b, value in twin.correlations[:5])
+    kinds, joints = [NAMES[kind] for _, kind, _ in parts], [joint_label(j) if j else "arm" for *_, j in parts]
+    picture = gallery.show(
+        "twin-correlations", correlations(kinds, joints, matrix),
+        alt=f"Correlations of the {len(parts)} identified parameters; strongest: {strong or 'none above 0.9'}.",
+        caption="The larger a square, the less the motion tells two parameters apart: filled where both grow together, "
+        "hollow where one makes up for the other. Training draws its twins with these correlations.",
+    )  # fmt: skip
+    return (Part(heading="What hangs together", figures=(picture,)),)
 
 
 def _doubts(twin: Twin) -> Part:

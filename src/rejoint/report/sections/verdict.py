@@ -9,6 +9,7 @@ from rejoint.comparison.result import Comparison, ControllerRow, Spread
 from rejoint.report.contents import Contents
 from rejoint.report.numerals import UNKNOWN, interval, number
 from rejoint.report.sections.diagnosed import error_range, mean_error
+from rejoint.report.trust import answer
 from rejoint.report.view import KeyNumber, Page, Section, Told
 from rejoint.report.words import plural
 
@@ -34,6 +35,8 @@ def page_of(contents: Contents, advice: Recommendation | None, sections: tuple[S
 
 def _verdict(contents: Contents, advice: Recommendation | None) -> tuple[str, ...]:
     wrong = () if contents.diagnosis is None else (contents.diagnosis.verdict,)
+    if contents.judgement is not None:
+        wrong = (*wrong, " ".join(answer(contents.judgement)[:2]))
     if advice is None or contents.comparison is None:
         untried = "No controller has been tried on this arm yet, so none is recommended."
         return (*wrong, untried) if wrong else (untried,)
