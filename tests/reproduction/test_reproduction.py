@@ -3,6 +3,7 @@
 import json
 import re
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from PIL import Image
 from rejoint.arms import mycobot280, tcp_position
 from rejoint.cli import main
 from rejoint.control.policy import load_policy
-from rejoint.errors import InputError
+from rejoint.errors import InputError, RejointError
 from rejoint.reproduction import curves, gains, kinematics
 from rejoint.reproduction.campaign import finished_file, run_experiments
 from rejoint.reproduction.curves import Course, separates
@@ -19,7 +20,7 @@ from rejoint.reproduction.episodes import healthy_ranges, play, worn_ranges
 from rejoint.reproduction.experiment import QUICK, Bench
 from rejoint.reproduction.page import table, write_page
 from rejoint.reproduction.registry import EXPERIMENTS, choose
-from rejoint.reproduction.trainings import HEALTHY, LIMITED, LITERAL, WORN, recipe
+from rejoint.reproduction.trainings import HEALTHY, LIMITED, LITERAL, WORN, finish_trainings, recipe
 from rejoint.training.presets import PAPER
 from rejoint.training.ranges import PaperRanges
 from rejoint.training.train import snapshot_path
@@ -211,3 +212,18 @@ def test_separation_needs_every_seed(monkeypatch):
 def test_tables_keep_their_columns():
     lines = table(("a", "b"), [("x|y", "1")])
     assert lines == ["| a | b |", "| --- | --- |", "| x\\|y | 1 |"]
+
+
+def test_a_folder_holds_one_seed(bench):
+    with pytest.raises(InputError, match="quick reproduction of seed 0, expected a quick one of seed 1"):
+        run_experiments(replace(bench, seed=1), choose(["table-1"]), on_experiment=nothing)
+
+
+def test_a_training_that_cannot_go_on_says_why_and_stops_the_others(tmp_path):
+    bench = Bench(folder=tmp_path, arm=ARM, seed=0, scale=QUICK, threads=1)
+    damaged = bench.training(WORN[0]).training / "checkpoint.pt"
+    damaged.parent.mkdir(parents=True)
+    damaged.write_bytes(b"no checkpoint")
+    with pytest.raises(RejointError, match="damaged checkpoint"):
+        finish_trainings(bench, (WORN[0], LITERAL))
+    assert not bench.training(LITERAL).policy.exists()

@@ -56,22 +56,19 @@ def run(bench: Bench) -> Findings:
     text = (
         f"{bench.scale.targets} targets one after the other, the next at the first crossing of 10 mm or after 20 s; "
         f"{sets} sets of targets, each run {repetitions} times by every controller, on the simulated worn arm at a "
-        "control period of 20 to 30 ms. The policies are three seeds of `--preset paper`, trained on the paper's twins "
-        "and never on this arm. ± is the standard deviation over targets.",
+        "control period of 20 to 30 ms. The policies are three seeds of `--preset paper`, trained on the paper's "
+        "twins and never on this arm. ± is the standard deviation over targets.",
         "The worn arm's default error was tuned to the paper's, so the first row is a fit. The paper's error is read "
-        "at the "
-        "crossing, which is why it lies just under the threshold for whatever arrives; the table of held targets shows "
-        "what remains when the arm is to stay. A policy that was trained to touch 5 mm and be sent on does not stay "
-        "well.",
+        "at the crossing, which is why it lies just under the threshold for whatever arrives; the table of held "
+        "targets shows what remains when the arm is to stay. A policy that was trained to touch 5 mm and be sent on "
+        "does not stay well.",
     )
     readings = (
         "Equation 27 can be read in two ways. As printed, the sum of errors is multiplied by dt = 0.02 s; then the "
-        "integral "
-        "grows too slowly to lift a sagging arm. As a plain sum, with the same gains, PID comes out near the paper's. "
-        "Both "
-        "were run, and the paper's PID stands beside both.",
-        "n = 6 is taken as six runs of the same ten targets; the paper has one set of targets, we have "
-        f"{sets}, since sets differ.",
+        "integral grows too slowly to lift a sagging arm. As a plain sum, with the same gains, PID comes out near the "
+        "paper's. Both were run, and the paper's PID stands beside both.",
+        f"n = 6 is taken as six runs of the same ten targets; the paper has one set of targets, we have {sets}, since "
+        "sets differ.",
         "The error is that of encoder kinematics at the crossing or the time-out.",
     )
     return Findings(
@@ -164,8 +161,7 @@ def _figure(bench: Bench, result: Comparison) -> Drawing:
             key="fig-13", alt="The default stays beside the targets, PID wanders, the policy goes from one to the "
             "next.",
             caption="Fig. 13. Paths of the TCP by encoder kinematics through the first set of targets, from above and "
-            "from "
-            "the side; circles of 10 mm, a square at the start.",
+            "from the side; circles of 10 mm, a square at the start.",
         ),
     )  # fmt: skip
 

@@ -123,12 +123,10 @@ def _number(what: str, courses: list[Course], key: str, unit: str, paper: str = 
 def _what(bench: Bench) -> str:
     return (
         "Three trainings with the paper's range of P and D, and three without it: on the one pair that its section "
-        "IV-C "
-        f"gives for a normal arm, all else equal. Every {bench.scale.snapshot_every * PAPER.ppo.rollout} time steps "
-        "the "
-        f"policy was judged, without exploration, on {bench.scale.judged} arms that no training has seen, one episode "
-        "each; both kinds on the same worn arms, and those without the range on their own normal arm too. Curves are "
-        "means over the seeds, bands reach from the worst to the best seed."
+        f"IV-C gives for a normal arm, all else equal. Every {bench.scale.snapshot_every * PAPER.ppo.rollout} time "
+        f"steps the policy was judged, without exploration, on {bench.scale.judged} arms that no training has seen, "
+        "one episode each; both kinds on the same worn arms, and those without the range on their own normal arm too. "
+        "Curves are means over the seeds, bands reach from the worst to the best seed."
     )
 
 
@@ -146,10 +144,9 @@ def _verdict(cycles: Array, own: list[Course], other: list[Course]) -> str:
 
 _READINGS = (
     "\N{LEFT DOUBLE QUOTATION MARK}Without considering P and D\N{RIGHT DOUBLE QUOTATION MARK} is not said to be any "
-    "values in particular. The pair of a normal arm was taken, as a twin that was never fitted to the worn arm has it. "
-    "The paper's red curve cannot be such a training seen on its own arms, where the task is easy (dashed); on worn "
-    "arms "
-    "it can.",
+    "values in particular. The pair of a normal arm was taken, as a twin that was never fitted to the worn arm has "
+    "it. The paper's red curve cannot be such a training seen on its own arms, where the task is easy (dashed); on "
+    "worn arms it can.",
     "The paper does not say on which arms its curves were taken, nor whether exploration was on. Here the policy that "
     "would be deployed is judged.",
     "Steps per episode below 400 (Fig. 12) contradict an episode of at most 250 (Table 3); 250 was taken.",

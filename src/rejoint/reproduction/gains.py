@@ -36,9 +36,8 @@ def run(bench: Bench) -> Findings:
     measured = {unit: [judge(path, targets) for path in found] for unit, found in paths.items()}
     text = (
         f"The twin with the paper's three pairs is told {count} targets, one every {DWELL:g} s. The error is what is "
-        "left "
-        f"in the last {WINDOW:g} s; the overshoot is how far the tool shoots past the place where it comes to rest, in "
-        "percent of its way there.",
+        f"left in the last {WINDOW:g} s; the overshoot is how far the tool shoots past the place where it comes to "
+        "rest, in percent of its way there.",
         f"Read as N m/rad, P = 200 holds a 0.85 kg arm within {measured['N m/rad'][2][0]:.1f} mm and lets nothing "
         "oscillate, which is the opposite of what Fig. 10 shows; so the units must be others. With "
         f"{ours.stiffness_unit:g} N m/rad to a unit of P and {ours.damping_unit:g} N m s/rad to a unit of D the three "
@@ -52,9 +51,8 @@ def run(bench: Bench) -> Findings:
     readings = (
         "P and D are given without units; see above. Friction and delay are left out, as in the paper's model.",
         "The range for training is given twice: 50 < P < 200 with P/50 < D < P/10 (section IV-C), and P of 50 to 100 "
-        "with "
-        "D of P/10 to 50 (section IV-D). The first was taken: the second has D above P/10 throughout, where nothing "
-        "oscillates.",
+        "with D of P/10 to 50 (section IV-D). The first was taken: it alone holds the pair that Fig. 10 shows "
+        "as the worn one.",
     )
     drawing = _figure(bench, paths["rescaled"], targets, measured["rescaled"])
     return Findings(text=text, numbers=numbers, readings=readings, grids=(_grid(measured),), drawings=(drawing,))

@@ -39,18 +39,14 @@ def _head(bench: Bench, found: Sequence[Finished]) -> list[str]:
         "# The paper, run again",
         "",
         "Park, Lee, Kim and Ahn, [*Enhancement of Control Performance for Degraded Robot Manipulators Using Digital "
-        "Twin and "
-        f"Proximal Policy Optimization*]({PAPER}), IEEE Access 2024: its experiments in its order, with its numbers "
-        "beside "
-        "ours and the reading that was run wherever its text leaves room. The paper measured a real arm; everything "
-        "here "
-        "is simulation. The worn arm (`emulated:worn`) stands for theirs; its wear was tuned to the error of their "
-        "default "
-        "controller, so agreement there is a fit. Training happens in the twin alone, which shares no physics with it.",
+        f"Twin and Proximal Policy Optimization*]({PAPER}), IEEE Access 2024: its experiments in its order, with its "
+        "numbers beside ours and the reading that was run wherever its text leaves room. The paper measured a real "
+        "arm; everything here is simulation. The worn arm (`emulated:worn`) stands for theirs; its wear was tuned to "
+        "the error of their default controller, so agreement there is a fit. Training happens in the twin alone, "
+        "which shares no physics with it.",
         "",
-        f"Written by `rejoint reproduce{options}`. Ranges in brackets are 95 % intervals or, where it is said, go from "
-        "the "
-        "lowest seed to the highest.",
+        f"Written by `rejoint reproduce{options}`. Ranges in brackets are 95 % intervals or, where it is said, go "
+        "from the lowest seed to the highest.",
         "",
     ]
     if bench.quick:

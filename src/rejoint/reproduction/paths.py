@@ -33,8 +33,7 @@ def run(bench: Bench) -> Findings:
     first, quiet, last = episodes("first", noise), episodes("first", 0.0), episodes("last", 0.0)
     text = (
         f"One episode each on {arms} randomised arms, from the same start to random targets. At the beginning the "
-        "policy "
-        "explores with a random action every cycle; at the end it acts as it is deployed.",
+        "policy explores with a random action every cycle; at the end it acts as it is deployed.",
     )
     numbers = (
         _reached("targets reached within 5 mm, first episode", first),

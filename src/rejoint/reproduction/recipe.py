@@ -77,17 +77,14 @@ def _text(failed: float, success: list[float]) -> tuple[str, ...]:
     sentence = (
         "With the printed noise of 5° per joint, and the largest joint change of 5° a frame that section IV-D derives, "
         "the same training fails. The noise is drawn once per episode (Algorithm 1, line 6), so it is an unknown "
-        "offset "
-        "of every joint; together with the sag of a soft servo it is more than such an action can take back."
+        "offset of every joint; together with the sag of a soft servo it is more than such an action can take back."
         if failed < 0.5 * min(success)
         else "With the printed noise of 5° per joint the training does not fail here."
     )
     return (
         "`--preset paper` is Algorithm 1 with equations 16 to 25 and Table 3, on 512 randomised twins; nothing of our "
-        "own "
-        f"recipe is in it. Trained so, the policy {works} the 95 % of the paper's protocol on the worn arm, which it "
-        "has "
-        "never seen.",
+        f"own recipe is in it. Trained so, the policy {works} the 95 % of the paper's protocol on the worn arm, which "
+        "it has never seen.",
         sentence,
     )
 
@@ -142,25 +139,21 @@ def _variants(outcomes: dict[str, Outcome]) -> Grid:
 
 _READINGS = (
     "Equation 16: with θ_target the state would have 34 numbers and without it the 28 that the paper states; it was "
-    "left "
-    "out. Δθ is taken as command minus position, with which a policy without memory can learn to hold a sagging arm.",
+    "left out. Δθ is taken as command minus position, with which a policy without memory can learn to hold a sagging "
+    "arm.",
     "Equation 15 is an absolute error; the squared error was run, as the library that the paper cites has it.",
     "Equation 17: θ_t is the measured position, as printed. The largest action is 10° instead of 5°, since a worn "
-    "servo "
-    "holds the arm only with its command that far ahead; with 5° see the table.",
+    "servo holds the arm only with its command that far ahead; with 5° see the table.",
     "Equation 19: σ = 5° has been read as printed, and fails; 1° was run. The noise is drawn once per episode.",
     "Equation 20: the unit of the distance is not given; centimetres, with which the terms of equation 25 are of one "
     "size.",
     "Equation 21 is a vector and signed; the mean over the joints of its absolute value was run.",
     "Equation 22 with the weight of -5 would reward a time-out; its text calls it a penalty, and so it was run.",
     "Equation 23: the arm collides when a link comes nearer to another one, or to the ground, than its housing is "
-    "thick. "
-    "Algorithm 1 then goes on without the motion, section IV-A sets arm and target back to the start: the latter was "
-    "run, "
-    "and the return goes on over the restart, so that crashing is no way out of a bad episode.",
+    "thick. Algorithm 1 then goes on without the motion, section IV-A sets arm and target back to the start: the "
+    "latter was run, and the return goes on over the restart, so that crashing is no way out of a bad episode.",
     "Algorithm 1 starts every episode at the initial posture, section IV-A where the last target was reached; the "
-    "former "
-    "was run. On the worn arm the targets follow one another.",
+    "former was run. On the worn arm the targets follow one another.",
 )
 
 TABLE_3 = Experiment(

@@ -8,8 +8,9 @@ paper leaves open or prints: largest action and joint noise.
 from __future__ import annotations
 
 import multiprocessing
+import signal
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import Future, ProcessPoolExecutor
 from dataclasses import replace
 from functools import lru_cache
 from multiprocessing.queues import Queue
@@ -17,6 +18,7 @@ from queue import Empty
 
 import numpy as np
 
+from rejoint.errors import RejointError
 from rejoint.reproduction.experiment import SEEDS, Bench, silent
 from rejoint.training.presets import PAPER, Preset
 from rejoint.training.train import TrainingOptions, train
@@ -56,16 +58,28 @@ def finish_trainings(bench: Bench, names: Sequence[str]) -> None:
     context = multiprocessing.get_context("spawn")  # a fork would copy the state of torch and MuJoCo
     news: Queue[_News] = context.Queue()
     workers = min(bench.threads, len(missing))
-    with ProcessPoolExecutor(workers, mp_context=context, initializer=_listen, initargs=(news,)) as pool:
+    with ProcessPoolExecutor(workers, mp_context=context, initializer=_begin_worker, initargs=(news,)) as pool:
         quiet = replace(bench, on_progress=silent)  # a callback cannot go to another process
         waiting = {pool.submit(_work, quiet, name) for name in missing}
-        done = dict.fromkeys(missing, 0.0)
-        while waiting:
-            _report(bench, news, done)
-            finished = {future for future in waiting if future.done()}
-            for future in finished:
-                future.result()
-            waiting -= finished
+        try:
+            _wait(bench, waiting, news, dict.fromkeys(missing, 0.0))
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            for worker in multiprocessing.active_children():  # their checkpoints are at most a few updates old
+                worker.terminate()
+            raise
+
+
+def _wait(bench: Bench, waiting: set[Future[str]], news: Queue[_News], done: dict[str, float]) -> None:
+    """Tell how it goes until all are done; RejointError with what went wrong in one."""
+    while waiting:
+        _report(bench, news, done)
+        finished = {future for future in waiting if future.done()}
+        for future in finished:
+            problem = future.result()
+            if problem:
+                raise RejointError(problem)
+        waiting -= finished
 
 
 _News = tuple[str, float, str]
@@ -74,24 +88,30 @@ _News = tuple[str, float, str]
 
 @lru_cache(maxsize=1)
 def _channel() -> list[Queue[_News]]:
-    """Where this process reports to; filled once by `_listen`."""
+    """Where this process reports to; filled once by `_begin_worker`."""
     return []
 
 
-def _listen(news: Queue[_News]) -> None:
+def _begin_worker(news: Queue[_News]) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the process that started this one
     _channel().append(news)
 
 
-def _work(bench: Bench, name: str) -> None:
+def _work(bench: Bench, name: str) -> str:
+    """Run one training; returns what went wrong, if anything: not every error can travel between processes."""
     (preset, offset), news = recipe(name), _channel()[0]
     options = TrainingOptions(
         preset=preset, seed=bench.seed + offset, agents=bench.scale.agents, threads=1,
         iterations=bench.scale.updates, snapshot_every=bench.scale.snapshot_every, resume=True,
     )  # fmt: skip
-    train(
-        bench.arm, None, out=bench.training(name).path, options=options,
-        on_progress=lambda done, total, text: news.put((name, done / total, text)),
-    )  # fmt: skip
+    try:
+        train(
+            bench.arm, None, out=bench.training(name).path, options=options,
+            on_progress=lambda done, total, text: news.put((name, done / total, text)),
+        )  # fmt: skip
+    except RejointError as error:
+        return str(error)
+    return ""
 
 
 def _report(bench: Bench, news: Queue[_News], done: dict[str, float]) -> None:

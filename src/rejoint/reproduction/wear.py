@@ -54,9 +54,9 @@ def run(bench: Bench) -> Findings:
     )  # fmt: skip
     per_set = worn.mean(axis=1)
     text = (
-        f"{targets.shape[0]} sets of {targets.shape[1]} targets in the paper's box; each target is sent once, as joint "
-        f"angles of its inverse kinematics, and the error is the mean of the last second of {DWELL:g} s. Between sets "
-        f"the worn arm's mean goes from {per_set.min():.1f} to {per_set.max():.1f} mm.",
+        f"{targets.shape[0]} sets of {targets.shape[1]} targets in the paper's box; each target is sent once, as "
+        f"joint angles of its inverse kinematics, and the error is the mean of the last second of {DWELL:g} s. "
+        f"Between sets the worn arm's mean goes from {per_set.min():.1f} to {per_set.max():.1f} mm.",
         "The worn arm is a simulation whose wear was tuned until its error was that of the paper's arm, so the "
         "agreement of the worn mean is a fit and not a prediction.",
     )
