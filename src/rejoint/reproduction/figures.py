@@ -14,13 +14,17 @@ from matplotlib.ticker import MultipleLocator
 from PIL import Image
 
 from rejoint.arms import Array
-from rejoint.report.figures import FONT, WIDE, canvas, heading, style
+from rejoint.report.figures import FONT, REACHED_MM, WIDE, canvas, heading, style
 from rejoint.report.palette import GROUND, INK, Look
 from rejoint.runs import write_whole
 
 DPI = 120
 COLOURS = 64
 """of a page's figure (chosen: enough for lines with soft edges; a third of the bytes)"""
+
+CLOSE_MM = 45.0
+"""[mm] half of the edge of a close-up"""
+_TURN = np.linspace(0, 2 * np.pi, 61)
 
 _VIEWS = {"top": (1, 0), "side": (0, 2)}
 """Which axes are drawn to the right and upwards; from above x points up, as one sees it over the base"""
@@ -99,9 +103,8 @@ def _ways(axes: Axes, panel: Ways, across: int, up: int) -> None:
             alpha=0.75 if thin else 1.0,
         )  # fmt: skip
         axes.plot(points[0, across], points[0, up], "s", markersize=4, color=panel.look.colour)
-    angle = np.linspace(0, 2 * np.pi, 41)
     for number, target in enumerate(1e3 * panel.targets, start=1):
-        circle = 1e3 * panel.radius * np.stack([np.cos(angle), np.sin(angle)])
+        circle = 1e3 * panel.radius * np.stack([np.cos(_TURN), np.sin(_TURN)])
         axes.plot(target[across] + circle[0], target[up] + circle[1], color=INK, linewidth=0.7, alpha=0.7)
         axes.plot(target[across], target[up], "+", markersize=4, color=INK, markeredgewidth=0.8)
         if panel.numbered:
@@ -129,22 +132,30 @@ def over_training(steps: Array, panels: Sequence[tuple[str, Sequence[Curve]]]) -
     return figure
 
 
-def postures(figures: Sequence[tuple[str, Look, Array]], target: Array, floor: float = 0.0) -> Figure:
-    """Draw arms as lines through their joints (n + 1, 3) [m] from the side, at one target (3,) [m].
+def postures(arms: Sequence[tuple[str, Look, Array]], target: Array) -> Figure:
+    """Draw arms at one target (3,) [m] from the side as lines through their joints (n + 1, 3) [m], whole and close up.
 
     The horizontal axis is the distance from the base's axis towards the target.
     """
-    figure, grid = canvas((0.62 * WIDE, 3.6))
-    axes = grid[0, 0]
-    heading = target[:2] / np.linalg.norm(target[:2])
-    for label, look, joints in figures:
-        out, height = 1e3 * joints[:, :2] @ heading, 1e3 * joints[:, 2]
-        axes.plot(out, height, "-", color=look.colour, linewidth=4.0, alpha=0.75, label=label, solid_capstyle="round")
-        axes.plot(out, height, "o", color=look.colour, markersize=6, markerfacecolor=GROUND)
-        axes.plot(out[-1], height[-1], look.marker, color=look.colour, markersize=8)
-    axes.plot(1e3 * target[:2] @ heading, 1e3 * target[2], "+", color=INK, markersize=13, markeredgewidth=1.6,
-              label="target")  # fmt: skip
-    axes.axhline(1e3 * floor, color=INK, linewidth=0.9, alpha=0.6)
-    axes.set(xlabel="distance from the base's axis [mm]", ylabel="height [mm]", aspect="equal")
-    figure.legend(loc="outside right upper", frameon=False, fontsize=FONT, labelcolor=INK, borderaxespad=1.5)
+    figure, grid = canvas((0.72 * WIDE, 3.9), 1, 2)
+    heading_to = target[:2] / np.linalg.norm(target[:2])
+    at = 1e3 * np.array([target[:2] @ heading_to, target[2]])
+    circle = REACHED_MM * np.array([np.cos(_TURN), np.sin(_TURN)])
+    for axes, name in zip(grid[0], ("the arms", "their tools"), strict=True):
+        for label, look, joints in arms:
+            out, height = 1e3 * joints[:, :2] @ heading_to, 1e3 * joints[:, 2]
+            axes.plot(
+                out, height, "-", color=look.colour, linewidth=4.0, alpha=0.75, label=label, solid_capstyle="round"
+            )
+            axes.plot(out[:-1], height[:-1], "o", color=look.colour, markersize=6, markerfacecolor=GROUND)
+            axes.plot(out[-1], height[-1], look.marker, color=look.colour, markersize=8)
+        axes.plot(*at, "+", color=INK, markersize=13, markeredgewidth=1.6, label="target, circle of 10 mm")
+        axes.plot(at[0] + circle[0], at[1] + circle[1], color=INK, linewidth=0.9)
+        axes.set(xlabel="distance from the base's axis [mm]", aspect="equal")
+        heading(axes, name)
+    grid[0, 0].axhline(0.0, color=INK, linewidth=0.9, alpha=0.6)
+    grid[0, 0].set(ylabel="height [mm]")
+    grid[0, 1].set(xlim=(at[0] - CLOSE_MM, at[0] + CLOSE_MM), ylim=(at[1] - CLOSE_MM, at[1] + CLOSE_MM))
+    handles, labels = grid[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper left", ncols=3, frameon=False, fontsize=FONT, labelcolor=INK)
     return figure

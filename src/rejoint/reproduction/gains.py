@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from rejoint.arms import Array, solve_position, tcp_position
@@ -23,6 +25,8 @@ DWELL = 2.0
 """[s] per target (chosen: the oscillations of the softest pair have died away)"""
 WINDOW = 0.25
 """[s] at the end of a target over which its error is averaged (chosen)"""
+BOUNDLESS = 1e6
+"""[N m] torque limit of these twins: none, as in equation 12"""
 VISITS = 6
 """targets on the figure (chosen: more hide one another)"""
 
@@ -63,7 +67,8 @@ def trace(bench: Bench, ranges: PaperRanges, targets: Array) -> Array:
     arm = bench.arm
     p, d = np.array(PAIRS).T[..., None]
     twins = TwinBatch(arm, len(PAIRS), timestep=STEP)
-    twins.write(ranges.twins(p, d))
+    free = ranges.twins(p, d)
+    twins.write(replace(free, torque_limit=np.full_like(free.stiffness, BOUNDLESS)))
     twins.restart(np.tile(arm.rest, (len(PAIRS), 1)))
     steps, goal, paths = round(DWELL / STEP), arm.rest, []
     for target in targets:
