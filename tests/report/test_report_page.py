@@ -13,7 +13,7 @@ from report_samples import SETTLED, make_comparison, write_curves
 from rejoint.comparison.recommend import recommend
 from rejoint.errors import FileError
 from rejoint.report.page import write_report
-from rejoint.report.tables import comparison_table
+from rejoint.report.tables import comparison_table, comparison_view
 from rejoint.runs import RunFolder, RunInfo, write_json
 
 VOID = {"meta", "br", "img", "link", "input", "hr"}
@@ -127,6 +127,17 @@ def test_table_says_what_was_measured(arm):
     stay = cell["time to stay within 10 / 5 / 2 mm [s]"].split(" / ")
     assert [float(part) for part in stay] == pytest.approx([s.median for s in row.hold.stays], rel=5e-2)
     assert dict(zip(headers, default, strict=True))["time to stay within 10 / 5 / 2 mm [s]"] == "never / never / never"
+
+
+def test_the_paper_s_numbers_stand_beside_those_of_its_own_arm_alone(arm):
+    comparison = make_comparison(arm, ("default", "policy"))
+
+    def small_print(table):
+        return " ".join([*table.notes, *(cell.note for row in table.rows for cell in row.cells)])
+
+    assert "paper: 22.0 ± 14.6" in small_print(comparison_view(comparison, "policy"))
+    other = comparison_view(dataclasses.replace(comparison, arm="ur5e"), "policy")
+    assert "paper" not in small_print(other).replace("protocol of Park et al. 2024", "")
 
 
 def test_a_baseline_that_wins_is_recommended(tmp_path, arm):

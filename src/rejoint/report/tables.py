@@ -31,6 +31,9 @@ PAPER = {
 """Park et al. 2024, Table 4: the real worn myCobot of the paper, n = 6, ten targets. Their PID is not said to be
 one reading of their equation 27 or the other, so it stands beside both."""
 
+PAPER_ARM = "mycobot280"
+"""Arm of the paper; errors of another one, in millimetres, are not comparable"""
+
 PAPER_TARGETS = 10
 """Targets in a cycle of the paper; other numbers of targets are not comparable"""
 
@@ -76,7 +79,8 @@ def _count(comparison: Comparison) -> int:
 
 def _cells(row: ControllerRow, comparison: Comparison) -> list[Cell]:
     crossing, hold, success = row.crossing, row.hold, row.crossing.success
-    paper = PAPER.get(row.controller, PaperRow(success="", error="", cycle=""))
+    nothing = PaperRow(success="", error="", cycle="")
+    paper = PAPER.get(row.controller, nothing) if comparison.arm == PAPER_ARM else nothing
     cycle = paper.cycle if _count(comparison) == PAPER_TARGETS else ""
     likely = interval(success.low * PERCENT, success.high * PERCENT, 2)
     return [
@@ -133,8 +137,11 @@ def _notes(comparison: Comparison) -> tuple[str, ...]:
         f"Settled error: mean over the last {protocol.window:g} s of {protocol.hold:g} s at each target. Time to stay "
         f"within a distance: median over the holds, and the share that does; “{NEVER}” where fewer than half do. "
         "Oscillation: root mean square around the settled position. Guard: share of all control cycles, by reason.",
-        "“paper”: Park et al. 2024 (IEEE Access), Table 4, measured on their own worn myCobot 280, for reference.",
     ]
+    if comparison.arm == PAPER_ARM:
+        notes.append(
+            "“paper”: Park et al. 2024 (IEEE Access), Table 4, measured on their own worn myCobot 280, for reference."
+        )
     if not comparison.true_known:
         notes.append("The true position of the tool is not known on this robot: it has to be measured from outside.")
     return tuple(notes)
