@@ -42,6 +42,9 @@ STOP_ERROR = np.radians(8.0)
 error at rest of a real low-cost arm)"""
 STOP_BAND = np.radians(1.5)
 """[rad] from the end of the travel seen in the logs within which a blocked joint is at a stop (chosen)"""
+LEAST_TRAVEL = np.radians(6.0)
+"""[rad] of travel below which its ends are no stops: a joint that never moves is stuck, and that is a fault of the arm
+(chosen: four times the band)"""
 STOP_TIME = 0.2
 """[s] for which it stands there (chosen: a reversal is shorter)"""
 
@@ -130,7 +133,7 @@ def _travel(logs: Sequence[RunLog]) -> tuple[Array, Array]:
 
 
 def _stopped(log: RunLog, ends: tuple[Array, Array]) -> Rows:
-    error = log.command - log.position
+    error = np.where(ends[1] - ends[0] > LEAST_TRAVEL, log.command - log.position, 0.0)
     low = (log.position < ends[0] + STOP_BAND) & (error < -STOP_ERROR)
     high = (log.position > ends[1] - STOP_BAND) & (error > STOP_ERROR)
     return np.asarray(_lasting((low | high).any(axis=1), log.time, STOP_TIME))

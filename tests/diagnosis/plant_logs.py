@@ -1,0 +1,50 @@
+"""Logs of ordinary motion, recorded on emulated SO-101 arms whose wear is known."""
+
+import dataclasses
+
+import numpy as np
+
+from rejoint.arms import so101
+from rejoint.control.loop import move, play
+from rejoint.plant.wear import load_wear
+from rejoint.robots.emulated import EmulatedRobot
+
+ARM = so101()
+HEALTHY = load_wear("healthy", ARM)
+
+
+def with_joint(joint, **values):
+    """A healthy arm with one joint changed."""
+    changed = {name: np.array(getattr(HEALTHY, name)) for name in values}
+    for name, value in values.items():
+        changed[name][joint] = value
+    return dataclasses.replace(HEALTHY, **changed)
+
+
+def wandering(seed, seconds, size=0.3):
+    """A posture to start from, and a motion: sums of slow sines for 60 % of the time, then steps to rest at."""
+    rng = np.random.default_rng(seed)
+    centre = np.array([0.0, -0.4, 0.2, 0.3, 0.0]) + rng.uniform(-0.25, 0.25, 5)
+    frequency = np.array([0.07, 0.19, 0.41]) * rng.uniform(0.8, 1.2, (5, 3))
+    phase, height = rng.uniform(0, 2 * np.pi, (5, 3)), size * np.array([1.0, 0.6, 0.3])
+    steps = centre + rng.uniform(-size, size, (40, 5))
+
+    def command(time):
+        t = np.asarray(time)[:, None]
+        waves = (height * np.sin(2 * np.pi * frequency * t[..., None] + phase)).sum(axis=-1) * np.minimum(t, 1.0)
+        return np.where(t < 0.6 * seconds, centre + waves, steps[(t[:, 0] / 2.5).astype(int) % 40])
+
+    return centre, command
+
+
+def record_motions(wears, count, seconds, seed=0):
+    """Lists of ``count`` run logs, one list for each wear."""
+    robot = EmulatedRobot(ARM, wears, seed=seed)
+    logs = [[] for _ in wears]
+    for motion in range(count):
+        centre, command = wandering(100 * seed + motion, seconds)
+        move(robot, centre)
+        recording = play(robot, command, seconds)
+        for arm, found in enumerate(logs):
+            found.append(recording.log(arm, f"motion{motion}"))
+    return logs

@@ -1,0 +1,221 @@
+"""A diagnosis from logs alone: known wear is named, a table is not taken for wear, what is not known is said."""
+
+import dataclasses
+import re
+
+import numpy as np
+import pytest
+from motion_logs import TRUTH, as_log, pressing, record
+from motion_logs import wandering as twin_wandering
+from plant_logs import ARM, HEALTHY, record_motions, with_joint
+
+from rejoint.arms import tcp_position
+from rejoint.diagnosis import Diagnosis, Estimate, diagnose_logs, fromlogs, load_healthy
+from rejoint.diagnosis.logmetrics import slow_motion
+from rejoint.diagnosis.spans import FREE, HOLD, STEP, join_logs, log_of
+from rejoint.errors import InputError
+from rejoint.exclusions import Exclusions, find_exclusions
+from rejoint.runs import read_json, write_json
+from rejoint.twin.table import Table
+
+WEARS = {
+    "healthy": HEALTHY,
+    "soft elbow": with_joint(2, position_gain=0.3 * HEALTHY.position_gain[2]),
+    "sticky lift": with_joint(1, coulomb=0.40, stiction=0.50),
+    "late elbow": with_joint(2, damping_gain=4.0 * HEALTHY.damping_gain[2]),
+    "blocked wrist": with_joint(3, coulomb=8.0, stiction=9.0),
+}
+TABLE = Table(height=-0.02, slope_x=0.0, slope_y=0.0, stiffness=2e4, friction=0.2)
+
+
+@pytest.fixture(scope="module")
+def logs():
+    return dict(zip(WEARS, record_motions(list(WEARS.values()), 10, 16.0), strict=True))
+
+
+@pytest.fixture(scope="module")
+def found(logs):
+    return {name: diagnose_logs(ARM, entry, load_healthy(ARM)) for name, entry in logs.items()}
+
+
+def kinds(diagnosis):
+    return {(finding.joint, finding.kind) for finding in diagnosis.findings}
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("healthy", set()),
+        ("soft elbow", {("elbow_flex", "weak_gain")}),
+        ("sticky lift", {("shoulder_lift", "friction")}),
+        ("late elbow", {("elbow_flex", "lag")}),
+        ("blocked wrist", {("wrist_flex", "stuck")}),
+    ],
+)
+def test_one_wear_is_named_and_nothing_else(found, name, expected):
+    assert kinds(found[name]) == expected
+    assert (found[name].condition == "ok") == (not expected)
+    for joint, _ in expected:
+        assert joint in found[name].verdict
+
+
+def test_stiffness_is_measured_within_its_interval(found):
+    """Stiction and load friction shift it by a few percent, as they would in any log of a real arm."""
+    for name in ("healthy", "soft elbow", "late elbow"):
+        for joint in (1, 2, 3):
+            k, truth = found[name].measurement.joints[joint].stiffness_nm_per_rad, WEARS[name].position_gain[joint]
+            assert 0.95 * k.low < truth < 1.05 * k.high, (name, joint, k, truth)
+            assert k.high / k.low < 1.5
+
+
+def test_friction_and_hysteresis_are_those_of_the_wear(found):
+    lift = found["sticky lift"].measurement.joints[1]
+    half = 0.40 / HEALTHY.position_gain[1]
+    assert lift.hysteresis_rad.value == pytest.approx(2 * half, rel=0.15)
+    assert lift.coulomb_nm.value == pytest.approx(0.40, rel=0.15)
+    assert found["healthy"].measurement.joints[1].coulomb_nm.value < 0.12
+
+
+def test_more_damping_shows_as_lag(found):
+    """The damping of the servo over its stiffness; delay and back-EMF are the same in both arms."""
+    late, usual = (found[name].measurement.joints[2].lag_s.value for name in ("late elbow", "healthy"))
+    assert late - usual == pytest.approx(3 * HEALTHY.damping_gain[2] / HEALTHY.position_gain[2], rel=0.06)
+
+
+def test_what_logs_do_not_tell_is_none_and_said(found):
+    diagnosis = found["healthy"]
+    for joint in (0, 4):  # gravity does not load them
+        row = diagnosis.measurement.joints[joint]
+        assert row.stiffness_nm_per_rad is None
+        assert row.coulomb_nm is None
+        assert row.stiffness_source == "none"
+        assert row.hysteresis_rad is not None
+    assert any("shoulder_pan, wrist_roll" in line and "cannot be told" in line for line in diagnosis.unseen)
+    assert diagnosis.measurement.delay_s is None
+    assert diagnosis.open_loop is None
+
+
+def test_the_tool_at_rest_is_as_far_off_as_the_logs_say(logs, found):
+    log = logs["soft elbow"][0]
+    still = np.abs(np.diff(log.command, axis=0, prepend=log.command[:1])).max(axis=1) < 1e-9
+    still &= np.concatenate([np.zeros(40, dtype=bool), still[:-40]])  # a second after the last step
+    rows = np.flatnonzero(still & (log.time > log.time[0] + 10.0))
+    gap = tcp_position(ARM, log.command[rows]) - tcp_position(ARM, log.position[rows])
+    expected = 1e3 * np.linalg.norm(gap, axis=1).mean()
+    alone = fromlogs._rest_error(ARM, [log], find_exclusions(ARM, [log]))
+    assert alone.value == pytest.approx(expected, rel=0.5)
+    assert found["soft elbow"].evidence.rest_error_mm.low > found["healthy"].evidence.rest_error_mm.high
+
+
+def test_a_diagnosis_survives_its_file(found, tmp_path):
+    write_json(tmp_path / "diagnosis.json", found["soft elbow"])
+    assert read_json(tmp_path / "diagnosis.json", Diagnosis) == found["soft elbow"]
+
+
+@pytest.fixture(scope="module")
+def on_a_table():
+    """Free motion of one arm, and the same arm pressing on a table in several postures."""
+    centres = [(0.3 * (k % 3 - 1), -0.6 + 0.15 * (k % 4), 0.3 - 0.2 * (k % 3), 0.2 * (k % 2), 0.0) for k in range(9)]
+    free = [record(f"free{k}", *twin_wandering(k, 14.0, centre)) for k, centre in enumerate(centres)]
+    press = [record(f"press{k}", *pressing(14.0 + k), table=TABLE) for k in range(5)]
+    return free, press
+
+
+def own_reference():
+    """A reference by which the arm of `motion_logs` is healthy: 30 % about its truth."""
+
+    def around(value):
+        return Estimate(value, value / 1.3, value * 1.3)
+
+    healthy = load_healthy(ARM)
+    rows = tuple(
+        dataclasses.replace(
+            row, stiffness_nm_per_rad=around(TRUTH.stiffness[j]), coulomb_nm=around(1.12 * TRUTH.coulomb[j]),
+            hysteresis_rad=around(2.24 * TRUTH.coulomb[j] / TRUTH.stiffness[j]),
+            lag_s=around(TRUTH.damping[j] / TRUTH.stiffness[j] + 0.01),
+        )
+        for j, row in enumerate(healthy.joints)
+    )  # fmt: skip
+    return dataclasses.replace(healthy, joints=rows)
+
+
+def test_an_arm_that_lies_on_its_table_is_not_called_worn(on_a_table, monkeypatch):
+    free, press = on_a_table
+    diagnosis = diagnose_logs(ARM, [*free, *press], own_reference())
+    assert kinds(diagnosis) == set()
+    assert diagnosis.evidence.table_height_m == pytest.approx(TABLE.height, abs=0.006)
+    assert diagnosis.evidence.contact_seconds > 20.0
+    assert re.search(r"\d+ s with the tool on a table", diagnosis.verdict)
+    alone = diagnose_logs(ARM, free, own_reference())
+    assert alone.evidence.table_height_m is None
+    for joint in (1, 2, 3):
+        k, same = (d.measurement.joints[joint].stiffness_nm_per_rad for d in (diagnosis, alone))
+        assert max(k.low, same.low) < min(k.high, same.high)
+
+    # Without leaving contact out, the same logs would condemn the arm.
+    def everything(_arm, logs, _table):
+        never = [np.zeros(len(log), dtype=bool) for log in logs]
+        return [Exclusions(contact=none, stop=none, stale=none) for none in never]
+
+    monkeypatch.setattr(fromlogs, "find_exclusions", everything)
+    fooled = diagnose_logs(ARM, [*free, *press], own_reference())
+    assert kinds(fooled) == {("elbow_flex", "weak_gain")}
+
+
+def test_spans_hold_free_rows_of_one_log(logs):
+    entry = logs["healthy"][:3]
+    excluded = find_exclusions(ARM, entry)
+    shut = excluded[1].contact.copy()
+    shut[100:300] = True
+    excluded[1] = dataclasses.replace(excluded[1], contact=shut)
+    data = join_logs(ARM, entry, excluded)
+    starts = np.cumsum([0, *(len(log) for log in entry)])
+    for segment in data.segments:
+        rows = data.rows(segment)
+        log = log_of(segment)
+        assert starts[log] <= rows[0] <= rows[-1] < starts[log + 1]
+        assert excluded[log].free[rows - starts[log]].all()
+    free = [s for s in data.of_kind(FREE) if log_of(s) == 1]
+    assert len(free) == 2
+    assert (np.diff(data.log.time) > 0).all()
+    np.testing.assert_array_equal(data.log.position, np.concatenate([log.position for log in entry]))
+
+
+def test_steps_and_rest_are_found_where_they_were_made():
+    time = np.arange(0.0, 12.0, 0.02)
+    command = np.zeros((len(time), 5))
+    command[time >= 3.0, 1] = 0.3
+    command[time >= 6.0, 1] = 0.28  # too small for a step
+    command[:, 2] = 0.2 * np.sin(time) * (time > 8.0)
+    position = command.copy()
+    log = as_log("steps", time, position, command)
+    data = join_logs(ARM, [log], find_exclusions(ARM, [log]))
+    steps = data.of_kind(STEP)
+    assert [(s.joints, pytest.approx(s.start, abs=0.03)) for s in steps] == [((1,), 2.98)]
+    assert steps[0].stop - steps[0].start < 3.05
+    rests = data.of_kind(HOLD)
+    assert [round(s.start) for s in rests] == [0, 3, 6]
+    assert rests[-1].stop == pytest.approx(8.0, abs=0.05)
+
+
+def test_one_direction_tells_no_friction(logs):
+    """A joint that is only ever raised: what friction holds back and where its zero is look the same."""
+    time = np.arange(0.0, 30.0, 0.02)
+    command = np.tile([0.0, -0.4, 0.2, 0.3, 0.0], (len(time), 1))
+    command[:, 1] += 0.04 * time
+    up = as_log("up", time, command - 0.02, command)
+    data = join_logs(ARM, [up], find_exclusions(ARM, [up]))
+    assert slow_motion(data, 1) is None
+    both = join_logs(ARM, logs["healthy"], find_exclusions(ARM, logs["healthy"]))
+    assert slow_motion(both, 1) is not None
+
+
+def test_too_little_free_motion_is_refused(logs, on_a_table):
+    with pytest.raises(InputError, match=r"16 s of free motion, expected at least 20 s"):
+        diagnose_logs(ARM, logs["healthy"][:1], None)
+    with pytest.raises(InputError, match="on a table"):
+        diagnose_logs(ARM, on_a_table[1][:1], None)
+    with pytest.raises(InputError, match="of arm other, expected so101"):
+        diagnose_logs(ARM, [dataclasses.replace(log, arm="other") for log in logs["healthy"]], None)
+    with pytest.raises(InputError, match="reference is of arm mycobot280"):
+        diagnose_logs(ARM, logs["healthy"], dataclasses.replace(load_healthy(ARM), arm="mycobot280"))
