@@ -32,7 +32,7 @@ def run(bench: Bench) -> Findings:
 
     first, quiet = episodes("first", noises[0]), episodes("first", 0.0)
     last, busy = episodes("last", 0.0), episodes("last", noises[-1])
-    text = (
+    text: tuple[str, ...] = (
         f"One episode each on {arms} randomised arms, from the same start to random targets. At the beginning the "
         "policy explores with a random action every cycle; at the end it acts as it is deployed.",
     )
