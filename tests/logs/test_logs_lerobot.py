@@ -43,7 +43,7 @@ def test_each_episode_becomes_a_log(tmp_path: Path):
 
 
 def test_the_unit_has_to_be_declared(tmp_path: Path):
-    with pytest.raises(FileError, match=r"does not say the unit of observation.state and action; set angle_unit"):
+    with pytest.raises(FileError, match=r"does not say the unit of observation.state and action; set --angle-unit"):
         import_logs(DATASET, ARM, out=tmp_path / "logs")
     with pytest.raises(FileError, match="surely degrees"):
         import_logs(DATASET, ARM, out=tmp_path / "logs", options=ImportOptions(angle_unit="rad"))
@@ -88,7 +88,7 @@ def test_columns_without_names_are_named_by_the_user(dataset: Path, tmp_path: Pa
     for key in ("observation.state", "action"):
         info["features"][key]["names"] = None
     (dataset / "meta/info.json").write_text(json.dumps(info))
-    with pytest.raises(FileError, match=r"observation.state has 6 columns with the names None; .*joint_order"):
+    with pytest.raises(FileError, match=r"observation.state has 6 columns with the names None; .*--order"):
         import_logs(dataset, ARM, out=tmp_path / "logs", options=DEGREES)
     options = ImportOptions(angle_unit="deg", joint_order=(*ARM.joint_names, "gripper"))
     log = import_logs(dataset, ARM, out=tmp_path / "logs", options=options).logs[0]

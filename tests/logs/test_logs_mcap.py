@@ -179,7 +179,7 @@ def test_missing_stamps_are_told_and_half_missing_ones_refused(tmp_path: Path):
 
 def test_topics_are_named_never_guessed(tmp_path: Path):
     source = messages(tmp_path / "own.mcap", {"/arm/a": [state(k, k) for k in range(5)], "/arm/b": [state(0, 0)] * 2})
-    with pytest.raises(FileError, match=r"no topic /joint_states; .*/arm/a \(sensor_msgs/JointState\).*state_topic"):
+    with pytest.raises(FileError, match=r"no topic /joint_states; .*/arm/a \(sensor_msgs/JointState\).*--state-topic"):
         import_logs(source, ARM, out=tmp_path / "logs")
     same = ImportOptions(state_topic="/arm/a", command_topic="/arm/a")
     with pytest.raises(FileError, match="cannot both come from /arm/a"):
@@ -206,7 +206,7 @@ def test_messages_of_a_separate_gripper_are_left_out(tmp_path: Path):
     [
         ({"name": list(ARM.joint_names)[:3], "position": [0.0] * 3}, "message 4: no column for joint wrist_flex"),
         ({"name": list(ARM.joint_names), "position": [0.0] * 3}, "message 4: 5 names for 3 positions"),
-        ({"name": [], "position": [0.0] * 5}, "message 4: 0 names for 5 positions; set joint_order"),
+        ({"name": [], "position": [0.0] * 5}, "message 4: 0 names for 5 positions; set --order"),
         ({"name": list(ARM.joint_names), "position": ["a"] * 5}, "message 4: no joint state"),
         ({"name": list(ARM.joint_names), "position": [0, 0, float("nan"), 0, 0]}, "message 4: elbow_flex is nan"),
         ([1, 2], "message 4: no joint state .it has no positions"),
@@ -249,7 +249,7 @@ def test_names_can_be_declared_where_there_are_none(tmp_path: Path):
     order = ("gripper", "elbow_flex", "shoulder_pan", "shoulder_lift", "wrist_flex", "wrist_roll")
     log = import_logs(source, ARM, out=tmp_path / "logs", options=ImportOptions(joint_order=order)).logs[0]
     np.testing.assert_array_equal(log.position[3], [0.0, 0.03, 0.1 * 3, 0.0, 0.2])
-    with pytest.raises(InputError, match="joint_order names a joint twice"):
+    with pytest.raises(InputError, match="--order names a joint twice"):
         ImportOptions(joint_order=("elbow_flex", "elbow_flex"))
 
 

@@ -61,7 +61,7 @@ def test_the_command_in_force_is_held(tmp_path: Path):
 def test_a_joint_map_names_other_joints(tmp_path: Path):
     folder = write_sage(tmp_path / "named", sample())
     (folder / "joint_list.txt").write_text("J1\nJ2\nJ3\nJ4\nJ5\nJ6\n")
-    with pytest.raises(FileError, match=r"no column for joint shoulder_pan.*J1, J2.*joint_map"):
+    with pytest.raises(FileError, match=r"no column for joint shoulder_pan.*J1, J2.*--joints"):
         import_logs(folder, ARM, out=tmp_path / "logs")
     names = dict(zip(("J1", "J2", "J3", "J4", "J5"), ARM.joint_names, strict=True))
     log = import_logs(folder, ARM, out=tmp_path / "logs", options=ImportOptions(joint_map=names)).logs[0]
@@ -116,5 +116,5 @@ def test_units_can_be_declared_but_nothing_foreign(tmp_path: Path):
         import_logs(folder, ARM, out=tmp_path / "logs")
     log = import_logs(folder, ARM, out=tmp_path / "logs", options=ImportOptions(angle_unit="deg")).logs[0]
     np.testing.assert_allclose(log.position, found.position, rtol=0, atol=1e-15)
-    with pytest.raises(FileError, match="state_topic does not apply to a file of format sage"):
+    with pytest.raises(FileError, match="state-topic does not apply to a file of format sage"):
         import_logs(folder, ARM, out=tmp_path / "x", options=ImportOptions(state_topic="/a"))

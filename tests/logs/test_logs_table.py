@@ -48,7 +48,9 @@ def test_a_declared_time_unit_is_taken(tmp_path: Path, unit: str):
     found = sample()
     scaled = type(found)(time=found.time * ticks, position=found.position, command=found.command)
     source = write_table(tmp_path / "wave.csv", scaled, {"time_s": "time"})
-    with pytest.raises(FileError, match=r"column time does not say its unit; rename it time_s or .* or set time_unit"):
+    with pytest.raises(
+        FileError, match=r"column time does not say its unit; rename it time_s or .* or set --time-unit"
+    ):
         import_logs(source, ARM, out=tmp_path / "logs")
     log = import_logs(source, ARM, out=tmp_path / "logs", options=ImportOptions(time_unit=unit)).logs[0]
     np.testing.assert_allclose(log.time, found.time, rtol=1e-15)
@@ -56,11 +58,13 @@ def test_a_declared_time_unit_is_taken(tmp_path: Path, unit: str):
 
 def test_an_ambiguous_angle_names_its_column(tmp_path: Path):
     source = write_table(tmp_path / "wave.csv", sample(), {"position.elbow_flex_rad": "position.elbow_flex"})
-    with pytest.raises(FileError, match=r"column position.elbow_flex does not say its unit; .*_rad or .*angle_unit"):
+    with pytest.raises(FileError, match=r"column position.elbow_flex does not say its unit; .*_rad or .*--angle-unit"):
         import_logs(source, ARM, out=tmp_path / "logs")
     log = import_logs(source, ARM, out=tmp_path / "logs", options=ImportOptions(angle_unit="rad")).logs[0]
     assert log.position.tolist() == sample().position.tolist()
-    with pytest.raises(FileError, match=r"column position.shoulder_pan_rad is in rad by its name, but angle_unit says"):
+    with pytest.raises(
+        FileError, match=r"column position.shoulder_pan_rad is in rad by its name, but --angle-unit says"
+    ):
         import_logs(source, ARM, out=tmp_path / "other", options=ImportOptions(angle_unit="deg"))
 
 
@@ -73,7 +77,7 @@ def test_degrees_called_radians_are_refused(tmp_path: Path):
 def test_radians_called_degrees_are_noted(tmp_path: Path):
     names = {f"{g}.{j}_rad": f"{g}.{j}_deg" for g in ("position", "command") for j in ARM.joint_names}
     imported = import_logs(write_table(tmp_path / "wave.csv", sample(), names), ARM, out=tmp_path / "logs")
-    assert any("set angle_unit rad if the file holds radians" in note for note in imported.notes)
+    assert any("set --angle-unit rad if the file holds radians" in note for note in imported.notes)
 
 
 @pytest.mark.parametrize(
@@ -137,7 +141,7 @@ def test_other_columns_are_left_out_and_named(tmp_path: Path):
 def test_two_formats_in_one_folder_are_told_apart_by_the_user(tmp_path: Path):
     folder = write_sage(tmp_path / "both", sample())
     write_table(folder / "wave.csv", sample())
-    with pytest.raises(FileError, match="formats sage and csv; say with format"):
+    with pytest.raises(FileError, match="formats sage and csv; say with --format"):
         import_logs(folder, ARM, out=tmp_path / "logs")
     assert import_logs(folder, ARM, out=tmp_path / "logs", format="csv").logs[0].label == "wave"
     with pytest.raises(InputError, match="'xls' is unknown; choose from sage, csv, mcap, lerobot"):

@@ -34,7 +34,7 @@ RELATED = (0.3, 0.9)
 RESTING = 1e-3
 """[rad] chosen: below one step of a 12-bit encoder, a joint that moves less (rms) is at rest."""
 
-_TIME_REMEDY = "set the time unit (option time_unit), or take another file"
+_TIME_REMEDY = "set the time unit (--time-unit), or take another file"
 
 
 def clean(track: Track) -> tuple[Track, list[str]]:
@@ -100,13 +100,13 @@ def check_angles(motion: Motion, arm: Arm) -> list[str]:
             guess = "the values are surely degrees" if motion.angle_unit == "rad" else "the unit is surely wrong"
             raise FileError(
                 track.path, f"{track.what}, {track.where(int(row))}: {track.columns[joint]} is {found:.4g} rad, "
-                f"beyond two turns; {guess}", "set angle_unit, or the unit in the column name",
+                f"beyond two turns; {guess}", "set --angle-unit, or the unit in the column name",
             )  # fmt: skip
     notes = _check_limits(motion.state, arm)
     extent = float(np.abs(motion.state.value).max())
     if motion.angle_unit == "deg" and np.rad2deg(extent) <= 2 * np.pi:
         notes.append(
-            f"state: no angle is beyond {np.rad2deg(extent):.3g} deg; set angle_unit rad if the file holds radians"
+            f"state: no angle is beyond {np.rad2deg(extent):.3g} deg; set --angle-unit rad if the file holds radians"
         )
     if not (np.ptp(motion.state.value, axis=0) > 0).any():
         notes.append("state: no joint moves in this log")
@@ -122,7 +122,7 @@ def _check_limits(state: Track, arm: Arm) -> list[str]:
             raise FileError(
                 state.path, f"{state.what}: {state.columns[joint]} is mostly outside the limits of joint {name} "
                 f"({arm.lower[joint]:.3g} to {arm.upper[joint]:.3g} rad, by up to {worst:.3g} rad)",
-                "check unit, joint order and zero posture (angle_unit, joint_map)",
+                "check unit, joint order and zero posture (--angle-unit, --joints)",
             )  # fmt: skip
         if beyond.any():
             notes.append(

@@ -112,7 +112,9 @@ def detect(source: Path) -> str:
     except OSError as error:
         raise FileError(source, f"not readable ({error})", "check its permissions") from error
     if len(fitting) > 1:
-        raise FileError(source, f"holds logs of the formats {' and '.join(fitting)}", "say with format which to import")
+        raise FileError(
+            source, f"holds logs of the formats {' and '.join(fitting)}", "say with --format which to import"
+        )
     if not fitting:
         raise FileError(source, f"no log in a known format; expected {_EXPECTED}", "convert it to one of these")
     return fitting[0]
@@ -120,7 +122,7 @@ def detect(source: Path) -> str:
 
 def _known(name: str) -> str:
     if name not in _READERS:
-        raise InputError(f"format {name!r} is unknown; choose from {', '.join(_READERS)}")
+        raise InputError(f"--format {name!r} is unknown; choose from {', '.join(_READERS)}")
     return name
 
 

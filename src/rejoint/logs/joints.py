@@ -56,14 +56,12 @@ def match_joints(
     for joint in arm.joint_names:
         found = [title for title, meaning in zip(titles, meanings, strict=True) if meaning == joint]
         if len(found) > 1:
-            raise FileError(
-                path, f"{what}: {' and '.join(found)} both mean joint {joint}", "set joint_map, or drop one"
-            )
+            raise FileError(path, f"{what}: {' and '.join(found)} both mean joint {joint}", "set --joints, or drop one")
     missing = [joint for joint in arm.joint_names if joint not in meanings]
     if missing:
         raise FileError(
             path, f"{what}: no column for joint {', '.join(missing)} of {arm.name}, only {', '.join(titles) or 'none'}",
-            "say with joint_map which name means which joint",
+            "say with --joints which name means which joint",
         )  # fmt: skip
     columns = [meanings.index(joint) for joint in arm.joint_names]
     dropped = tuple(title for title, meaning in zip(titles, meanings, strict=True) if meaning is None)
@@ -100,7 +98,7 @@ def radians(values: Array, unit: str, arm: Arm, options: ImportOptions, path: Pa
         return np.deg2rad(values)
     if (np.abs(values) > _NORMALISED_LIMIT).any():
         worst = float(values.flat[int(np.nanargmax(np.abs(values)))])
-        raise FileError(path, f"{worst:g} is no normalised value, which lie in -100..100", "set another angle_unit")
+        raise FileError(path, f"{worst:g} is no normalised value, which lie in -100..100", "set another --angle-unit")
     if options.calibration is None:
         raise FileError(path, "normalised values need a calibration", "give the calibration file of the arm")
     return values * _half_ranges(options.calibration, arm, options) / 100.0

@@ -53,7 +53,7 @@ def motions(source: Path, arm: Arm, options: ImportOptions) -> tuple[int, Iterat
     if options.angle_unit is None:
         raise FileError(
             source / _INFO, f"a LeRobot dataset does not say the unit of {_STATE} and {_ACTION}",
-            "set angle_unit: deg or rad, or normalised with the calibration file",
+            "set --angle-unit: deg or rad, or normalised with the calibration file",
         )  # fmt: skip
     table = _read_frames(source, info)
     episode = table["episode_index"].to_numpy()
@@ -90,12 +90,10 @@ def _names(feature: dict[str, object], options: ImportOptions, path: Path, key: 
         raise FileError(path, f"{key} has shape {shape}, expected one number of columns", "take another dataset")
     if options.joint_order is not None:
         if isinstance(held, list):
-            raise FileError(
-                path, f"{key} names its columns: {', '.join(map(str, held))}", "use joint_map, no joint_order"
-            )
+            raise FileError(path, f"{key} names its columns: {', '.join(map(str, held))}", "use --joints, not --order")
         held = list(options.joint_order)
     if not isinstance(held, list) or len(held) != shape[0]:
-        raise FileError(path, f"{key} has {shape[0]} columns with the names {held}", "name them all with joint_order")
+        raise FileError(path, f"{key} has {shape[0]} columns with the names {held}", "name them all with --order")
     return tuple(str(name) for name in held)
 
 

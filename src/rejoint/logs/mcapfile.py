@@ -19,7 +19,7 @@ import numpy as np
 from rejoint.arms import Arm
 from rejoint.errors import FileError, InputError
 from rejoint.logs.joints import Match, match_joints, means_a_joint, radians
-from rejoint.logs.options import ImportOptions
+from rejoint.logs.options import OPTIONS, ImportOptions
 from rejoint.logs.track import Motion, Points, Track
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -78,8 +78,8 @@ def _has_magic(file: Path) -> bool:
 def _read(file: Path, arm: Arm, options: ImportOptions) -> Motion:
     with _reporting(file):
         topics, header = _survey(file)
-    state_topic = _topic(options.state_topic, STATE_TOPIC, topics, file, "state_topic")
-    command_topic = _topic(options.command_topic, COMMAND_TOPIC, topics, file, "command_topic")
+    state_topic = _topic(options.state_topic, STATE_TOPIC, topics, file, OPTIONS["state_topic"])
+    command_topic = _topic(options.command_topic, COMMAND_TOPIC, topics, file, OPTIONS["command_topic"])
     if state_topic == command_topic:
         raise FileError(file, f"states and commands cannot both come from {state_topic}", "name two topics")
     points = POINT_TOPICS if header else {}
@@ -255,12 +255,12 @@ def _track(
     for sample in samples:
         place = f"{what} topic {topic}, message {sample.number}"
         if sample.names and options.joint_order:
-            raise FileError(file, f"{place}: names its joints", "use joint_map, no joint_order")
+            raise FileError(file, f"{place}: names its joints", "use --joints, not --order")
         names = sample.names or options.joint_order or ()
         if len(names) != len(sample.position):
             raise FileError(
                 file, f"{place}: {len(names)} names for {len(sample.position)} positions",
-                "set joint_order if the messages hold no names" if not sample.names else _REMEDY,
+                "set --order if the messages hold no names" if not sample.names else _REMEDY,
             )  # fmt: skip
         if names not in matches:
             ours = any(means_a_joint(name, arm, options) for name in names)

@@ -14,6 +14,13 @@ TIME_UNITS = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}
 """Ticks of each unit in a second."""
 STAMPS = ("header", "log")
 
+OPTIONS = {
+    "angle_unit": "--angle-unit", "time_unit": "--time-unit", "joint_map": "--joints", "joint_order": "--order",
+    "state_topic": "--state-topic", "command_topic": "--command-topic", "stamp": "--stamp",
+    "calibration": "--calibration",
+}  # fmt: skip
+"""What errors call a declaration: the option of `rejoint import` that makes it."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class ImportOptions:
@@ -40,18 +47,18 @@ class ImportOptions:
         for name, known in (("angle_unit", ANGLE_UNITS), ("time_unit", tuple(TIME_UNITS)), ("stamp", STAMPS)):
             value = getattr(self, name)
             if value is not None and value not in known:
-                raise InputError(f"{name} {value!r} is unknown; choose from {', '.join(known)}")
+                raise InputError(f"{OPTIONS[name]} {value!r} is unknown; choose from {', '.join(known)}")
         if (self.angle_unit == "normalised") != (self.calibration is not None):
-            raise InputError("angle_unit normalised and calibration belong together; give both or neither")
+            raise InputError("--angle-unit normalised and --calibration belong together; give both or neither")
         if self.joint_order is not None and len(set(self.joint_order)) != len(self.joint_order):
-            raise InputError(f"joint_order names a joint twice: {', '.join(self.joint_order)}")
+            raise InputError(f"--order names a joint twice: {', '.join(self.joint_order)}")
 
     def check_joints(self, arm: Arm) -> None:
         """Raise InputError where the joint map leads to a joint that the arm does not have."""
         for source, joint in (self.joint_map or {}).items():
             if joint not in arm.joint_names:
                 raise InputError(
-                    f"joint_map sends {source} to {joint!r}, which {arm.name} does not have; "
+                    f"--joints sends {source} to {joint!r}, which {arm.name} does not have; "
                     f"its joints are {', '.join(arm.joint_names)}"
                 )
 
@@ -59,4 +66,6 @@ class ImportOptions:
         """Raise FileError for a declaration that says nothing about this format."""
         for field in fields(self):
             if getattr(self, field.name) is not None and field.name not in allowed:
-                raise FileError(path, f"{field.name} does not apply to a file of format {format_name}", "leave it out")
+                raise FileError(
+                    path, f"{OPTIONS[field.name]} does not apply to a file of format {format_name}", "leave it out"
+                )

@@ -18,7 +18,7 @@ import numpy as np
 from rejoint.arms import Arm
 from rejoint.errors import FileError
 from rejoint.logs.joints import match_joints, radians
-from rejoint.logs.options import TIME_UNITS, ImportOptions
+from rejoint.logs.options import OPTIONS, TIME_UNITS, ImportOptions
 from rejoint.logs.track import Motion, Points, Track
 from rejoint.runs import Array
 
@@ -130,8 +130,8 @@ def _group(title: str) -> str | None:
 
 
 def _unit(title: str, group: str, written: str | None, options: ImportOptions, file: Path) -> str:
-    option = {"time": "time_unit", "position": "angle_unit", "command": "angle_unit"}.get(group)
-    declared = getattr(options, option) if option else None
+    name = {"time": "time_unit", "position": "angle_unit", "command": "angle_unit"}.get(group)
+    declared, option = (getattr(options, name), OPTIONS[name]) if name else (None, "")
     if written and declared and written != declared:
         raise FileError(
             file, f"column {title} is in {written} by its name, but {option} says {declared}",
@@ -140,8 +140,8 @@ def _unit(title: str, group: str, written: str | None, options: ImportOptions, f
     unit: str | None = written or declared
     if unit is None:
         endings = " or ".join(f"{title}_{unit}" for unit in _UNITS[group])
-        option = f" or set {option}" if option else ""
-        raise FileError(file, f"column {title} does not say its unit", f"rename it {endings}{option}")
+        more = f" or set {option}" if option else ""
+        raise FileError(file, f"column {title} does not say its unit", f"rename it {endings}{more}")
     return unit
 
 
