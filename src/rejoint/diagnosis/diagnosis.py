@@ -125,8 +125,9 @@ def _unseen(
     unknown = [row.joint for row in measurement.joints if row.stiffness_source == "none"]
     if guessed:
         lines.append(
-            f"Gravity does not load {', '.join(guessed)} enough: their stiffness and friction follow from how they "
-            "accelerate, given the motor inertia of a healthy arm or of the nearest joint that gravity does load."
+            f"The weight on {', '.join(guessed)} is none or changes too little: their stiffness and friction follow "
+            "from how they accelerate, given the motor inertia of a healthy arm or of the nearest joint whose weight "
+            "changes."
         )
     if unknown:
         lines.append(f"The stiffness of {', '.join(unknown)} cannot be told from this log.")
