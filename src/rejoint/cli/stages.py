@@ -34,6 +34,7 @@ from rejoint.cli.options import (
 )
 from rejoint.comparison.targets import draw_targets, read_targets
 from rejoint.errors import InputError
+from rejoint.runs import LOGS
 
 
 def diagnose(
@@ -123,7 +124,8 @@ def train(
         result = work.train_stage(job, preset=preset, resume=not restart, on_progress=update)
     terminal.say(f"Curves: {draw_training(job.folder)}")
     show.training(terminal, result)
-    terminal.result(f"Next: rejoint compare {job.info.robot} {run}")
+    robot = "ROBOT" if job.info.robot.startswith(LOGS) else job.info.robot  # logs cannot be driven
+    terminal.result(f"Next: rejoint compare {robot} {run}")
     terminal.finish(result)
 
 
