@@ -200,11 +200,16 @@ def identify_logs_stage(
 
 
 def train_stage(
-    run: Run, *, preset: str = "default", resume: bool = True, on_progress: OnProgress = silent
+    run: Run, *, preset: str = "default", learner: str = "ppo", resume: bool = True, on_progress: OnProgress = silent
 ) -> TrainingResult:
-    """Train a policy on the twin (or, without one, on broad ranges) and write it."""
+    """Train a policy on the twin (or, without one, on broad ranges); ``learner`` is ppo, sac, td3 or ddpg."""
     from rejoint.training.train import TrainingOptions, train
 
+    if learner != "ppo":
+        from rejoint.training.offpolicy import OffPolicySettings, algorithm, train_offpolicy
+
+        settings = OffPolicySettings(algorithm=algorithm(learner), seed=run.info.seed)
+        return train_offpolicy(run.arm, _twin(run), out=run.folder.path, settings=settings, on_progress=on_progress)
     options = TrainingOptions(preset=preset, seed=run.info.seed, resume=resume)
     return train(run.arm, _twin(run), out=run.folder.path, options=options, on_progress=on_progress)
 

@@ -131,8 +131,8 @@ def test_exported_network_agrees_with_the_trained_one():
 
 
 def test_only_perceptrons_are_exported():
-    with pytest.raises(TypeError, match="Tanh"):
-        policy_graph(nn.Sequential(nn.Linear(3, 2), nn.Tanh()), 3, 2)
+    with pytest.raises(TypeError, match="type ReLU"):
+        policy_graph(nn.Sequential(nn.Linear(3, 2), nn.ReLU()), 3, 2)
 
 
 def test_the_untrained_policy_hardly_acts():

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from rejoint import repair as work
+from rejoint.arms import load_arm
 from rejoint.cli import offline, show
 from rejoint.cli.console import Terminal
 from rejoint.cli.options import (
@@ -106,6 +107,10 @@ def identify(
 def train(
     run: Run,
     preset: Preset = "default",
+    learner: Annotated[str, typer.Option(help="ppo; or its rivals sac, td3 and ddpg, on the default preset.")] = "ppo",
+    broad: Annotated[
+        bool, typer.Option("--broad", help="Begin RUN here: a policy for any worn myCobot 280, without a twin.")
+    ] = False,
     restart: Annotated[bool, typer.Option("--restart", help="Forget an interrupted training.")] = False,
     seed: RunSeed = None,
     json: Json = False,
@@ -115,13 +120,15 @@ def train(
     Example: `rejoint train runs/mine`
     """
     terminal = Terminal(json=json)
+    if broad:
+        work.begin(run, "emulated:worn", load_arm("mycobot280"), seed or 0)
     job = seeded(work.open_run(run), seed)
     from rejoint.report.sections.training import draw_training
 
     if not job.folder.twin.exists():
         terminal.say(f"{run} has no twin.toml: training on broad ranges instead of on this arm.")
     with terminal.progress("training") as update:
-        result = work.train_stage(job, preset=preset, resume=not restart, on_progress=update)
+        result = work.train_stage(job, preset=preset, learner=learner, resume=not restart, on_progress=update)
     terminal.say(f"Curves: {draw_training(job.folder)}")
     show.training(terminal, result)
     robot = "ROBOT" if job.info.robot.startswith(LOGS) else job.info.robot  # logs cannot be driven

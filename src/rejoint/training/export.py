@@ -34,7 +34,7 @@ def export_policy(path: Path, network: nn.Sequential, contract: PolicyContract) 
 
 
 def policy_graph(network: nn.Sequential, observation_size: int, joints: int) -> onnx.ModelProto:
-    """Build the ONNX graph of a perceptron of linear and ELU layers, with a final clip to [-1, 1]."""
+    """Build the ONNX graph of a perceptron of linear, ELU and tanh layers, with a final clip to [-1, 1]."""
     nodes, weights, last = [], [], INPUT
     for index, layer in enumerate(network):
         output = f"layer{index}"
@@ -45,8 +45,10 @@ def policy_graph(network: nn.Sequential, observation_size: int, joints: int) -> 
             nodes.append(helper.make_node("Gemm", [last, *names], [output], transB=1))
         elif isinstance(layer, nn.ELU):
             nodes.append(helper.make_node("Elu", [last], [output], alpha=float(layer.alpha)))
+        elif isinstance(layer, nn.Tanh):
+            nodes.append(helper.make_node("Tanh", [last], [output]))
         else:
-            raise TypeError(f"cannot export a layer of type {type(layer).__name__}, expected Linear or ELU")
+            raise TypeError(f"cannot export a layer of type {type(layer).__name__}, expected Linear, ELU or Tanh")
         last = output
     weights += [
         numpy_helper.from_array(np.array(value, dtype=np.float32), name) for name, value in (("low", -1), ("high", 1))

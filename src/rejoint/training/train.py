@@ -90,7 +90,7 @@ def train(
     checkpoint and no policy; with `TrainingOptions.resume` it goes on from there to the same end.
     """
     options = TrainingOptions() if options is None else options
-    recipe, folder = _know_stiffness(options.recipe, arm, twin), RunFolder(out)
+    recipe, folder = know_stiffness(options.recipe, arm, twin), RunFolder(out)
     checkpoint, curves = folder.training / "checkpoint.pt", folder.training / "curves.parquet"
     torch.set_num_threads(1)  # measured: networks of this size lose by a second thread
     learner = _learner(arm, twin, recipe, options)
@@ -99,7 +99,7 @@ def train(
         learner.load(checkpoint, identity)
     total = recipe.ppo.iterations
     writer = SummaryWriter(str(folder.training))
-    contract = _contract(arm, twin, recipe, options.seed)
+    contract = policy_contract(arm, twin, recipe, options.seed)
     try:
         while learner.iteration < total:
             if options.snapshot_every and learner.iteration % options.snapshot_every == 0:
@@ -109,13 +109,13 @@ def train(
             if learner.iteration % options.checkpoint_every == 0 and learner.iteration < total:
                 learner.save(checkpoint, identity)
             if on_progress is not None:
-                on_progress(learner.iteration, total, _describe(point))
+                on_progress(learner.iteration, total, describe(point))
     finally:
         writer.close()
     write_curves(curves, learner.curve)
     export_policy(folder.policy, learner.actor.net, contract)
     checkpoint.unlink(missing_ok=True)
-    return _result(folder.policy, curves, recipe, options.seed, learner.curve)
+    return training_result(folder.policy, curves, recipe.name, options.seed, learner.curve)
 
 
 def training_ranges(arm: Arm, twin: Twin | None, preset: Preset) -> Ranges:
@@ -146,7 +146,7 @@ def _learner(arm: Arm, twin: Twin | None, recipe: Preset, options: TrainingOptio
     return Learner(task, recipe.ppo, seed=options.seed)
 
 
-def _know_stiffness(recipe: Preset, arm: Arm, twin: Twin | None) -> Preset:
+def know_stiffness(recipe: Preset, arm: Arm, twin: Twin | None) -> Preset:
     """Tell a law that raises its goals against gravity how soft the servos are: as the twin has it, else the prior."""
     law = recipe.task.law
     if law.anchor != "goal" or law.stiffness:
@@ -168,7 +168,8 @@ def _identity(arm: Arm, twin: Twin | None, recipe: Preset, options: TrainingOpti
     }
 
 
-def _contract(arm: Arm, twin: Twin | None, recipe: Preset, seed: int) -> PolicyContract:
+def policy_contract(arm: Arm, twin: Twin | None, recipe: Preset, seed: int, name: str | None = None) -> PolicyContract:
+    """Write down what a policy was trained for; ``name`` of the recipe where it is not the preset's."""
     return PolicyContract(
         arm=arm.name,
         arm_digest=arm_digest(arm),
@@ -182,7 +183,7 @@ def _contract(arm: Arm, twin: Twin | None, recipe: Preset, seed: int) -> PolicyC
         max_period=recipe.task.max_period,
         probe=(),
         twin_digest="" if twin is None else twin.digest(),
-        preset=recipe.name,
+        preset=name or recipe.name,
         seed=seed,
         software=__version__,
     )
@@ -194,16 +195,18 @@ def _write_scalars(writer: SummaryWriter, point: CurvePoint) -> None:
             writer.add_scalar(tag=f"training/{field.name}", value=getattr(point, field.name), timestep=point.step)
 
 
-def _describe(point: CurvePoint) -> str:
+def describe(point: CurvePoint) -> str:
+    """Say in a few words how a training stands."""
     return f"success {100 * point.success_rate:.0f} %, error {point.error_mm:.2f} mm, reward {point.reward:.2f}"
 
 
-def _result(policy: Path, curves: Path, recipe: Preset, seed: int, curve: Sequence[CurvePoint]) -> TrainingResult:
+def training_result(policy: Path, curves: Path, recipe: str, seed: int, curve: Sequence[CurvePoint]) -> TrainingResult:
+    """Sum up a training by its last updates."""
     recent = curve[-5:]  # chosen: the targets that end within a few updates are enough for a percent
     return TrainingResult(
         policy=policy,
         curves=curves,
-        preset=recipe.name,
+        preset=recipe,
         seed=seed,
         steps=curve[-1].step,
         success_rate=float(np.mean([point.success_rate for point in recent])),
