@@ -28,7 +28,7 @@ from rejoint.evaluation.tables import terminal_tables
 from rejoint.evaluation.trials import TrialSettings, try_controller
 
 ARM = mycobot280()
-WITHIN = (0.010, 0.005, 0.002)
+SETTINGS = TrialSettings(family=Family(arms=3, targets=2), protocol=Protocol())
 
 
 def outcome(settled_mm: np.ndarray, stay: np.ndarray | None = None, cycle: float = 5.0) -> Outcome:
@@ -136,7 +136,7 @@ def test_the_best_rival_is_the_soonest_and_not_a_policy():
     ]
     stays = {"slow": 2.0, "fast": 1.5, "p #0": 1.0}
     outcomes = {("worn", n): outcome(np.full((3, 2), 0.3), np.full((3, 2), s)) for n, s in stays.items()}
-    result = summarise(ARM, Family(arms=3, targets=2), Protocol(), contestants, outcomes)
+    result = summarise(ARM, SETTINGS, contestants, {"worn": "worn arms"}, outcomes)
     assert result.best == {"worn": "fast"}
     assert {pair.rival for pair in result.pairs} == {"slow", "fast"}
     assert result.row("worn", "p").seeds == 1

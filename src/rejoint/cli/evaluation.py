@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -15,11 +15,20 @@ from rejoint.cli.options import Json, Seed, controller_names
 from rejoint.errors import InputError
 from rejoint.runs import read_json, write_json
 
+if TYPE_CHECKING:
+    from rejoint.evaluation.result import Evaluation
+
 OUT = Path("runs") / "family"
 
 
 def evaluate(
-    family: Annotated[bool, typer.Option("--family", help="On arms of the worn family that nothing was chosen on.")],
+    family: Annotated[
+        bool, typer.Option("--family", help="On arms of the worn family that nothing was chosen on.")
+    ] = False,
+    identification: Annotated[
+        int | None, typer.Option(help="On so many arms, each diagnosed, identified and trained for.", min=1)
+    ] = None,
+    iterations: Annotated[int | None, typer.Option(help="Updates of those trainings instead of the preset's.")] = None,
     policy: Annotated[list[Path] | None, typer.Option(help="Policy file; repeatable, such as one per seed.")] = None,
     controllers: Annotated[
         str, typer.Option(help="Comma-separated baselines and rivals, 'all' or 'none'.")
@@ -38,19 +47,27 @@ def evaluate(
 ) -> None:
     """Try controllers on a hundred arms that nobody has met, and on the same under conditions that make it hard.
 
-    Example: `rejoint evaluate --family --policy runs/a/policy.onnx --policy runs/b/policy.onnx`
+    Example: `rejoint evaluate --family --policy runs/a/policy.onnx --policy runs/b/policy.onnx`, or what a twin of
+    one's own buys: `rejoint evaluate --identification 6 --policy runs/broad/policy.onnx --out runs/identified`
     """
     from rejoint.comparison.result import Protocol
     from rejoint.evaluation.contestants import classical, known_names, learned
     from rejoint.evaluation.evaluate import evaluate as run
     from rejoint.evaluation.family import VARIANTS, Family, find_variant
-    from rejoint.evaluation.tables import terminal_tables
+    from rejoint.evaluation.identification import evaluate_identification
     from rejoint.evaluation.trials import TrialSettings
 
-    if not family:
-        raise InputError("evaluate needs --family: the arms that controllers are tried on")
+    if family == (identification is not None):
+        raise InputError("evaluate needs either --family or --identification N: the arms that controllers are tried on")
     terminal = Terminal(json=json)
     arm = load_arm("mycobot280")
+    if identification is not None:
+        few = Family(arms=identification, targets=targets, seed=seed)
+        settings = TrialSettings(family=few, protocol=Protocol(), crossing=crossing, threads=threads)
+        with terminal.progress("evaluating") as update:
+            found = evaluate_identification(arm, policy or [], settings, out, iterations, update)
+        _show(terminal, found, out)
+        return
     names = {"all": known_names(), "none": ()}.get(controllers, controller_names(controllers))
     tuned = {} if gains is None else read_json(gains, dict[str, dict[str, float]])
     contestants = [classical(name, tuned) for name in names] + [learned(path, arm) for path in policy or []]
@@ -62,11 +79,7 @@ def evaluate(
     )
     with terminal.progress("evaluating") as update:
         result = run(arm, contestants, chosen, settings, out, update)
-    for title, headers, rows in terminal_tables(result):
-        terminal.table(title, headers, rows)
-    counted = f"{len(result.failures)} holds failed; they are listed one by one on the page"
-    terminal.result(f"{counted}: {(out / 'evaluation.html').resolve()}")
-    terminal.finish({"out": str(out), "best": result.best, "rows": result.rows, "pairs": result.pairs})
+    _show(terminal, result, out)
 
 
 def tune(
@@ -105,3 +118,13 @@ def tune(
     terminal.table(rival, ["gain", "value"], [[name, f"{value:.3g}"] for name, value in found.items()])
     terminal.result(f"Next: rejoint evaluate --family --controllers {rival} --gains {out}")
     terminal.finish({"rival": rival, "gains": found, "out": str(out)})
+
+
+def _show(terminal: Terminal, result: Evaluation, out: Path) -> None:
+    from rejoint.evaluation.tables import terminal_tables
+
+    for title, headers, rows in terminal_tables(result):
+        terminal.table(title, headers, rows)
+    counted = f"{len(result.failures)} holds failed; they are listed one by one on the page"
+    terminal.result(f"{counted}: {(out / 'evaluation.html').resolve()}")
+    terminal.finish({"out": str(out), "best": result.best, "rows": result.rows, "pairs": result.pairs})

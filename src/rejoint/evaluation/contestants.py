@@ -13,6 +13,11 @@ from rejoint.control.controller import Controller
 from rejoint.control.policy import load_policy
 from rejoint.errors import InputError
 from rejoint.rivals.catalogue import RIVALS, make_rival
+from rejoint.rivals.mpc import MpcController, MpcSettings
+from rejoint.twin.parameters import nominal_parameters
+
+MPC = "mpc"
+"""Model predictive control; on the nominal twin where nothing has been identified"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -31,19 +36,25 @@ class Contestant:
 
 def known_names() -> tuple[str, ...]:
     """Names that need no file."""
-    return (*BASELINES, *RIVALS)
+    return (*BASELINES, *RIVALS, MPC)
 
 
 def classical(name: str, gains: Mapping[str, Mapping[str, float]] | None = None) -> Contestant:
     """Baseline or rival by name; ``gains`` by rival replace those it comes with; InputError names the alternatives."""
     if name in BASELINES:
         return Contestant(name=name, group=name, make=BASELINES[name], identity=name)
+    if name == MPC:
+        return Contestant(name=name, group=name, make=_nominal_mpc, identity=f"{name} {MpcSettings()}")
     if name not in RIVALS:
         raise InputError(f"no controller is called {name!r}; known: {', '.join(known_names())}, and --policy FILE")
     own = dict((gains or {}).get(name, RIVALS[name].gains))
     return Contestant(
         name=name, group=name, make=lambda arm: make_rival(name, arm, own), identity=f"{name} {sorted(own.items())}"
     )
+
+
+def _nominal_mpc(arm: Arm) -> Controller:
+    return MpcController(arm, nominal_parameters(arm))
 
 
 def learned(path: Path, arm: Arm) -> Contestant:

@@ -15,7 +15,7 @@ from rejoint.evaluation.family import Variant
 from rejoint.evaluation.outcome import Outcome, read_outcome, write_outcome
 from rejoint.evaluation.page import write_page
 from rejoint.evaluation.result import Evaluation
-from rejoint.evaluation.summary import group, summarise
+from rejoint.evaluation.summary import Outcomes, group, summarise
 from rejoint.evaluation.trials import TrialSettings, try_controller
 from rejoint.runs import write_json
 
@@ -53,12 +53,18 @@ def evaluate(
                 found = try_controller(arm, variant, one.make, settings, report)
                 write_outcome(path, found, identity)
             outcomes[variant.name, one.name] = found
-    result = summarise(arm, family, settings.protocol, contestants, outcomes)
+    return conclude(arm, settings, contestants, {v.name: v.meaning for v in variants}, outcomes, folder)
+
+
+def conclude(
+    arm: Arm, settings: TrialSettings, contestants: Sequence[Contestant], meanings: dict[str, str], outcomes: Outcomes,
+    folder: Path,
+) -> Evaluation:  # fmt: skip
+    """Sum up and write ``evaluation.json`` and ``evaluation.html``."""
+    result = summarise(arm, settings, contestants, meanings, outcomes)
     write_json(folder / "evaluation.json", result)
     groups = group(contestants)
-    pooled = {
-        (v.name, name): [outcomes[v.name, one] for one in ones] for v in variants for name, ones in groups.items()
-    }
+    pooled = {(v, name): [outcomes[v, one] for one in ones] for v in meanings for name, ones in groups.items()}
     write_page(folder / "evaluation.html", result, pooled)
     return result
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from rejoint.arms import Array
-from rejoint.evaluation.family import FAMILY_SIZE, find_variant
+from rejoint.evaluation.family import FAMILY_SIZE
 from rejoint.evaluation.outcome import Outcome
 from rejoint.evaluation.result import Evaluation
 from rejoint.evaluation.tables import HEADERS, pair_cells, pair_headers, row_cells
@@ -53,7 +53,7 @@ def _verdict(evaluation: Evaluation) -> list[str]:
             "nearer" if settled.high < 0 else "farther off" if settled.low > 0 else "neither nearer nor farther off"
         )
         lines.append(
-            f"{find_variant(pair.variant).meaning}: {pair.controller} is within "
+            f"{evaluation.meanings[pair.variant]}: {pair.controller} is within "
             f"{1e3 * evaluation.protocol.within[-1]:g} mm {faster} than {pair.rival} (median ratio {ratio.value:.2f}) "
             f"and settles {nearer} ({1e3 * settled.value:+.2f} mm)."
         )
@@ -62,7 +62,7 @@ def _verdict(evaluation: Evaluation) -> list[str]:
 
 def _variant_section(evaluation: Evaluation, name: str, pooled: Pooled) -> Section:
     rows = [row for row in evaluation.rows if row.variant == name]
-    best, meaning = evaluation.best.get(name, ""), find_variant(name).meaning
+    best, meaning = evaluation.best.get(name, ""), evaluation.meanings[name]
     table = Table(
         caption=f"{evaluation.family.arms} {meaning}",
         headers=("controller", *HEADERS),

@@ -76,6 +76,8 @@ class Evaluation:
     family: Family
     protocol: Protocol
     variants: tuple[str, ...]
+    meanings: dict[str, str]
+    """of the variants, in words"""
     controllers: tuple[str, ...]
     rows: tuple[Row, ...]
     best: dict[str, str]

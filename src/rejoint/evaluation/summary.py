@@ -12,20 +12,20 @@ from rejoint.comparison.result import Estimate, Protocol
 from rejoint.comparison.statistics import Labels, bootstrap_mean, clustered_share
 from rejoint.evaluation.contestants import Contestant
 from rejoint.evaluation.failures import FAR, list_failures
-from rejoint.evaluation.family import Family
 from rejoint.evaluation.outcome import Outcome
 from rejoint.evaluation.paired import difference, time_ratio
 from rejoint.evaluation.result import Evaluation, Pair, Row, Within
+from rejoint.evaluation.trials import TrialSettings
 
 Outcomes = Mapping[tuple[str, str], Outcome]
 """By variant and contestant"""
 
 
 def summarise(
-    arm: Arm, family: Family, protocol: Protocol, contestants: Sequence[Contestant], outcomes: Outcomes
+    arm: Arm, settings: TrialSettings, contestants: Sequence[Contestant], meanings: dict[str, str], outcomes: Outcomes
 ) -> Evaluation:
-    """Compute every number of an evaluation."""
-    variants = tuple(dict.fromkeys(variant for variant, _ in outcomes))
+    """Compute every number of an evaluation; ``meanings`` says what its variants are."""
+    family, protocol, variants = settings.family, settings.protocol, tuple(meanings)
     groups = group(contestants)
     pooled = {(v, g): [outcomes[v, name] for name in names] for v in variants for g, names in groups.items()}
     rows = tuple(make_row(v, g, pooled[v, g], protocol) for v in variants for g in groups)
@@ -45,7 +45,7 @@ def summarise(
         for failure in list_failures(arm, v, one.name, outcomes[v, one.name])
     ]
     return Evaluation(
-        arm=arm.name, software=__version__, family=family, protocol=protocol, variants=variants,
+        arm=arm.name, software=__version__, family=family, protocol=protocol, variants=variants, meanings=meanings,
         controllers=tuple(groups), rows=rows, best={v: name for v, name in best.items() if name},
         pairs=tuple(pairs), failures=tuple(failures),
     )  # fmt: skip

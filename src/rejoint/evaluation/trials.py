@@ -37,23 +37,46 @@ class TrialSettings:
     threads: int = 1
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Bench:
+    """Arms and their targets."""
+
+    open: Callable[[], EmulatedRobot]
+    """puts all arms at rest, as a new batch"""
+    targets: Array
+    """(A, max(K, C), 3) [m]"""
+    wear_seed: Array
+    """(A,)"""
+
+
 def try_controller(
     arm: Arm, variant: Variant, controller: Callable[[Arm], Controller], settings: TrialSettings, on_targets: OnTargets
 ) -> Outcome:
-    """Hold every arm at its targets, then send it through the crossing protocol; the guard's trips end single arms."""
+    """Try a controller on all arms of a variant."""
     family = settings.family
-    targets = family_targets(arm, family, max(family.targets, family.crossings))
-    robot = open_family(arm, variant, family, settings.threads)
+    bench = Bench(
+        open=lambda: open_family(arm, variant, family, settings.threads),
+        targets=family_targets(arm, family, max(family.targets, family.crossings)),
+        wear_seed=np.array([family.wear_seed(i) for i in range(family.arms)], dtype=float),
+    )
+    return try_on(arm, bench, controller, settings, on_targets)
+
+
+def try_on(
+    arm: Arm, bench: Bench, controller: Callable[[Arm], Controller], settings: TrialSettings, on_targets: OnTargets
+) -> Outcome:
+    """Hold every arm at its targets, then send it through the crossing protocol; the guard's trips end single arms."""
+    family, targets, robot = settings.family, bench.targets, bench.open()
     watch = _Watch(robot, on_targets)
     held = targets[:, : family.targets]
     plan = schedule("hold", settings.protocol, keep_going=True)
     recording = run(robot, controller(arm), held, plan, on_cycle=watch)
     holds = measure_holds(arm, recording, held, settings.protocol)
     last = _last_seconds(arm, recording, np.array(watch.torque), held, settings.protocol)
-    crossed = _unknown((family.arms, family.crossings))
+    crossed = _unknown((len(targets), family.crossings))
     results = {"error": crossed.copy(), "true_error": crossed.copy(), "time": crossed.copy()}
     if settings.crossing:
-        robot = open_family(arm, variant, family, settings.threads)
+        robot = bench.open()
         points = targets[:, : family.crossings]
         plan = schedule("crossing", settings.protocol, keep_going=True)
         found = measure_crossings(
@@ -65,10 +88,10 @@ def try_controller(
         crossed = found.crossed
         results = {name: getattr(found, name) for name in results}
     return Outcome(
-        wear_seed=np.array([family.wear_seed(i) for i in range(family.arms)], dtype=float),
-        target=held, settled=holds.settled, settled_true=holds.settled_true, oscillation=holds.oscillation,
-        stay=np.moveaxis(holds.stay, 0, -1), tripped=recording.tripped.astype(float), **last, crossed=crossed,
-        crossing_error=results["error"], crossing_true=results["true_error"], crossing_time=results["time"],
+        wear_seed=bench.wear_seed, target=held, settled=holds.settled, settled_true=holds.settled_true,
+        oscillation=holds.oscillation, stay=np.moveaxis(holds.stay, 0, -1), tripped=recording.tripped.astype(float),
+        **last, crossed=crossed, crossing_error=results["error"], crossing_true=results["true_error"],
+        crossing_time=results["time"],
     )  # fmt: skip
 
 

@@ -1,0 +1,190 @@
+"""Model predictive control on a twin: sampled command trajectories, rolled out side by side on `mujoco.batch`.
+
+Model predictive path integral control (Williams et al., "Information theoretic MPC for model-based reinforcement
+learning", ICRA 2017): each cycle, candidates around the last plan are simulated, and their average weighted by
+exp(-cost) is sent. Some candidates are not random: the command that holds the goal in the model, and the same
+overdriven. What the model lacks is estimated as an offset of the commands, so that no error remains at
+rest (offset-free MPC: Pannocchia and Rawlings, AIChE Journal 49(2), 2003). The plan starts from where the
+twin says the arm will be when the first new command arrives.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rejoint.arms import Arm, Array, frames, gravity_torque, position_jacobian
+from rejoint.control.controller import Situation
+from rejoint.control.goal import Goal
+from rejoint.control.law import limit_lead, limit_position
+from rejoint.control.pace import Pace
+from rejoint.control.robot import Mask
+from rejoint.training.wire import Wire
+from rejoint.twin.batch import TwinBatch
+from rejoint.twin.parameters import TwinParameters
+from rejoint.twin.reference import approach
+
+_OVERDRIVE = np.array([-0.5, 0.0, 0.5, 1.0, 2.0, 4.0])
+"""Shares of the way to the goal that are added to the goal's command, as candidates (chosen)"""
+_SHADOW_STEPS = 4
+
+
+@dataclass(frozen=True, kw_only=True)
+class MpcSettings:
+    """How the plan is made; all chosen on twins."""
+
+    samples: int = 32
+    """candidates per arm and cycle, the overdriven ones among them"""
+    timestep: float = 0.008
+    """[s] of the rollouts"""
+    horizon: float = 0.28
+    """[s] beyond the dead time"""
+    bend: float = 0.12
+    """[s] in which a candidate moves from its first to its last command"""
+    spread_floor: float = float(np.radians(0.15))
+    """[rad] of the random candidates"""
+    spread_slope: float = 0.25
+    """their growth with the largest joint error"""
+    temperature: float = 0.1
+    """of the weights, by the spread of the costs"""
+    near: float = 0.003
+    """[m] distance that costs half as much as far away"""
+    effort: float = 0.3
+    """[1/rad] cost of the change of the command"""
+    correction: float = 0.4
+    """share of the prediction error taken over into the twin's position each cycle"""
+    offset_rate: float = 4.0
+    """[1/s] the same into the offset of the commands"""
+    lead: float = float(np.radians(20.0))
+    """[rad] largest distance between command and measured position"""
+    offset_limit: float = float(np.radians(30.0))
+    seed: int = 0
+
+
+class MpcController:
+    """Plans for B arms on their twins, one set of parameters for all or (B,) of them."""
+
+    name = "mpc"
+
+    def __init__(self, arm: Arm, twin: TwinParameters, settings: MpcSettings | None = None) -> None:
+        self._arm, self._given, self._settings = arm, twin, settings or MpcSettings()
+        self._goal, self._pace = Goal(arm), Pace()
+        self._count = 0
+        self._rng = np.random.default_rng(self._settings.seed)
+
+    def reset(self, situation: Situation, where: Mask) -> None:
+        """Take over new targets of the arms in ``where`` (B,); offsets and twins carry over."""
+        if self._count != len(situation.sent):
+            self._begin(situation)
+        self._goal.reset(situation, where)
+        goal = self._goal.position[where]
+        self._jacobian[where] = position_jacobian(self._arm, frames(self._arm, goal))
+        self._holding[where] = goal + gravity_torque(self._arm, goal) / self._twin.stiffness[where]
+        self._holding[where] -= self._twin.offset[where]
+        self._plan[where] = (self._holding - self._offset)[where, None]
+
+    def command(self, situation: Situation) -> Array:
+        """Return the first command of the plan, (B, n) [rad]."""
+        self._follow(situation)
+        candidates = self._candidates(situation)
+        costs = self._costs(situation, candidates)
+        best = costs.min(axis=1, keepdims=True)
+        spread = np.maximum(costs.std(axis=1, keepdims=True), 1e-9)
+        weights = np.exp(-(costs - best) / (self._settings.temperature * spread))
+        weights /= weights.sum(axis=1, keepdims=True)
+        self._plan = (weights[:, :, None, None] * candidates).sum(axis=1)
+        return limit_position(self._arm, self._plan[:, 0])
+
+    def _begin(self, situation: Situation) -> None:
+        self._count, n = situation.sent.shape
+        settings = self._settings
+        self._twin = self._given.repeat(self._count) if self._given.shape == () else self._given
+        self._shadow = TwinBatch(self._arm, self._count)
+        self._shadow.write(self._twin)
+        self._shadow.restart(situation.state.position)
+        self._rollouts = TwinBatch(self._arm, self._count * settings.samples, settings.timestep)
+        each = np.repeat(np.arange(self._count), settings.samples)
+        self._rollouts.write(self._twin[each])
+        self._wire = Wire(self._count, n, _SHADOW_STEPS)
+        self._wire.command_delay[:] = self._twin.delay
+        self._wire.clear(np.ones(self._count, dtype=bool), situation.sent, situation.state.position)
+        self._reference = situation.sent.copy()
+        self._time = situation.state.time.copy()
+        self._jacobian = np.zeros((self._count, 3, n))
+        self._holding, self._offset = np.zeros((2, self._count, n))
+        self._plan = np.zeros((self._count, 2, n))  # first command, and the one after `bend`
+
+    def _follow(self, situation: Situation) -> None:
+        """Bring the shadow twins to now, and learn from what they missed."""
+        settings, now = self._settings, situation.state.time
+        elapsed = self._pace.tick(now)
+        if (now <= self._time).all():
+            return
+        self._wire.send(situation.sent, self._time)
+        substep = np.maximum(elapsed, 1e-4) / _SHADOW_STEPS
+        self._shadow.set_timestep(substep)
+        goals = self._wire.in_force(self._time[:, None] + substep[:, None] * np.arange(_SHADOW_STEPS))
+        for k in range(_SHADOW_STEPS):
+            self._reference = approach(self._reference, goals[:, k], (self._twin.ramp_speed * substep)[:, None])
+            self._shadow.ctrl[:] = self._reference + self._offset
+            self._shadow.step()
+        missed = situation.state.position - self._shadow.qpos
+        self._shadow.qpos[:] += settings.correction * missed
+        self._shadow.qvel[:] += 0.5 * settings.correction**2 * missed / np.maximum(elapsed, 1e-3)[:, None]
+        learned = self._offset + settings.offset_rate * elapsed[:, None] * missed
+        self._offset = np.clip(learned, -settings.offset_limit, settings.offset_limit)
+        self._time = now.copy()
+
+    def _candidates(self, situation: Situation) -> Array:
+        """Commands (B, K, 2, n) [rad]: first, and after the bend."""
+        settings, measured = self._settings, situation.state.position
+        way = self._goal.position - self._shadow.qpos
+        holding = self._holding - self._offset
+        driven = holding[:, None] + _OVERDRIVE[:, None] * way[:, None]
+        fixed = np.stack([driven, np.broadcast_to(holding[:, None], driven.shape)], axis=2)
+        count = settings.samples - len(_OVERDRIVE) - 1
+        spread = settings.spread_floor + settings.spread_slope * np.abs(way).max(axis=1)
+        noise = self._rng.standard_normal((len(measured), count, *self._plan.shape[1:]))
+        random = self._plan[:, None] + spread[:, None, None, None] * noise
+        every = np.concatenate([fixed, self._plan[:, None], random], axis=1)
+        return limit_lead(every, measured[:, None, None], settings.lead)
+
+    def _costs(self, situation: Situation, candidates: Array) -> Array:
+        """Cost (B, K) of candidates in the twins."""
+        settings, samples = self._settings, self._settings.samples
+        count, n = situation.sent.shape
+        delay, timestep = self._twin.delay, settings.timestep
+        steps = int(np.ceil((float(delay.max()) + settings.horizon) / timestep))
+        ahead = np.linspace(0.0, (steps - 1) * timestep, steps)
+        sent = self._in_force_with(situation, ahead)
+        since = ahead - delay[:, None]
+        share = np.clip(since / settings.bend, 0.0, 1.0)[:, None, :, None]
+        first, last = candidates[:, :, 0, None], candidates[:, :, 1, None]
+        wanted = np.where((since >= 0.0)[:, None, :, None], first + share * (last - first), sent[:, None])
+        control = np.empty((count, samples, steps, n))
+        reference, reach = self._reference[:, None], (self._twin.ramp_speed * timestep)[:, None, None]
+        for k in range(steps):
+            reference = approach(reference, wanted[:, :, k], reach)
+            control[:, :, k] = reference
+        control += self._offset[:, None, None]
+        self._rollouts.restart(np.repeat(self._shadow.qpos, samples, axis=0))
+        self._rollouts.qvel[:] = np.repeat(self._shadow.qvel, samples, axis=0)
+        passed = self._rollouts.rollout(control.reshape(-1, steps, n)).reshape(count, samples, steps, n)
+        return self._judge(situation, candidates, passed)
+
+    def _in_force_with(self, situation: Situation, ahead: Array) -> Array:
+        """Commands (B, N, n) that are on their way or in force at ``ahead`` (N,) [s] from now, without new ones."""
+        return self._wire.in_force(situation.state.time[:, None] + ahead)
+
+    def _judge(self, situation: Situation, candidates: Array, passed: Array) -> Array:
+        """Mean over the horizon of the distance's cost, and the effort; distances by the goal's Jacobian."""
+        settings = self._settings
+        miss = passed - self._goal.position[:, None, None]
+        error = np.einsum("bij,bktj->bkti", self._jacobian, miss)
+        distance = np.sqrt((error**2).sum(axis=-1))
+        ahead = distance / (distance + settings.near) + 10.0 * distance
+        rest = np.abs(passed[:, :, -1] - passed[:, :, -3]).sum(axis=-1)  # still moving at the end
+        change = np.abs(candidates[:, :, 0] - situation.sent[:, None]).mean(axis=-1)
+        posture = (miss[:, :, -1] ** 2).sum(axis=-1)  # the null space, which the distance does not see
+        return ahead.mean(axis=-1) + 2.0 * rest + settings.effort * change + posture
