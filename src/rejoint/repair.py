@@ -30,7 +30,7 @@ from rejoint.control.policy import PolicyController
 from rejoint.control.robot import Robot
 from rejoint.errors import FileError, InputError
 from rejoint.robots import open_robot
-from rejoint.runs import RunFolder, RunInfo, RunLog, read_json, read_log, write_json, write_log
+from rejoint.runs import LOGS, RunFolder, RunInfo, RunLog, read_json, read_log, write_json, write_log
 
 if TYPE_CHECKING:  # these need the simulator, which a Raspberry Pi does not have
     from rejoint.diagnosis.diagnosis import Diagnosis
@@ -161,7 +161,9 @@ def identify_stage(run: Run, *, on_progress: OnProgress = silent) -> Twin:
     from rejoint.twin.identify import IdentifySettings, identify
 
     if not run.folder.log("excitation").exists():
-        raise FileError(run.folder.log("excitation"), "no such file", f"run first: rejoint diagnose {run.info.robot}")
+        robot, logs = run.info.robot, run.info.robot.removeprefix(LOGS)
+        given = f"identify --logs {logs} --arm {run.arm.name}" if robot.startswith(LOGS) else f"diagnose {robot}"
+        raise FileError(run.folder.log("excitation"), "no such file", f"run: rejoint {given} --run {run.folder.path}")
     log = read_log(run.folder.log("excitation"))
     twin = identify(
         run.arm, [log], IdentifySettings(seed=run.info.seed), lambda what, share: on_progress(share, 1.0, what)

@@ -29,6 +29,9 @@ T = TypeVar("T")
 FORMAT = 1
 """Version of the run-log layout; a reader refuses others."""
 
+LOGS = "logs:"
+"""Beginning of what stands for the robot of a run that was made from logs alone; their folder follows"""
+
 _METADATA_KEY = b"rejoint"
 _AXES = ("x", "y", "z")
 
@@ -82,6 +85,14 @@ class RunLog:
 
     def __len__(self) -> int:
         return len(self.time)
+
+    def require(self, arm: str, joint_names: tuple[str, ...]) -> None:
+        """Raise InputError unless the log is of that arm, its joints in that order."""
+        if self.arm != arm:
+            raise InputError(f"run log {self.label} is of arm {self.arm}, expected {arm}; name its arm with --arm")
+        if self.joint_names != joint_names:
+            found, expected = ", ".join(self.joint_names), ", ".join(joint_names)
+            raise InputError(f"run log {self.label} has joints {found}, expected {expected}; import it again")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -184,7 +195,9 @@ def read_log(path: Path) -> RunLog:
     remedy = "record it again or take another file"
     try:
         table = pq.read_table(path, page_checksum_verification=True)
-        header = json.loads((table.schema.metadata or {})[_METADATA_KEY])
+        if _METADATA_KEY not in (table.schema.metadata or {}):
+            raise FileError(path, "no run log, but some other table", "turn it into one with `rejoint import`")
+        header = json.loads(table.schema.metadata[_METADATA_KEY])
         if header["format"] != FORMAT:
             raise FileError(path, f"run log of format {header['format']}, expected {FORMAT}", remedy)
         names = tuple(header["joints"])

@@ -14,6 +14,7 @@ from rejoint.arms.loading import read_arm
 from rejoint.cli.console import Terminal
 from rejoint.errors import InputError
 from rejoint.robots import DEFAULT_ARM, default_arm
+from rejoint.runs import LOGS
 
 ROBOT_HELP = "Robot: emulated:PROFILE (in process), tcp://HOST:PORT, or serial:///dev/ttyAMA0."
 
@@ -57,7 +58,7 @@ def choose_arm(
 
 def run_of_logs(arm: Arm, logs: Path, path: Path | None, seed: int) -> repair.Run:
     """Prepare the run of a folder of logs: the one at ``path``, or the newest one of these logs, or a new one."""
-    robot = f"logs:{logs}"
+    robot = f"{LOGS}{logs}"
     return repair.prepare(path or repair.newest_or_new(robot, arm, seed)[0], robot, arm, seed)
 
 

@@ -42,7 +42,7 @@ class Diagnosis:
     robot: str
     """address"""
     condition: str
-    """ok, worn or bad"""
+    """ok, worn or bad; unknown where logs of other motion do not tell"""
     verdict: str
     """for the owner, in sentences"""
     findings: tuple[Finding, ...]

@@ -45,8 +45,7 @@ def diagnose_logs(
     if healthy is not None and healthy.arm != arm.name:
         raise InputError(f"the healthy reference is of arm {healthy.arm}, expected {arm.name}")
     for log in logs:
-        if log.arm != arm.name or len(log.joint_names) != arm.joints:
-            raise InputError(f"run log {log.label} is of arm {log.arm}, expected {arm.name}")
+        log.require(arm.name, arm.joint_names)
     on_progress("contacts and stops", 0.0)
     height = table_height(arm, logs)
     excluded = find_exclusions(arm, logs, height)
@@ -65,7 +64,8 @@ def diagnose_logs(
     measurement = Measurement(joints=tuple(rows), delay_s=None, period_s=float(np.median(np.diff(data.log.time))))
     findings = find(arm, measurement, rest if len(rest.position) else _everywhere(logs, excluded), healthy)
     return Diagnosis(
-        arm=arm.name, robot=source, condition=condition_of(findings), verdict=_verdict(evidence, findings, healthy),
+        arm=arm.name, robot=source, condition=_condition(measurement, findings),
+        verdict=f"{_motions(evidence, healthy)} {_verdict(measurement, findings, healthy)}",
         findings=findings, unseen=_unseen(measurement), open_loop=None, measurement=measurement, healthy=healthy,
         evidence=evidence,
     )  # fmt: skip
@@ -119,7 +119,8 @@ def _everywhere(logs: Sequence[RunLog], excluded: Sequence[Exclusions]) -> Postu
     )
 
 
-def _verdict(evidence: Evidence, findings: tuple[Finding, ...], healthy: HealthyReference | None) -> str:
+def _motions(evidence: Evidence, healthy: HealthyReference | None) -> str:
+    """Say what the logs show, and how far the tool rests from where it was sent."""
     motions = f"{evidence.motions} recorded motion{'s' * (evidence.motions != 1)}"
     first = f"{motions}, {evidence.free_seconds:.0f} s of them in free space{left_out(evidence)}."
     error = evidence.rest_error_mm
@@ -130,15 +131,32 @@ def _verdict(evidence: Evidence, findings: tuple[Finding, ...], healthy: Healthy
             f" Where it rests, the tool is {error.value:.1f} mm{likely} from where it was sent, by the arm's own "
             f"encoders{usual}."
         )
+    return first
+
+
+def _untold(measurement: Measurement) -> list[str]:
+    """Joints of which these logs say nothing: neither how they move nor that they do not."""
+    return [row.joint for row in measurement.joints if row.hysteresis_rad is None]
+
+
+def _condition(measurement: Measurement, findings: tuple[Finding, ...]) -> str:
+    nothing = not findings and len(_untold(measurement)) == len(measurement.joints)
+    return "unknown" if nothing else condition_of(findings)
+
+
+def _verdict(measurement: Measurement, findings: tuple[Finding, ...], healthy: HealthyReference | None) -> str:
+    untold = _untold(measurement)
+    if not findings and len(untold) == len(measurement.joints):
+        return "Whether the arm is worn cannot be told: no joint moves slowly and in both directions for long enough."
     if not findings:
-        return f"{first} No joint shows wear in these logs."
+        return f"No joint shows wear in these logs{'; they do not tell about ' * bool(untold)}{', '.join(untold)}."
     joints = {finding.joint: finding for finding in reversed(findings)}  # the worst finding of a joint wins
     worst = sorted(joints.values(), key=lambda f: -f.tcp_mm)
     named = "; ".join(f"{f.joint} is {KINDS[f.kind]} ({f.tcp_mm:.1f} mm)" for f in worst[:3])
     more = len(worst) - 3
     others = "" if more <= 0 else f" {more} more joint{'s show' if more > 1 else ' shows'} wear."
     against = "" if healthy is None else f" Compared with {healthy.source}."
-    return f"{first} What stands out: {named}.{others}{against}"
+    return f"What stands out: {named}.{others}{against}"
 
 
 def _unseen(measurement: Measurement) -> tuple[str, ...]:

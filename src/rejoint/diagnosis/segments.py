@@ -54,8 +54,7 @@ class ExcitationLog:
     @classmethod
     def of(cls, arm: Arm, log: RunLog) -> ExcitationLog:
         """Read the segments that a log carries; InputError if it is of another arm or carries none."""
-        if log.arm != arm.name or len(log.joint_names) != arm.joints:
-            raise InputError(f"run log {log.label} is of arm {log.arm}, expected {arm.name}")
+        log.require(arm.name, arm.joint_names)
         if _KEY not in log.extra:
             raise InputError(f"run log {log.label} holds no excitation; record one with `rejoint diagnose`")
         try:

@@ -13,7 +13,6 @@ import numpy as np
 
 from rejoint.arms import Arm, Array
 from rejoint.diagnosis.segments import ExcitationLog, Segment
-from rejoint.errors import InputError
 from rejoint.exclusions import Exclusions, Rows, free_runs
 from rejoint.runs import RunLog
 
@@ -50,8 +49,7 @@ def join_logs(arm: Arm, logs: Sequence[RunLog], excluded: Sequence[Exclusions]) 
     segments: list[Segment] = []
     times, begin = [], 0.0
     for number, (log, rows) in enumerate(zip(logs, excluded, strict=True)):
-        if log.arm != arm.name or len(log.joint_names) != arm.joints:
-            raise InputError(f"run log {log.label} is of arm {log.arm}, expected {arm.name}")
+        log.require(arm.name, arm.joint_names)
         time = log.time - log.time[0] + begin
         segments += _spans(number, log, rows.free, time)
         times.append(time)

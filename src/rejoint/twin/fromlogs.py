@@ -108,6 +108,8 @@ def identify_logs(
     ``on_progress`` is called with the stage and the fraction done. InputError if the logs are of another
     arm, hold too little free motion, or lack a motion that is to be held out.
     """
+    for log in logs:
+        log.require(arm.name, arm.joint_names)
     seen, unseen = hold_out(logs, settings)
     height = settings.table_height if settings.table_height is not None else table_height(arm, seen)
     excluded = find_exclusions(arm, seen, height)

@@ -134,6 +134,8 @@ def judge(
         raise InputError(
             f"replay: {len(logs)} logs and twins called {', '.join(names[1:])}; needs one of each at least"
         )
+    for log in logs:
+        log.require(arm.name, arm.joint_names)
     table = table_height(arm, logs) if table is None else table
     rows = find_exclusions(arm, logs, table)
     paths = [_no_twin(logs), *(_paths(arm, c, logs, timestep, threads) for c in candidates)]

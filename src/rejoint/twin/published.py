@@ -28,7 +28,7 @@ from rejoint.twin.unknown import unknown_prior
 
 _OPTIONAL = {"offset": 0.0, "delay": 0.0}
 _LIMITLESS = ("torque_limit", "ramp_speed")
-_REMEDY = "write it as `rejoint.twin.published` shows"
+_REMEDY = "docs/published holds examples"
 
 
 def read_published(path: Path, arm: Arm) -> Candidate:

@@ -70,8 +70,7 @@ class Replay:
         on_table: bool = False,
     ) -> None:
         for log in logs:
-            if log.arm != arm.name or log.position.shape[1] != arm.joints:
-                raise InputError(f"run log {log.label}: of arm {log.arm!r}, expected {arm.name!r}")
+            log.require(arm.name, arm.joint_names)
         if not windows:
             raise InputError("replay: no windows; a run log needs at least three rows")
         self.arm, self.logs, self.windows = arm, list(logs), list(windows)

@@ -12,13 +12,11 @@ from rejoint.comparison.result import Comparison
 from rejoint.report.contents import Contents
 from rejoint.report.numerals import UNKNOWN
 from rejoint.report.view import Cell, Command, Part, Row, Section, Table
+from rejoint.runs import LOGS
 
 KEY, SHORT, HEADING = "details", "Details", "Details"
 
 _PACKAGES = ("numpy", "mujoco", "torch", "skrl", "onnxruntime", "pymycobot", "matplotlib")
-
-LOGS = "logs:"
-"""Beginning of what stands for the robot of a run that was made from logs alone"""
 
 _FILES = (
     ("run.json", "robot, arm, seed"),
