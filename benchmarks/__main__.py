@@ -1,24 +1,34 @@
 """`make bench`: every benchmark in one run. Ratios within a run are what counts; machines differ.
 
-Run one of them alone with `python -m benchmarks plant`.
+Run one of them alone with `python -m benchmarks plant`. Identification takes the logs of a real SO-101 with
+`--logs FOLDER` (or `make bench LOGS=FOLDER`, or the environment variable REJOINT_SO101), else an emulated one's.
 """
 
-import sys
+import argparse
 from collections.abc import Callable
+from pathlib import Path
 
-from benchmarks import control, plant, training
+from benchmarks import control, identification, plant, training
 
-BENCHMARKS: dict[str, Callable[[], None]] = {"plant": plant.main, "control": control.main, "training": training.main}
+BENCHMARKS: dict[str, Callable[[Path | None], None]] = {
+    "plant": lambda _logs: plant.main(),
+    "control": lambda _logs: control.main(),
+    "training": lambda _logs: training.main(),
+    "identification": identification.bench,
+}
 
 
 def main() -> None:
-    names = sys.argv[1:] or list(BENCHMARKS)
-    unknown = set(names) - set(BENCHMARKS)
+    parser = argparse.ArgumentParser(prog="python -m benchmarks", description="Speeds, side by side in one run.")
+    parser.add_argument("names", nargs="*", help=f"which to run, all by default: {', '.join(BENCHMARKS)}")
+    parser.add_argument("--logs", type=Path, help="folder of a real SO-101's SAGE motions; by default emulated ones")
+    options = parser.parse_args()
+    unknown = set(options.names) - set(BENCHMARKS)
     if unknown:
-        sys.exit(f"no benchmark is called {', '.join(sorted(unknown))}; known: {', '.join(BENCHMARKS)}")
-    for name in names:
+        parser.error(f"no benchmark is called {', '.join(sorted(unknown))}; known: {', '.join(BENCHMARKS)}")
+    for name in options.names or BENCHMARKS:
         print(f"\n== {name} ==")
-        BENCHMARKS[name]()
+        BENCHMARKS[name](options.logs)
 
 
 main()

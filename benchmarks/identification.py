@@ -1,15 +1,17 @@
-"""Identification on the logs of a real SO-101, and its speed beside MuJoCo's own tools.
+"""Identification on the logs of an SO-101, and its speed beside MuJoCo's own tools.
 
     python -m benchmarks.identification LOGS [folds] [one] [halves] [sysid] [rollout]
 
 LOGS is a folder of SAGE motions (github.com/isaac-sim2real/sage, output/real/so101/custom). Without names
-everything is run. Times are processor seconds of the whole process, so they hardly depend on other load.
+everything is run. `make bench` runs the last two, on real logs where it is given some, else on those of an
+emulated arm. Times are processor seconds of the whole process, so they hardly depend on other load.
 """
 
 from __future__ import annotations
 
 import argparse
-import tempfile
+import contextlib
+import io
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -19,9 +21,9 @@ import mujoco
 import mujoco.rollout
 import numpy as np
 
+from benchmarks import logs as sources
 from rejoint.arms import Arm, load_arm
 from rejoint.exclusions import find_exclusions, table_height
-from rejoint.logs import import_logs
 from rejoint.runs import RunLog
 from rejoint.twin.fit import Fit, Problem, fit
 from rejoint.twin.fromlogs import FITTED, LogSettings, fit_motions, identify_logs, independent
@@ -38,11 +40,6 @@ FOLDS = 4
 HALVINGS = 2
 GIVEN = LogSettings(threads=1, stictions=(1.25,))
 """For `halves`: how much joints stick is given"""
-
-
-def read(path: Path, arm: Arm) -> list[RunLog]:
-    with tempfile.TemporaryDirectory() as folder:
-        return sorted(import_logs(path, arm, out=Path(folder) / "logs").logs, key=lambda log: log.label)
 
 
 def mm_deg(errors: Errors) -> str:
@@ -148,6 +145,9 @@ def sysid(arm: Arm, logs: Sequence[RunLog], seconds: float = 80.0) -> None:
     """Our fit beside mujoco.sysid's: same windows, same model, same start, five parameters per joint."""
     from mujoco import sysid as tool
 
+    if not hasattr(tool, "optimize"):  # without its extra the module imports, and is empty
+        print('mujoco.sysid is not installed; to compare with it: pip install "mujoco[sysid]"')
+        return
     kept = {log.label for log in logs[::FOLDS]}
     seen, unseen = [log for log in logs if log.label not in kept], [log for log in logs if log.label in kept]
     excluded = find_exclusions(arm, seen, table_height(arm, seen))
@@ -162,10 +162,11 @@ def sysid(arm: Arm, logs: Sequence[RunLog], seconds: float = 80.0) -> None:
     ours_s = time.process_time() - start
     sequences, params = sysid_problem(tool, arm, problem, unpack(mean, arm.joints))
     start = time.process_time()
-    found, _ = tool.optimize(
-        initial_params=params, residual_fn=tool.build_residual_fn(models_sequences=[sequences], n_threads=1),
-        optimizer="mujoco", verbose=False, max_iters=20,
-    )  # fmt: skip
+    with contextlib.redirect_stdout(io.StringIO()):  # it tells every iteration, asked to or not
+        found, _ = tool.optimize(
+            initial_params=params, residual_fn=tool.build_residual_fn(models_sequences=[sequences], n_threads=1),
+            optimizer="mujoco", verbose=False, max_iters=20,
+        )  # fmt: skip
     sysid_s = time.process_time() - start
     values = {name: np.exp(found[name].value) for name in ("stiffness", "damping", "coulomb", "armature")}
     base = unpack(mean, arm.joints)
@@ -245,7 +246,7 @@ def sysid_problem(tool, arm: Arm, problem: Problem, start: TwinParameters):
 
 def rollout(arm: Arm, logs: Sequence[RunLog]) -> None:
     """Candidate-seconds per second of our replay beside mujoco.rollout on the same windows and models."""
-    log = next(log for log in logs if log.label == "multisine")
+    log = max(logs, key=lambda log: (log.label == "multisine", log.time[-1] - log.time[0]))
     windows = free_windows([log], find_exclusions(arm, [log], None), 8.0)
     parameters = unpack(simplest(unknown_prior(arm), 1.0).prior.mean, arm.joints)
     count = 16
@@ -276,13 +277,22 @@ def rollout(arm: Arm, logs: Sequence[RunLog]) -> None:
 SECTIONS = {"folds": folds, "one": one, "halves": halves, "sysid": sysid, "rollout": rollout}
 
 
+def bench(given: Path | None) -> None:
+    """Run what stands beside MuJoCo's tools, on the best logs there are."""
+    arm = load_arm("so101")
+    said, logs = sources.find(given, arm)
+    print(f"{len(logs)} motions of {said}; errors in mm and degrees: free space | contact | all samples", flush=True)
+    for section in (sysid, rollout):
+        section(arm, logs)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description="Identification on the logs of a real SO-101.")
     parser.add_argument("logs", type=Path, help="folder of SAGE motions")
     parser.add_argument("sections", nargs="*", choices=[*SECTIONS, []], help="what to run; all by default")
     options = parser.parse_args()
     arm = load_arm("so101")
-    logs = read(options.logs, arm)
+    logs = sources.read(options.logs, arm)
     for name in options.sections or SECTIONS:
         print(f"\n== {name} ==", flush=True)
         SECTIONS[name](arm, logs)
