@@ -1,10 +1,14 @@
 """CSV files with named columns: units are read from names or options, never guessed."""
 
+import csv
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.csv
 import pytest
-from log_samples import ARM, sample, write_sage, write_table
+from log_samples import ARM, Sample, sample, write_sage, write_table
 
 from rejoint.errors import FileError, InputError
 from rejoint.logs import ImportOptions, detect, import_logs
@@ -21,6 +25,50 @@ def test_every_number_arrives(tmp_path: Path):
     assert log.position.tolist() == found.position.tolist()
     assert log.command.tolist() == found.command.tolist()
     assert [path.name for path in (tmp_path / "logs").iterdir()] == ["wave.parquet"]
+
+
+def columns(found: Sample) -> dict[str, np.ndarray]:
+    """The columns of a table, and one that is no part of a log."""
+    table = {"time_s": found.time, "voltage": np.full(len(found.time), 7.4)}
+    for group in ("position", "command"):
+        table |= {f"{group}.{name}_rad": getattr(found, group)[:, i] for i, name in enumerate(ARM.joint_names)}
+    return table
+
+
+def write_pyarrow(path: Path, found: Sample) -> None:
+    pyarrow.csv.write_csv(pa.table(columns(found)), path)  # quotes its header
+
+
+def write_numpy(path: Path, found: Sample) -> None:
+    table = columns(found)
+    np.savetxt(path, np.stack(list(table.values()), axis=1), "%.17g", ",", header=",".join(table), comments="")
+
+
+def write_pandas(path: Path, found: Sample) -> None:
+    pytest.importorskip("pandas").DataFrame(columns(found)).to_csv(path)  # with its unnamed index column
+
+
+def write_excel(path: Path, found: Sample) -> None:
+    """As spreadsheets do on Windows: a byte order mark, and lines that end in two characters."""
+    with path.open("w", newline="", encoding="utf-8-sig") as stream:
+        writer = csv.DictWriter(stream, columns(found), dialect="excel")
+        writer.writeheader()
+        writer.writerows(
+            dict(zip(columns(found), row, strict=True)) for row in zip(*columns(found).values(), strict=True)
+        )
+
+
+@pytest.mark.parametrize("write", [write_pyarrow, write_numpy, write_pandas, write_excel])
+def test_files_of_other_programs_arrive_bit_for_bit(tmp_path: Path, write: Callable[[Path, Sample], None]):
+    found = sample()
+    write(tmp_path / "wave.csv", found)
+    assert detect(tmp_path / "wave.csv") == "csv"
+    imported = import_logs(tmp_path / "wave.csv", ARM, out=tmp_path / "logs")
+    log = imported.logs[0]
+    assert log.time.tolist() == found.time.tolist()
+    assert log.position.tolist() == found.position.tolist()
+    assert log.command.tolist() == found.command.tolist()
+    assert any("columns ignored" in note and "voltage" in note for note in imported.notes)
 
 
 def test_a_unit_may_stand_in_each_name(tmp_path: Path):
