@@ -134,7 +134,7 @@ def _verdict(cycles: Array, own: list[Course], other: list[Course]) -> str:
     reward = np.mean([one.reward for one in other], axis=0)
     peak = int(np.argmax(reward))
     fall = "falls" if reward[peak] - reward[-LAST:].mean() > 0.1 * np.ptp(reward) + 1e-9 else "does not fall again"
-    later = f"on worn arms its reward is highest after {cycles[peak]} time steps and then {fall}"
+    later = f"the reward on worn arms is highest after {cycles[peak]} time steps and then {fall}"
     if separates(own, other):
         how = "The curves separate as in Fig. 12: every seed with the range ends above every seed without it;"
     else:

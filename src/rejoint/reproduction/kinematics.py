@@ -48,8 +48,8 @@ def run(bench: Bench) -> Findings:
     )  # fmt: skip
     readings = (
         "Equation 5 prints θ where a rotation about x by α is meant; α was taken.",
-        f"Equation 11, damping λ = {DAMPING:g}: the paper gives no unit. It is read in metres, and the error holds "
-        "the position alone: many targets cannot be reached with the start's orientation as well.",
+        f"Equation 11, damping λ = {DAMPING:g}: the paper gives no unit. It is read in metres, and only the "
+        "position is asked for: many targets cannot be reached with the start's orientation as well.",
         "12 bit are 4096 steps of 0.088°, as the vendor's manual has it; the paper prints 0.18°.",
     )
     return Findings(text=text, numbers=numbers, readings=readings, grids=(_table(),))

@@ -46,7 +46,7 @@ def _head(bench: Bench, found: Sequence[Finished]) -> list[str]:
         "which shares no physics with it.",
         "",
         f"Written by `rejoint reproduce{options}`. Ranges in brackets are 95 % intervals or, where it is said, go "
-        "from the lowest seed to the highest.",
+        "from the lowest seed to the highest. Training times are wall-clock times of the machine that wrote this page.",
         "",
     ]
     if bench.quick:

@@ -45,7 +45,7 @@ def run(bench: Bench) -> Findings:
                value=layout_size(PAPER.task.layout, bench.arm.joints)),
         Number(what="transitions of a training", ours=f"{outcomes[WORN[0]].curves.step[-1] / 1e6:.2f} million",
                paper="2.56 million", value=float(outcomes[WORN[0]].curves.step[-1])),
-        Number(what="training time", ours=f"{np.mean(seconds):.0f} s, two side by side on two cores",
+        Number(what="training time", ours=f"{np.mean(seconds):.0f} s on one core",
                paper="below 300 s, RTX 3090", value=float(np.mean(seconds))),
         Number(what="success on the worn arm, joint noise of 1°", ours=f"{np.mean(success):.1f} % "
                f"({min(success):.1f} to {max(success):.1f} over seeds)", paper="100 %", value=float(np.mean(success))),
