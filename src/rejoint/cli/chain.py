@@ -9,24 +9,9 @@ from typing import Annotated
 import typer
 
 from rejoint import repair as work
+from rejoint.cli import options as opt
 from rejoint.cli import show
 from rejoint.cli.console import Terminal
-from rejoint.cli.options import (
-    ArmOption,
-    Base,
-    Controllers,
-    Json,
-    Period,
-    Preset,
-    Robot,
-    RunOption,
-    Seed,
-    Targets,
-    Tip,
-    choose_arm,
-    controller_names,
-)
-from rejoint.cli.options import period_seconds as seconds
 from rejoint.comparison.recommend import Recommendation, recommend
 from rejoint.comparison.result import Comparison
 from rejoint.diagnosis.diagnosis import Diagnosis
@@ -34,19 +19,19 @@ from rejoint.runs import read_json
 
 
 def repair(
-    robot: Robot = "emulated:worn",
-    run: RunOption = None,
-    arm: ArmOption = None,
-    base: Base = None,
-    tip: Tip = None,
-    preset: Preset = "default",
-    targets: Targets = None,
-    controllers: Controllers = "all",
+    robot: opt.Robot = "emulated:worn",
+    run: opt.RunOption = None,
+    arm: opt.ArmOption = None,
+    base: opt.Base = None,
+    tip: opt.Tip = None,
+    preset: opt.Preset = "default",
+    targets: opt.Targets = None,
+    controllers: opt.Controllers = "all",
     sets: Annotated[int | None, typer.Option(help="Target sets to compare on (3 emulated, 1 real).", min=1)] = None,
     repetitions: Annotated[int | None, typer.Option(help="Repetitions of each (2 emulated, 1 real).", min=1)] = None,
-    period: Period = None,
-    seed: Seed = 0,
-    json: Json = False,
+    period: opt.Period = None,
+    seed: opt.Seed = 0,
+    json: opt.Json = False,
 ) -> None:
     """Diagnose an arm, fit its twin, train a policy, compare every controller on the arm, and write the report.
 
@@ -57,14 +42,14 @@ def repair(
     terminal = Terminal(json=json)
     emulated = robot.startswith("emulated:")
     trials = work.Trials(
-        controllers=controller_names(controllers), file=targets,
+        controllers=opt.controller_names(controllers), file=targets,
         sets=sets or (3 if emulated else 1), repetitions=repetitions or (2 if emulated else 1),
     )  # fmt: skip
-    chosen = choose_arm(terminal, arm, base, tip, robot)
+    chosen = opt.choose_arm(terminal, arm, base, tip, robot)
     path, resumed = (run, run.exists()) if run else work.newest_or_new(robot, chosen, seed)
     job = work.begin(path, robot, chosen, seed)
     terminal.say(f"{'Going on with' if resumed else 'Starting'} the repair of {robot} in {path}")
-    chain = _Chain(terminal, job, seconds(period))
+    chain = _Chain(terminal, job, opt.period_seconds(period))
     diagnosis = chain.diagnose()
     chain.identify()
     chain.train(preset)

@@ -10,44 +10,23 @@ import typer
 from rejoint import repair as work
 from rejoint.arms import load_arm
 from rejoint.cli import offline, show
+from rejoint.cli import options as opt
 from rejoint.cli.console import Terminal
-from rejoint.cli.options import (
-    ArmOption,
-    Base,
-    Controllers,
-    Json,
-    LogsOption,
-    OptionalRobot,
-    Period,
-    Preset,
-    Robot,
-    Run,
-    RunOption,
-    RunSeed,
-    Seed,
-    Targets,
-    Tip,
-    choose_arm,
-    controller_names,
-    period_seconds,
-    run_of_logs,
-    seeded,
-)
 from rejoint.comparison.targets import draw_targets, read_targets
 from rejoint.errors import InputError
 from rejoint.runs import LOGS
 
 
 def diagnose(
-    robot: OptionalRobot = None,
-    logs: LogsOption = None,
-    run: RunOption = None,
-    arm: ArmOption = None,
-    base: Base = None,
-    tip: Tip = None,
-    period: Period = None,
-    seed: Seed = 0,
-    json: Json = False,
+    robot: opt.OptionalRobot = None,
+    logs: opt.LogsOption = None,
+    run: opt.RunOption = None,
+    arm: opt.ArmOption = None,
+    base: opt.Base = None,
+    tip: opt.Tip = None,
+    period: opt.Period = None,
+    seed: opt.Seed = 0,
+    json: opt.Json = False,
 ) -> None:
     """Find out what is wrong with an arm: ten targets open loop and an excitation, or from logs of any motion alone.
 
@@ -58,14 +37,15 @@ def diagnose(
     if logs is not None:
         if robot is not None or period is not None:
             raise InputError("diagnose takes either a robot or --logs FOLDER, and --logs no --period")
-        offline.diagnose_from_logs(terminal, run_of_logs(choose_arm(terminal, arm, base, tip), logs, run, seed), logs)
+        job = opt.run_of_logs(opt.choose_arm(terminal, arm, base, tip), logs, run, seed)
+        offline.diagnose_from_logs(terminal, job, logs)
         return
     robot = robot or "emulated:worn"
-    chosen = choose_arm(terminal, arm, base, tip, robot)
+    chosen = opt.choose_arm(terminal, arm, base, tip, robot)
     path = run or work.newest_or_new(robot, chosen, seed)[0]
     job = work.begin(path, robot, chosen, seed)
     with terminal.progress("diagnosing") as update:
-        diagnosis = work.diagnose_stage(job, period=period_seconds(period), on_progress=update)
+        diagnosis = work.diagnose_stage(job, period=opt.period_seconds(period), on_progress=update)
     show.diagnosis(terminal, diagnosis)
     terminal.result(f"Next: rejoint identify {path}")
     terminal.finish({"run": str(path), "diagnosis": diagnosis})
@@ -73,14 +53,14 @@ def diagnose(
 
 def identify(
     run: Annotated[Path | None, typer.Argument(help="Run folder.", metavar="RUN")] = None,
-    logs: LogsOption = None,
-    folder: RunOption = None,
+    logs: opt.LogsOption = None,
+    folder: opt.RunOption = None,
     published: offline.Published = None,
-    arm: ArmOption = None,
-    base: Base = None,
-    tip: Tip = None,
-    seed: RunSeed = None,
-    json: Json = False,
+    arm: opt.ArmOption = None,
+    base: opt.Base = None,
+    tip: opt.Tip = None,
+    seed: opt.RunSeed = None,
+    json: opt.Json = False,
 ) -> None:
     """Fit a digital twin to the excitation log of a run, or to logs of any motion alone, and then write the report.
 
@@ -90,13 +70,13 @@ def identify(
     if (run is None) == (logs is None):
         raise InputError("identify takes either a run folder or --logs FOLDER")
     if logs is not None:
-        job = run_of_logs(choose_arm(terminal, arm, base, tip), logs, folder, seed or 0)
+        job = opt.run_of_logs(opt.choose_arm(terminal, arm, base, tip), logs, folder, seed or 0)
         offline.identify_from_logs(terminal, job, logs, published)
         return
     if folder is not None or published:
         raise InputError("--run and --published go with --logs; without it, name the run folder alone")
     assert run is not None  # noqa: S101 - for the type checker; one of the two is given
-    job = seeded(work.open_run(run), seed)
+    job = opt.seeded(work.open_run(run), seed)
     with terminal.progress("identifying") as update:
         twin = work.identify_stage(job, on_progress=update)
     show.twin(terminal, twin)
@@ -105,15 +85,15 @@ def identify(
 
 
 def train(
-    run: Run,
-    preset: Preset = "default",
+    run: opt.Run,
+    preset: opt.Preset = "default",
     learner: Annotated[str, typer.Option(help="ppo; or its rivals sac, td3 and ddpg, on the default preset.")] = "ppo",
     broad: Annotated[
         bool, typer.Option("--broad", help="Begin RUN here: a policy for any worn myCobot 280, without a twin.")
     ] = False,
     restart: Annotated[bool, typer.Option("--restart", help="Forget an interrupted training.")] = False,
-    seed: RunSeed = None,
-    json: Json = False,
+    seed: opt.RunSeed = None,
+    json: opt.Json = False,
 ) -> None:
     """Train a policy on randomised copies of the run's twin.
 
@@ -122,7 +102,7 @@ def train(
     terminal = Terminal(json=json)
     if broad:
         work.begin(run, "emulated:worn", load_arm("mycobot280"), seed or 0)
-    job = seeded(work.open_run(run), seed)
+    job = opt.seeded(work.open_run(run), seed)
     from rejoint.report.sections.training import draw_training
 
     if not job.folder.twin.exists():
@@ -137,55 +117,57 @@ def train(
 
 
 def compare(
-    robot: Robot,
-    run: Run,
-    targets: Targets = None,
-    controllers: Controllers = "all",
+    robot: opt.Robot,
+    run: opt.Run,
+    targets: opt.Targets = None,
+    controllers: opt.Controllers = "all",
     sets: Annotated[int, typer.Option(help="Target sets of ten targets each.", min=1)] = 10,
     repetitions: Annotated[int, typer.Option(help="Repetitions of every target set.", min=1)] = 6,
-    period: Period = None,
-    seed: RunSeed = None,
-    json: Json = False,
+    period: opt.Period = None,
+    seed: opt.RunSeed = None,
+    json: opt.Json = False,
 ) -> None:
     """Try every controller on the same arm with the same targets.
 
     Example: `rejoint compare emulated:worn runs/mine --sets 10 --repetitions 6`
     """
     terminal = Terminal(json=json)
-    job = seeded(work.open_run(run), seed)
-    trials = work.Trials(controllers=controller_names(controllers), sets=sets, repetitions=repetitions, file=targets)
+    job = opt.seeded(work.open_run(run), seed)
+    trials = work.Trials(
+        controllers=opt.controller_names(controllers), sets=sets, repetitions=repetitions, file=targets
+    )
     with terminal.progress("comparing") as update:
-        result = work.compare_stage(job, robot, trials, period=period_seconds(period), on_progress=update)
+        result = work.compare_stage(job, robot, trials, period=opt.period_seconds(period), on_progress=update)
     show.comparison(terminal, *result)
     terminal.result(f"Next: rejoint report {run}")
     terminal.finish({"run": str(run), "recommended": result[1], "comparison": result[0]})
 
 
 def deploy(
-    robot: Robot,
-    run: Run,
-    targets: Targets = None,
+    robot: opt.Robot,
+    run: opt.Run,
+    targets: opt.Targets = None,
     controller: Annotated[str, typer.Option(help="policy, or one of the baselines.")] = "policy",
     dwell: Annotated[float, typer.Option(help="Time per target in seconds.", min=0.1)] = 4.0,
-    period: Period = None,
-    seed: RunSeed = None,
-    json: Json = False,
+    period: opt.Period = None,
+    seed: opt.RunSeed = None,
+    json: opt.Json = False,
 ) -> None:
     """Drive an arm to targets with the trained policy (or another controller); ten random ones by default.
 
     Example: `rejoint deploy tcp://192.168.1.20:9000 runs/mine --targets points.csv`
     """
     terminal = Terminal(json=json)
-    job = seeded(work.open_run(run), seed)
+    job = opt.seeded(work.open_run(run), seed)
     points = draw_targets(job.arm, sets=1, seed=job.info.seed)[0] if targets is None else read_targets(targets, job.arm)
     errors = work.deploy_stage(
-        job, robot, work.Deployment(controller=controller, targets=points, dwell=dwell), period_seconds(period)
+        job, robot, work.Deployment(controller=controller, targets=points, dwell=dwell), opt.period_seconds(period)
     )
     show.deployment(terminal, points, errors)
     terminal.finish({"run": str(run), "controller": controller, "error_mm": [1e3 * float(e) for e in errors]})
 
 
-def report(run: Run, json: Json = False) -> None:
+def report(run: opt.Run, json: opt.Json = False) -> None:
     """Write the report of a run: one self-contained page that opens in a browser.
 
     Example: `rejoint report runs/mine`
