@@ -23,6 +23,7 @@ WEARS = {
     "soft elbow": with_joint(2, position_gain=0.3 * HEALTHY.position_gain[2]),
     "sticky lift": with_joint(1, coulomb=0.40, stiction=0.50),
     "late elbow": with_joint(2, damping_gain=4.0 * HEALTHY.damping_gain[2]),
+    "sticky roll": with_joint(4, coulomb=0.25, stiction=0.30),
     "blocked wrist": with_joint(3, coulomb=8.0, stiction=9.0),
 }
 TABLE = Table(height=-0.02, slope_x=0.0, slope_y=0.0, stiffness=2e4, friction=0.2)
@@ -49,6 +50,7 @@ def kinds(diagnosis):
         ("soft elbow", {("elbow_flex", "weak_gain")}),
         ("sticky lift", {("shoulder_lift", "friction")}),
         ("late elbow", {("elbow_flex", "lag")}),
+        ("sticky roll", {("wrist_roll", "hysteresis")}),  # gravity does not load it: friction has no torque here
         ("blocked wrist", {("wrist_flex", "stuck")}),
     ],
 )

@@ -25,6 +25,7 @@ KINDS = {
     "stuck": "stuck",
     "weak_gain": "soft, so that it sags or stops short",
     "friction": "stiff to turn",
+    "hysteresis": "stopping short of where it is sent",
     "play_in_loop": "loose inside its servo loop, so that it hunts",
     "torque_limit": "out of torque",
     "low_damping": "badly damped, so that it rings",

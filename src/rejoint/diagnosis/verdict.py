@@ -52,7 +52,7 @@ class Finding:
 
     joint: str
     kind: str
-    """stuck, weak_gain, friction, play_in_loop, torque_limit, low_damping, lag or noise"""
+    """stuck, weak_gain, friction, hysteresis, play_in_loop, torque_limit, low_damping, lag or noise"""
     severity: str
     """worn or bad"""
     quantity: str
@@ -190,6 +190,19 @@ def friction(case: _Case) -> Iterator[Finding]:
     )  # fmt: skip
 
 
+def hysteresis(case: _Case) -> Iterator[Finding]:
+    """Tell whether the joint stops short although neither friction nor softness can be told to be the cause."""
+    width = case.row.hysteresis_rad
+    explained = case.below("stiffness_nm_per_rad") or case.beyond("coulomb_nm")
+    if width is None or not case.beyond("hysteresis_rad") or explained or not case.moves or case.hunts:
+        return
+    yield case.finding(
+        "hysteresis", "hysteresis_rad", width, case.lever * width.value / 2,
+        f"stops short: coming from below and from above it rests {np.degrees(width.value):.2f} deg apart"
+        f"{_against_deg(case)}; whether it is stiff to turn or soft, or both, cannot be told; on either side,",
+    )  # fmt: skip
+
+
 def play_in_loop(case: _Case) -> Iterator[Finding]:
     """Tell whether the joint does not come to rest although nothing is asked for."""
     swing = case.row.hunting_rad
@@ -271,7 +284,7 @@ def noise(case: _Case) -> Iterator[Finding]:
 
 
 RULES: tuple[Callable[[_Case], Iterator[Finding]], ...] = (
-    stuck, weak_gain, friction, play_in_loop, torque_limit, low_damping, lag, noise,
+    stuck, weak_gain, friction, hysteresis, play_in_loop, torque_limit, low_damping, lag, noise,
 )  # fmt: skip
 """All rules, each for one joint."""
 
@@ -289,6 +302,11 @@ def _interval(estimate: Estimate, digits: str = ".1f") -> str:
     if estimate.low is None or estimate.high is None:
         return ""
     return f" ({estimate.low:{digits}} to {estimate.high:{digits}})"
+
+
+def _against_deg(case: _Case) -> str:
+    reference = case.healthy.hysteresis_rad if case.healthy is not None else None
+    return "" if reference is None else f", a healthy one {np.degrees(reference.value):.2f}"
 
 
 def _against(case: _Case, quantity: str, digits: str) -> str:

@@ -57,6 +57,7 @@ def make_page(contents: Contents, gallery: Gallery) -> Page:
         _training(contents, gallery),
         details_section(contents),
     )
+    sections = tuple(sorted(sections, key=lambda section: bool(section.missing)))  # stable: what is there comes first
     return page_of(contents, advice, sections, footer=f"Made by rejoint {__version__} from {contents.folder.path}.")
 
 

@@ -21,6 +21,7 @@ KEY, SHORT, HEADING = "diagnosis", "Diagnosis", "What is wrong, joint by joint"
 KINDS = {
     "weak_gain": "soft",
     "friction": "stiff to turn",
+    "hysteresis": "stops short",
     "play_in_loop": "hunts",
     "torque_limit": "out of torque",
     "low_damping": "rings",
@@ -80,7 +81,9 @@ def _seen(diagnosis: Diagnosis, gallery: Gallery) -> Part:
     facts = [("recorded motions", f"{evidence.motions}, {evidence.seconds:.0f} s in all")]
     facts += [(what, f"{value:.0f} s") for what, value in seconds]
     if evidence.table_height_m is not None:
-        facts.append(("tool on the table at", number(evidence.table_height_m * 1e3, 3, "mm") + " above the base"))
+        side = "above" if evidence.table_height_m >= 0 else "below"
+        height = number(abs(evidence.table_height_m) * 1e3, 3, "mm")
+        facts.append(("tool on the table at", f"{height} {side} the origin of the base"))
     if evidence.rest_error_mm is not None:
         facts.append(("tool at rest, from where it was sent", _with_interval(evidence.rest_error_mm)))
     return Part(texts=(diagnosis.verdict,), facts=tuple(facts))

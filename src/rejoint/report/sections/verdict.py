@@ -12,6 +12,7 @@ from rejoint.report.sections.diagnosed import error_range, mean_error
 from rejoint.report.trust import answer
 from rejoint.report.view import KeyNumber, Page, Section, Told
 from rejoint.report.words import plural
+from rejoint.runs import LOGS
 
 MM, PERCENT = 1e3, 1e2
 BEFORE = "default"
@@ -24,13 +25,17 @@ def page_of(contents: Contents, advice: Recommendation | None, sections: tuple[S
     begun = "" if contents.info is None else f", {contents.info.created.replace('T', ' ')}"
     return Page(
         title=f"Repair report: {contents.arm.name}",
-        subtitle=f"Robot {robot}{begun}",
+        subtitle=f"{_source(robot)}{begun}",
         verdict=_verdict(contents, advice),
         keys=_keys(contents, advice),
         told=_told(contents, advice, sections),
         sections=sections,
         footer=footer,
     )
+
+
+def _source(robot: str) -> str:
+    return f"From logs in {robot.removeprefix(LOGS)}" if robot.startswith(LOGS) else f"Robot {robot}"
 
 
 def _verdict(contents: Contents, advice: Recommendation | None) -> tuple[str, ...]:
