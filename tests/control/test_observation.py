@@ -88,6 +88,19 @@ def test_equation_16_worked_by_hand():
     assert seen[where["collision"]] == 0.0
 
 
+def test_equation_16_sees_collisions_and_in_its_other_reading_the_last_action():
+    where = columns("equation-16-action")
+    assert layout_size("equation-16-action", 6) == 28
+    observer, bent = Observer(ARM, 1, "equation-16-action"), np.radians([0.0, -135, 0, 0, 0, 0])
+    now = situation([bent], [tcp_position(ARM, ARM.rest)], [bent + 0.02])
+    observer.reset(now, np.array([True]))
+    observer.acted(np.array([[0.1, 0.2, 0.3, 0.4, 0.5, -0.6]]))
+    seen = observer.observe(now)[0]
+    np.testing.assert_allclose(seen[where["action"]], [0.1, 0.2, 0.3, 0.4, 0.5, -0.6], rtol=1e-6)
+    assert seen[where["collision"]] == 1.0  # its wrist is in the ground
+    assert seen[where["success"]] == 0.0
+
+
 def test_a_batch_sees_what_single_arms_see():
     rng = np.random.default_rng(3)
     batch, singles = Observer(ARM, 7), [Observer(ARM, 1) for _ in range(7)]

@@ -20,7 +20,7 @@ from rejoint.reproduction.episodes import healthy_ranges, play, worn_ranges
 from rejoint.reproduction.experiment import QUICK, Bench
 from rejoint.reproduction.page import table, write_page
 from rejoint.reproduction.registry import EXPERIMENTS, choose
-from rejoint.reproduction.trainings import HEALTHY, LIMITED, LITERAL, WORN, finish_trainings, recipe
+from rejoint.reproduction.trainings import HEALTHY, LIMITED, LITERAL, NOISY, WORN, finish_trainings, recipe
 from rejoint.training.presets import PAPER
 from rejoint.training.ranges import PaperRanges
 from rejoint.training.train import snapshot_path
@@ -126,11 +126,12 @@ def test_experiments_are_chosen_by_any_of_their_names_in_the_paper_s_order():
 def test_trainings_differ_in_what_their_names_say():
     assert [recipe(name) for name in WORN] == [(PAPER, 0), (PAPER, 1), (PAPER, 2)]
     assert {recipe(name)[0].ranges for name in HEALTHY} == {"paper-healthy"}
-    limited, literal = recipe(LIMITED)[0], recipe(LITERAL)[0]
-    assert np.degrees(literal.joint_noise) == pytest.approx(5.0)
+    limited, noisy, literal = (recipe(name)[0] for name in (LIMITED, NOISY, LITERAL))
+    assert np.degrees([noisy.joint_noise, literal.joint_noise]) == pytest.approx(5.0)
     assert np.degrees(literal.task.law.authority_limit) == pytest.approx(5.0)
-    assert limited.task == literal.task
+    assert limited.task == noisy.task
     assert limited.joint_noise == PAPER.joint_noise
+    assert [one.task.layout for one in (limited, noisy, literal)] == ["equation-16"] * 2 + ["equation-16-action"]
 
 
 def test_both_tables_are_one_mechanism():

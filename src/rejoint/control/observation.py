@@ -1,9 +1,10 @@
 """What a learned policy sees, computed once for training, emulation and the real arm.
 
-Two layouts exist. ``residual`` (7n + 8 numbers) is ours: how far the servos lag behind the command,
+Three layouts exist. ``residual`` (7n + 8 numbers) is ours: how far the servos lag behind the command,
 the damped least-squares step at three magnifications, so that 0.1 mm is as visible as 10 cm, and
 nothing that a worn encoder cannot deliver. ``equation-16`` (4 + 3n + 6 numbers) is the state of
-Park et al. 2024 without theta_target, which gives their stated size of 28 for six joints.
+Park et al. 2024 without theta_target, which gives their stated size of 28 for six joints; its Delta
+theta is read as command minus position there, and as the last action in ``equation-16-action``.
 
 All of it comes from measured (delayed, quantised) joint positions; nothing is differentiated but
 two successive measurements.
@@ -23,7 +24,7 @@ from rejoint.control.controller import Situation
 from rejoint.control.robot import Mask
 from rejoint.errors import InputError
 
-Layout = Literal["residual", "equation-16"]
+Layout = Literal["residual", "equation-16", "equation-16-action"]
 Rows = slice | NDArray[np.intp]
 Observation = NDArray[np.float32]
 
@@ -112,10 +113,10 @@ def layout_slots(layout: Layout, joints: int) -> tuple[Slot, ...]:
             ("waited", 1, "min(time since the target was set, 2 s) - 0.5"),
             ("action", n, "last action"),
         )  # fmt: skip
-    elif layout == "equation-16":
+    elif layout in ("equation-16", "equation-16-action"):
         rows = (
             ("time", 1, "min(time since the target was set, 2 s) [s]"),
-            ("drive", n, "4 (s - x) [1/rad]"),
+            ("drive", n, "4 (s - x) [1/rad]") if layout == "equation-16" else ("action", n, "last action"),
             ("position", n, "x [rad]"),
             ("velocity", n, "0.5 dx/dt [s/rad], difference of the last two measurements"),
             ("target", 3, "5 target [1/m]"),
@@ -125,7 +126,9 @@ def layout_slots(layout: Layout, joints: int) -> tuple[Slot, ...]:
             ("success", 1, "1 where |e| < 5 mm"),
         )  # fmt: skip
     else:
-        raise InputError(f"no observation layout is called {layout!r}; known: residual, equation-16")
+        raise InputError(
+            f"no observation layout is called {layout!r}; known: residual, equation-16, equation-16-action"
+        )
     return tuple(Slot(name=name, size=size, formula=formula) for name, size, formula in rows)
 
 
@@ -181,7 +184,8 @@ class Observer:
         if self.layout == "residual":
             _residual(out, reading)
         else:
-            _equation_16(out, reading, self.arm)
+            change = 4.0 * reading.drive if self.layout == "equation-16" else reading.action
+            _equation_16(out, reading, change, self.arm)
         return np.clip(out, -LIMIT, LIMIT, out=out)
 
     def acted(self, action: Array) -> None:
@@ -223,12 +227,12 @@ def _residual(out: Observation, reading: Reading) -> None:
     out[:, m + 8 :] = reading.action
 
 
-def _equation_16(out: Observation, reading: Reading, arm: Arm) -> None:
-    """Fill ``out`` (B, 3n + 10) as `layout_slots` says."""
+def _equation_16(out: Observation, reading: Reading, change: Array, arm: Arm) -> None:
+    """Fill ``out`` (B, 3n + 10) as `layout_slots` says, with ``change`` (B, n) for Delta theta."""
     n, view = reading.position.shape[1], reading.view
     columns = out.T
     columns[0] = reading.since_target
-    out[:, 1 : n + 1] = 4.0 * reading.drive
+    out[:, 1 : n + 1] = change
     out[:, n + 1 : 2 * n + 1] = reading.position
     out[:, 2 * n + 1 : 3 * n + 1] = 0.5 * reading.velocity
     m = 3 * n + 1

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rejoint.arms import Array
 from rejoint.comparison.protocols import Crossings, measure_crossings, schedule
 from rejoint.comparison.targets import draw_targets
 from rejoint.control.loop import run as drive
@@ -13,12 +14,21 @@ from rejoint.control.observation import layout_size
 from rejoint.control.policy import load_policy
 from rejoint.report.sections.training import Curves, read_curves
 from rejoint.reproduction.experiment import Bench, Experiment, Findings, Grid, Number
-from rejoint.reproduction.trainings import LIMITED, LITERAL, WORN, recipe
+from rejoint.reproduction.trainings import LIMITED, LITERAL, LITERALLY, NOISY, WORN, recipe
 from rejoint.robots import open_robot
 from rejoint.training.presets import PAPER
 
 LAST = 5
 """updates at the end of a training that are averaged (chosen)"""
+
+NAMES = (*WORN, *LITERALLY)
+WORDS = {
+    LIMITED: "actions of at most 5°",
+    NOISY: "joint noise of 5° as well",
+    LITERAL: "the last action for Δθ as well",
+}
+LEARNED = 90.0
+"""[%] of the targets at the end of a training from which on the task counts as learned (chosen)"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -28,33 +38,46 @@ class Outcome:
     curves: Curves
     crossings: Crossings
 
+    @property
+    def trained(self) -> float:
+        """Targets [%] reached within 5 mm at the end of the training, exploring."""
+        return 100 * float(np.mean(self.curves.success_rate[-LAST:]))
+
+    @property
+    def success(self) -> float:
+        """Targets [%] of the worn arm reached within 10 mm."""
+        return 100 * float(self.crossings.crossed.mean())
+
+    @property
+    def error_mm(self) -> Array:
+        """Errors at the crossing or the time-out."""
+        return 1e3 * self.crossings.error[np.isfinite(self.crossings.error)]
+
 
 def run(bench: Bench) -> Findings:
     """Compare the trainings that differ in what the paper prints or leaves open."""
-    names = (*WORN, LIMITED, LITERAL)
     outcomes = {}
-    for done, name in enumerate(names):
-        bench.on_progress(done, len(names), f"policy of {name} on the worn arm")
+    for done, name in enumerate(NAMES):
+        bench.on_progress(done, len(NAMES), f"policy of {name} on the worn arm")
         outcomes[name] = _try(bench, name)
-    seconds = [float(outcomes[name].curves.wall_s[-1]) for name in WORN]
-    literal = outcomes[LITERAL]
-    success = [100 * float(outcomes[name].crossings.crossed.mean()) for name in WORN]
-    failed = 100 * float(literal.crossings.crossed.mean())
+    first, seconds = outcomes[WORN[0]], [float(outcomes[name].curves.wall_s[-1]) for name in WORN]
+    success = [outcomes[name].success for name in WORN]
+    error = np.concatenate([outcomes[name].error_mm for name in WORN])
+    size = layout_size(PAPER.task.layout, bench.arm.joints)
     numbers = (
-        Number(what="size of the state s", ours=str(layout_size(PAPER.task.layout, bench.arm.joints)), paper="28",
-               value=layout_size(PAPER.task.layout, bench.arm.joints)),
-        Number(what="transitions of a training", ours=f"{outcomes[WORN[0]].curves.step[-1] / 1e6:.2f} million",
-               paper="2.56 million", value=float(outcomes[WORN[0]].curves.step[-1])),
-        Number(what="training time", ours=f"{np.mean(seconds):.0f} s on one core",
-               paper="below 300 s, RTX 3090", value=float(np.mean(seconds))),
-        Number(what="success on the worn arm, joint noise of 1°", ours=f"{np.mean(success):.1f} % "
+        Number(what="size of the state s", ours=str(size), paper="28", value=size),
+        Number(what="transitions of a training", ours=f"{first.curves.step[-1] / 1e6:.2f} million",
+               paper="2.56 million", value=float(first.curves.step[-1])),
+        Number(what="training time", ours=f"{np.mean(seconds):.0f} s on one core", paper="below 300 s, RTX 3090",
+               value=float(np.mean(seconds))),
+        Number(what="success of --preset paper on the worn arm", ours=f"{np.mean(success):.1f} % "
                f"({min(success):.1f} to {max(success):.1f} over seeds)", paper="100 %", value=float(np.mean(success))),
-        Number(what="the same, joint noise of 5° and actions up to 5°, as printed", ours=f"{failed:.1f} %",
-               value=failed),
+        Number(what="its error at the crossing of 10 mm", ours=f"{error.mean():.2f} ± {error.std():.2f} mm",
+               paper="8.21 ± 1.11 mm", value=float(error.mean())),
+        *(Number(what=f"success, {WORDS[name]}", ours=f"{outcomes[name].success:.1f} %", value=outcomes[name].success)
+          for name in LITERALLY),
     )  # fmt: skip
-    return Findings(
-        text=_text(failed, success), numbers=numbers, readings=_READINGS, grids=(_table_3(), _variants(outcomes))
-    )
+    return Findings(text=_text(outcomes), numbers=numbers, readings=_READINGS, grids=(_table_3(), _variants(outcomes)))
 
 
 def _try(bench: Bench, name: str) -> Outcome:
@@ -72,20 +95,31 @@ def _try(bench: Bench, name: str) -> Outcome:
     )
 
 
-def _text(failed: float, success: list[float]) -> tuple[str, ...]:
-    works = "reaches" if min(success) >= 95 else "does not reach"
-    sentence = (
-        "With the printed noise of 5° per joint, and the largest joint change of 5° a frame that section IV-D derives, "
-        "the same training fails. The noise is drawn once per episode (Algorithm 1, line 6), so it is an unknown "
-        "offset of every joint; together with the sag of a soft servo it is more than such an action can take back."
-        if failed < 0.5 * min(success)
-        else "With the printed noise of 5° per joint the training does not fail here."
-    )
-    return (
+def _text(outcomes: dict[str, Outcome]) -> tuple[str, ...]:
+    works = "reaches" if min(outcomes[name].success for name in WORN) >= 95 else "does not reach"
+    text: tuple[str, ...] = (
         "`--preset paper` is Algorithm 1 with equations 16 to 25 and Table 3, on 512 randomised twins; nothing of our "
         f"own recipe is in it. Trained so, the policy {works} the 95 % of the paper's protocol on the worn arm, which "
         "it has never seen.",
-        sentence,
+        "In three places it departs from the printed numbers, and three more trainings go back to them one step at a "
+        "time. " + " ".join(_step(name, outcomes[name]) for name in LITERALLY),
+    )
+    if outcomes[NOISY].trained < LEARNED:
+        text += (
+            "Joint noise of 5° is more than can be learned away: it is drawn once per episode (Algorithm 1, line 6) "
+            "and so is an unknown offset of every joint, which together with the sag of a soft servo exceeds actions "
+            "of 5°. The worn arm has no such offsets, so a policy that fails in its training may still do there.",
+        )
+    return text
+
+
+def _step(name: str, outcome: Outcome) -> str:
+    trained, success = outcome.trained, outcome.success
+    verdict = "it learns" if trained >= LEARNED else "it does not learn the task"
+    deployed = "works" if success >= 95 else "fails" if success < 50 else "half works"
+    return (
+        f"With {WORDS[name]} {verdict} ({trained:.0f} % of the targets within 5 mm at the end of the training), and "
+        f"its policy {deployed} on the worn arm ({success:.0f} % within 10 mm)."
     )
 
 
@@ -117,21 +151,20 @@ def _variants(outcomes: dict[str, Outcome]) -> Grid:
     rows = []
     for name, outcome in outcomes.items():
         preset, offset = recipe(name)
-        found, curves = outcome.crossings, outcome.curves
-        error = 1e3 * found.error[np.isfinite(found.error)]
         rows.append(
             (
                 f"{np.degrees(preset.task.law.authority_limit):.0f}°",
                 f"{np.degrees(preset.joint_noise):.0f}°",
+                "command - position" if preset.task.layout == "equation-16" else "last action",
                 str(offset),
-                f"{100 * np.mean(curves.success_rate[-LAST:]):.0f}",
-                f"{100 * found.crossed.mean():.1f}",
-                f"{error.mean():.2f} ± {error.std():.2f}",
-                f"{np.nanmean(found.time.sum(axis=-1)):.1f}",
+                f"{outcome.trained:.0f}",
+                f"{outcome.success:.1f}",
+                f"{outcome.error_mm.mean():.2f} ± {outcome.error_mm.std():.2f}",
+                f"{np.nanmean(outcome.crossings.time.sum(axis=-1)):.1f}",
             )
         )
     headers = (
-        "largest action", "joint noise", "seed", "success in training %, 5 mm", "success on the worn arm %, 10 mm",
+        "largest action", "joint noise", "Δθ", "seed", "success in training %, 5 mm", "on the worn arm %, 10 mm",
         "error at the crossing mm", "ten targets s",
     )  # fmt: skip
     return Grid(title="What the policies do on the worn arm", headers=headers, rows=tuple(rows))
@@ -144,7 +177,7 @@ _READINGS = (
     "Equation 15 is an absolute error; the squared error was run, as the library that the paper cites has it.",
     "Equation 17: θ_t is the measured position, as printed. The largest action is 10° instead of 5°, since a worn "
     "servo holds the arm only with its command that far ahead; with 5° see the table.",
-    "Equation 19: σ = 5° has been read as printed, and fails; 1° was run. The noise is drawn once per episode.",
+    "Equation 19: the preset has σ = 1°; for the printed 5° see the table. The noise is drawn once per episode.",
     "Equation 20: the unit of the distance is not given; centimetres, with which the terms of equation 25 are of one "
     "size.",
     "Equation 21 is a vector and signed; the mean over the joints of its absolute value was run.",
@@ -161,6 +194,6 @@ TABLE_3 = Experiment(
     also=("algorithm-1",),
     title="Table 3 and Algorithm 1: the training",
     about="--preset paper, its variants, and the joint noise of 5 degrees as printed",
-    trainings=(*WORN, LIMITED, LITERAL),
+    trainings=NAMES,
     run=run,
 )

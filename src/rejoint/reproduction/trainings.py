@@ -1,8 +1,9 @@
 """The trainings that the experiments share: by name, side by side, each resumable.
 
 ``worn-0`` is Table 3's training on the paper's P and D of a worn arm; ``healthy-0`` the same without them, on
-the one pair of a normal arm; the number is added to the seed. ``limit-5`` and ``literal`` change what the
-paper leaves open or prints: largest action and joint noise.
+the one pair of a normal arm; the number is added to the seed. The others go back to what the paper prints, step by
+step: ``limit-5`` takes its largest action, ``noise-5`` its joint noise as well, ``literal`` its change of joint
+angles for the last action.
 """
 
 from __future__ import annotations
@@ -25,7 +26,8 @@ from rejoint.training.train import TrainingOptions, train
 
 WORN = tuple(f"worn-{i}" for i in range(SEEDS))
 HEALTHY = tuple(f"healthy-{i}" for i in range(SEEDS))
-LIMITED, LITERAL = "limit-5", "literal"
+LIMITED, NOISY, LITERAL = "limit-5", "noise-5", "literal"
+LITERALLY = (LIMITED, NOISY, LITERAL)
 
 LITERAL_NOISE = float(np.radians(5.0))
 """[rad] sigma of equation 19"""
@@ -44,7 +46,9 @@ def recipe(name: str) -> tuple[Preset, int]:
         return replace(PAPER, name="paper-healthy", ranges="paper-healthy"), int(number)
     law = replace(PAPER.task.law, authority_floor=LITERAL_LIMIT, authority_limit=LITERAL_LIMIT)
     limited = replace(PAPER, name="paper-limit-5", task=replace(PAPER.task, law=law))
-    return (limited, 0) if name == LIMITED else (replace(limited, name="paper-literal", joint_noise=LITERAL_NOISE), 0)
+    noisy = replace(limited, name="paper-noise-5", joint_noise=LITERAL_NOISE)
+    literal = replace(noisy, name="paper-literal", task=replace(noisy.task, layout="equation-16-action"))
+    return {LIMITED: limited, NOISY: noisy, LITERAL: literal}[name], 0
 
 
 def finish_trainings(bench: Bench, names: Sequence[str]) -> None:
