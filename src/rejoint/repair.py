@@ -34,6 +34,7 @@ from rejoint.runs import LOGS, RunFolder, RunInfo, RunLog, read_json, read_log, 
 
 if TYPE_CHECKING:  # these need the simulator, which a Raspberry Pi does not have
     from rejoint.diagnosis.diagnosis import Diagnosis
+    from rejoint.diagnosis.healthy import HealthyReference
     from rejoint.training.train import TrainingResult
     from rejoint.twin.fromlogs import LogIdentification
     from rejoint.twin.judge import Candidate
@@ -134,16 +135,18 @@ def newest_or_new(robot: str, arm: Arm, seed: int) -> tuple[Path, bool]:
     return home / f"{(numbers[-1] if numbers else 0) + 1:03}", False
 
 
-def diagnose_stage(run: Run, *, period: Period | None = None, on_progress: OnProgress = silent) -> Diagnosis:
-    """Excite the robot and write run logs and diagnosis."""
+def diagnose_stage(
+    run: Run, *, period: Period | None = None, good: Path | None = None, on_progress: OnProgress = silent
+) -> Diagnosis:
+    """Excite the robot and write run logs and diagnosis; ``good`` is the run of an arm known to be good."""
     from rejoint.diagnosis.diagnosis import diagnose
-    from rejoint.diagnosis.healthy import healthy_reference
 
+    healthy = _healthy(run.arm, good)
     robot = open_robot(run.info.robot, arm=run.arm, seed=run.info.seed, period=period)
     try:
         diagnosis, logs = diagnose(
             robot,
-            healthy_reference(run.arm),
+            healthy,
             seed=run.info.seed,
             on_progress=lambda what, share: on_progress(share, 1.0, what),
         )
@@ -173,13 +176,25 @@ def identify_stage(run: Run, *, on_progress: OnProgress = silent) -> Twin:
     return twin
 
 
-def diagnose_logs_stage(run: Run, logs: Sequence[RunLog], *, on_progress: OnProgress = silent) -> Diagnosis:
-    """Judge an arm by logs of any motion and write the diagnosis into the folder of ``run``."""
-    from rejoint.diagnosis.fromlogs import diagnose_logs
+def _healthy(arm: Arm, good: Path | None) -> HealthyReference | None:
+    """Take the reference of an arm from the run of one known to be good, else the emulated one of its kind."""
+    from rejoint.diagnosis.diagnosis import Diagnosis
     from rejoint.diagnosis.healthy import healthy_reference
+    from rejoint.diagnosis.knowngood import reference_by
+
+    return (
+        healthy_reference(arm) if good is None else reference_by(arm, read_json(RunFolder(good).diagnosis, Diagnosis))
+    )
+
+
+def diagnose_logs_stage(
+    run: Run, logs: Sequence[RunLog], *, good: Path | None = None, on_progress: OnProgress = silent
+) -> Diagnosis:
+    """Judge an arm by logs of any motion and write the diagnosis into a run folder; ``good`` as in `diagnose_stage`."""
+    from rejoint.diagnosis.fromlogs import diagnose_logs
 
     diagnosis = diagnose_logs(
-        run.arm, logs, healthy_reference(run.arm), source=run.info.robot,
+        run.arm, logs, _healthy(run.arm, good), source=run.info.robot,
         on_progress=lambda what, share: on_progress(share, 1.0, what),
     )  # fmt: skip
     begin(run.folder.path, run.info.robot, run.arm, run.info.seed)

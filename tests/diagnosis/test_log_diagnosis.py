@@ -11,6 +11,7 @@ from plant_logs import ARM, HEALTHY, record_motions, with_joint
 
 from rejoint.arms import tcp_position
 from rejoint.diagnosis import Diagnosis, Estimate, diagnose_logs, fromlogs, load_healthy
+from rejoint.diagnosis.knowngood import reference_by
 from rejoint.diagnosis.logmetrics import slow_motion
 from rejoint.diagnosis.spans import FREE, HOLD, STEP, join_logs, log_of
 from rejoint.errors import InputError
@@ -221,3 +222,15 @@ def test_too_little_free_motion_is_refused(logs, on_a_table):
         diagnose_logs(ARM, [dataclasses.replace(log, arm="other") for log in logs["healthy"]], None)
     with pytest.raises(InputError, match="reference is of arm mycobot280"):
         diagnose_logs(ARM, logs["healthy"], dataclasses.replace(load_healthy(ARM), arm="mycobot280"))
+
+
+def test_an_arm_known_to_be_good_is_the_better_reference(logs, found):
+    """By its own measure an arm is not worn, and a healthy one is what a soft one is soft beside."""
+    by_itself = diagnose_logs(ARM, logs["soft elbow"], reference_by(ARM, found["soft elbow"]))
+    assert kinds(by_itself) == set()
+    by_another = diagnose_logs(ARM, logs["soft elbow"], reference_by(ARM, found["healthy"]))
+    assert ("elbow_flex", "weak_gain") in kinds(by_another)
+    assert {joint for joint, _ in kinds(by_another)} == {"elbow_flex"}
+    assert "known to be good" in by_another.verdict
+    with pytest.raises(InputError, match="is a so101, expected other"):
+        reference_by(dataclasses.replace(ARM, name="other"), found["healthy"])

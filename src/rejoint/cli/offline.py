@@ -27,11 +27,11 @@ Published = Annotated[
 ]
 
 
-def diagnose_from_logs(terminal: Terminal, job: work.Run, logs: Path) -> None:
+def diagnose_from_logs(terminal: Terminal, job: work.Run, logs: Path, good: Path | None) -> None:
     """Judge an arm by the run logs in a folder and write the diagnosis into the run folder of ``job``."""
     motions = read_folder(logs)
     with terminal.progress("diagnosing") as update:
-        diagnosis = work.diagnose_logs_stage(job, motions, on_progress=update)
+        diagnosis = work.diagnose_logs_stage(job, motions, good=good, on_progress=update)
     show.diagnosis(terminal, diagnosis)
     terminal.result(f"Next: rejoint identify --logs {logs} --arm {job.arm.name} --run {job.folder.path}")
     terminal.finish({"run": str(job.folder.path), "diagnosis": diagnosis})

@@ -25,6 +25,9 @@ def diagnose(
     base: opt.Base = None,
     tip: opt.Tip = None,
     period: opt.Period = None,
+    healthy: Annotated[
+        Path | None, typer.Option(help="Run folder of an arm known to be good, instead of an emulated healthy one.")
+    ] = None,
     seed: opt.Seed = 0,
     json: opt.Json = False,
 ) -> None:
@@ -38,14 +41,14 @@ def diagnose(
         if robot is not None or period is not None:
             raise InputError("diagnose takes either a robot or --logs FOLDER, and --logs no --period")
         job = opt.run_of_logs(opt.choose_arm(terminal, arm, base, tip), logs, run, seed)
-        offline.diagnose_from_logs(terminal, job, logs)
+        offline.diagnose_from_logs(terminal, job, logs, healthy)
         return
     robot = robot or "emulated:worn"
     chosen = opt.choose_arm(terminal, arm, base, tip, robot)
     path = run or work.newest_or_new(robot, chosen, seed)[0]
     job = work.begin(path, robot, chosen, seed)
     with terminal.progress("diagnosing") as update:
-        diagnosis = work.diagnose_stage(job, period=opt.period_seconds(period), on_progress=update)
+        diagnosis = work.diagnose_stage(job, period=opt.period_seconds(period), good=healthy, on_progress=update)
     show.diagnosis(terminal, diagnosis)
     terminal.result(f"Next: rejoint identify {path}")
     terminal.finish({"run": str(path), "diagnosis": diagnosis})
