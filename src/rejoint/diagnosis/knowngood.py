@@ -23,12 +23,13 @@ POSITIVE = ("stiffness_nm_per_rad", "coulomb_nm", "damping_ratio", "hysteresis_r
 def reference_by(arm: Arm, good: Diagnosis) -> HealthyReference:
     """Make a reference of a diagnosis, each interval wider by the spread between arms.
 
-    InputError if the diagnosis is of another kind of arm or says too little. The arm may be diagnosed by a robot or by logs of other motion.
+    InputError if the diagnosis is of another kind of arm or says too little. The arm may be diagnosed by a robot or by
+    logs of other motion.
     """
     if good.arm != arm.name:
         raise InputError(f"the arm known to be good is a {good.arm}, expected {arm.name}")
-    evidence = good.evidence
-    error = good.open_loop.error_mm if good.open_loop is not None else evidence and evidence.rest_error_mm
+    error = None if good.evidence is None else good.evidence.rest_error_mm
+    error = error if good.open_loop is None else good.open_loop.error_mm
     if error is None:
         raise InputError("the diagnosis of the arm known to be good says nothing about rest; take another one")
     return HealthyReference(
