@@ -1,5 +1,7 @@
 """Judgement of twins on logs of known truth, and what repeats."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from motion_logs import ARM, TRUTH, as_log, pressing, record, wandering
@@ -125,6 +127,13 @@ def test_a_published_set_is_read(tmp_path):
     assert found.parameters.damping.tolist() == [1, 2, 3, 4, 5]
     assert found.parameters.offset.tolist() == [0.0] * 5
     assert (found.parameters.torque_limit > 40).all()
+
+
+@pytest.mark.parametrize("path", sorted((Path(__file__).parents[2] / "docs" / "published").glob("*.toml")), ids=str)
+def test_the_published_sets_of_the_documentation_are_usable(path, logs):
+    found = read_published(path, ARM)
+    judgement = judge(ARM, [found], logs[:1])
+    assert 1e-3 < judgement.mean[found.name].all.tcp < 0.2  # another arm's numbers: neither right nor absurd
 
 
 @pytest.mark.parametrize(
