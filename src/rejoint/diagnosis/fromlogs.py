@@ -65,7 +65,7 @@ def diagnose_logs(
     findings = find(arm, measurement, rest if len(rest.position) else _everywhere(logs, excluded), healthy)
     return Diagnosis(
         arm=arm.name, robot=source, condition=_condition(measurement, findings),
-        verdict=f"{_motions(evidence, healthy)} {_verdict(measurement, findings, healthy)}",
+        verdict=f"{_rest(evidence, healthy)}{_verdict(measurement, findings, healthy)} {_motions(evidence)}",
         findings=findings, unseen=_unseen(measurement), open_loop=None, measurement=measurement, healthy=healthy,
         evidence=evidence,
     )  # fmt: skip
@@ -119,19 +119,23 @@ def _everywhere(logs: Sequence[RunLog], excluded: Sequence[Exclusions]) -> Postu
     )
 
 
-def _motions(evidence: Evidence, healthy: HealthyReference | None) -> str:
-    """Say what the logs show, and how far the tool rests from where it was sent."""
-    motions = f"{evidence.motions} recorded motion{'s' * (evidence.motions != 1)}"
-    first = f"{motions}, {evidence.free_seconds:.0f} s of them in free space{left_out(evidence)}."
+def _rest(evidence: Evidence, healthy: HealthyReference | None) -> str:
+    """Say how far the tool rests from where it was sent, with a space behind; empty where it never rests."""
     error = evidence.rest_error_mm
-    if error is not None:
-        usual = "" if healthy is None else f"; a healthy arm of this kind: {healthy.error_mm.value:.1f} mm"
-        likely = "" if error.low is None or error.high is None else f" ({error.low:.1f} to {error.high:.1f})"
-        first += (
-            f" Where it rests, the tool is {error.value:.1f} mm{likely} from where it was sent, by the arm's own "
-            f"encoders{usual}."
-        )
-    return first
+    if error is None:
+        return ""
+    usual = "" if healthy is None else f"; a healthy arm of this kind: {healthy.error_mm.value:.1f} mm"
+    likely = "" if error.low is None or error.high is None else f" ({error.low:.1f} to {error.high:.1f})"
+    return (
+        f"Where it rests, the tool is {error.value:.1f} mm{likely} from where it was sent, by the arm's own "
+        f"encoders{usual}. "
+    )
+
+
+def _motions(evidence: Evidence) -> str:
+    """Say what the logs show."""
+    motions = f"{evidence.motions} recorded motion{'s' * (evidence.motions != 1)}"
+    return f"From {motions}, {evidence.free_seconds:.0f} s in free space{left_out(evidence)}."
 
 
 def _untold(measurement: Measurement) -> list[str]:
