@@ -5,7 +5,6 @@ import onnxruntime as ort
 import pyarrow.parquet as pq
 import pytest
 import torch
-from skrl.agents.torch.ppo.ppo import compute_gae
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 from torch import nn
 
@@ -15,8 +14,9 @@ from rejoint.control.policy import load_policy
 from rejoint.errors import FileError, InputError
 from rejoint.runs import RunFolder
 from rejoint.training.export import policy_graph
-from rejoint.training.learner import Learner, LinearDecay
+from rejoint.training.learner import Learner
 from rejoint.training.networks import Actor, Critic, perceptron
+from rejoint.training.ppo import Rollout, advantages, join
 from rejoint.training.presets import DEFAULT, PAPER, PpoSettings, load_preset
 from rejoint.training.ranges import BroadRanges
 from rejoint.training.task import ReachTask, TaskSettings
@@ -35,8 +35,8 @@ def options(**changes) -> TrainingOptions:
 
 
 def small_learner(seed=0, **ppo) -> Learner:
-    task = ReachTask(ARM, BroadRanges(arm=ARM), 16, SMALL.task, seed=seed)
-    return Learner(task, dataclasses.replace(SMALL.ppo, **ppo), seed=seed)
+    tasks = [ReachTask(ARM, BroadRanges(arm=ARM), 8, SMALL.task, seed=seed + k) for k in range(2)]
+    return Learner(tasks, dataclasses.replace(SMALL.ppo, **ppo), seed=seed)
 
 
 def weights(network) -> np.ndarray:
@@ -73,6 +73,14 @@ def test_a_training_is_a_function_of_its_seed(tmp_path):
         for name, seed in (("a", 5), ("b", 5), ("c", 6))
     ]
     assert policies[0] == policies[1] != policies[2]
+
+
+def test_threads_do_not_change_what_is_learned(tmp_path):
+    one, two = (
+        train(ARM, None, out=tmp_path / str(threads), options=options(iterations=3, threads=threads))
+        for threads in (1, 2)
+    )
+    assert one.policy.read_bytes() == two.policy.read_bytes()
 
 
 class InterruptedTrainingError(Exception):
@@ -138,79 +146,114 @@ def test_only_perceptrons_are_exported():
 def test_the_untrained_policy_hardly_acts():
     torch.manual_seed(0)
     actor = Actor(50, 6, (128, 64), -0.7)
-    mean, extra = actor.compute({"observations": torch.randn(100, 50)})
-    assert mean.abs().max() < 0.02
-    assert torch.allclose(extra["log_std"], torch.tensor(-0.7))
+    assert actor.net(torch.randn(100, 50)).abs().max() < 0.02
+    assert torch.allclose(actor.log_std, torch.tensor(-0.7))
     actor.ceiling = -1.5
-    assert torch.allclose(actor.compute({"observations": torch.zeros(1, 50)})[1]["log_std"], torch.tensor(-1.5))
+    assert torch.allclose(actor.log_std, torch.tensor(-1.5))
+
+
+def test_the_density_of_actions_is_that_of_the_noise():
+    torch.manual_seed(0)
+    actor = Actor(5, 3, (8,), -0.7)
+    observation = torch.randn(1, 5)
+    draws = [actor.sample(observation, torch.Generator().manual_seed(seed))[0] for seed in range(4000)]
+    actions = torch.stack(draws).detach()
+    with torch.no_grad():
+        normal = torch.distributions.Normal(actor.net(observation), actor.log_std.exp())
+        # but for the constant, n ln(2 pi) / 2
+        expected = normal.log_prob(actions).sum(dim=-1) + 1.5 * np.log(2.0 * np.pi)
+        assert torch.allclose(actor.log_prob(observation, actions), expected, atol=1e-5)
+    np.testing.assert_allclose(actions.std(dim=0).numpy(), np.exp(-0.7), rtol=0.05)
 
 
 def test_the_critic_sees_the_truth():
-    critic = Critic(50, 56, 6, (16,))
+    critic = Critic(50, 56, (16,))
     observations, truth = torch.zeros(1, 50), torch.zeros(1, 56)
     other = truth.clone()
     other[0, 7] = 1.0
-    first, _ = critic.compute({"observations": observations, "states": truth})
-    second, _ = critic.compute({"observations": observations, "states": other})
-    assert first.shape == (1, 1)
+    first, second = critic(observations, truth), critic(observations, other)
+    assert first.shape == (1,)
     assert first.item() != second.item()
 
 
+def rollout(cycles, agents, **tensors) -> Rollout:
+    """A rollout of zeros but for what is given."""
+    shape = (cycles, agents)
+    zeros = {name: torch.zeros(shape) for name in ("log_prob", "value", "final_value", "reward", "distance")}
+    zeros |= {name: torch.zeros(shape, dtype=torch.bool) for name in ("terminated", "truncated")}
+    zeros |= {name: torch.zeros((*shape, 2)) for name in ("observation", "truth", "action")}
+    return Rollout(**(zeros | {"next_value": torch.zeros((1, agents))} | tensors))
+
+
 def test_advantages_worked_by_hand():
-    # One agent, three cycles; after the second one a new target appears. Bootstrapping has already
-    # added gamma V(final state) = 0.5 * 4 to the reward of the second cycle.
-    column = lambda *values: torch.tensor(values)[:, None, None]  # noqa: E731
-    returns, _ = compute_gae(
-        rewards=column(1.0, 2.0 + 0.5 * 4.0, 3.0),
-        terminated=torch.zeros(3, 1, 1, dtype=torch.bool),
-        truncated=column(False, True, False),
-        values=column(10.0, 20.0, 30.0),
-        last_values=torch.tensor([[8.0]]),
-        discount_factor=0.5,
-        lambda_coefficient=0.8,
-        time_limit_bootstrap=True,
-    )
-    third = 3.0 + 0.5 * 8.0 - 30.0
-    second = 4.0 - 20.0
-    first = 1.0 + 0.5 * 20.0 - 10.0 + 0.5 * 0.8 * second
-    np.testing.assert_allclose(returns.ravel(), [first + 10.0, second + 20.0, third + 30.0], rtol=1e-6)
+    # One agent, three cycles; after the second one the target times out in a state of value 4.
+    column = lambda *values: torch.tensor(values)[:, None]  # noqa: E731
+    seen = rollout(
+        3, 1, reward=column(1.0, 2.0, 3.0), truncated=column(False, True, False), value=column(10.0, 20.0, 30.0),
+        final_value=column(0.0, 4.0, 0.0), next_value=torch.tensor([[8.0]]),
+    )  # fmt: skip
+    got = advantages(seen, PpoSettings(discount=0.5, gae_lambda=0.8, reward_scale=2.0))
+    third = 6.0 + 0.5 * 8.0 - 30.0
+    second = 4.0 + 0.5 * 4.0 - 20.0
+    first = 2.0 + 0.5 * 20.0 - 10.0 + 0.5 * 0.8 * second
+    np.testing.assert_allclose(got.ravel(), [first, second, third], rtol=1e-6)
+
+
+def test_success_has_no_value_beyond_it():
+    done = torch.tensor([[True, False]])
+    seen = rollout(1, 2, terminated=done, next_value=torch.tensor([[8.0, 8.0]]))
+    np.testing.assert_allclose(advantages(seen, PpoSettings(discount=0.5)), [[0.0, 4.0]])
+
+
+def test_agents_of_crews_stand_side_by_side():
+    mark = lambda first: first + 10.0 * torch.arange(3)[:, None] + torch.arange(2)  # noqa: E731 - agent + 10 cycle
+    both = join([rollout(3, 2, reward=mark(0.0)), rollout(3, 2, reward=mark(2.0))])
+    np.testing.assert_array_equal(both.reward, np.arange(4) + 10.0 * np.arange(3)[:, None])
+    assert both.next_value.shape == (1, 4)
 
 
 def test_time_outs_are_bootstrapped_from_the_state_before_the_new_target():
     learner = small_learner()
-    for _ in range(SMALL.ppo.rollout - 1):
-        transition = learner._interact()
-        if transition.truncated.any():
-            break
-    row = int(np.flatnonzero(transition.truncated)[0])
-    with torch.no_grad():
-        inputs = (transition.final_observation, transition.final_truth)
-        value, _ = learner.critic.compute(
-            dict(zip(("observations", "states"), map(torch.from_numpy, inputs), strict=True))
-        )
-    stored = learner.agent.memory.get_tensor_by_name("rewards")[learner.agent.memory.memory_index - 1, :, 0]
-    s = learner.settings
-    expected = s.reward_scale * transition.reward[row] + s.discount * value[row, 0].item()
-    np.testing.assert_allclose(stored[row].item(), expected, rtol=1e-5)
-    going_on = ~transition.truncated
-    np.testing.assert_allclose(stored[going_on], s.reward_scale * transition.reward[going_on], rtol=1e-5)
+    crew, seen = learner.crews[0], []
+    step = crew.task.step
+    crew.task.step = lambda action: seen.append(step(action)) or seen[-1]
+    rolled = crew.roll(learner.actor, learner.critic, SMALL.ppo.rollout)
+    assert rolled.truncated.any()
+    assert not rolled.terminated.any()
+    for t, n in rolled.truncated.nonzero().tolist():
+        with torch.no_grad():
+            value = learner.critic(*(torch.from_numpy(a[n]) for a in (seen[t].final_observation, seen[t].final_truth)))
+        np.testing.assert_allclose(rolled.final_value[t, n].item(), value.item(), rtol=1e-4)
+        assert (seen[t].final_observation[n] != seen[t].observation[n]).any()
+    assert not rolled.final_value[~rolled.truncated].any()
+
+
+def test_a_rollout_holds_what_was_seen_done_and_got():
+    learner = small_learner()
+    crew, actions, seen = learner.crews[1], [], []
+    step = crew.task.step
+    first = crew.state()["observation"].clone()
+
+    def watch(action):
+        actions.append(action.copy())
+        seen.append(step(action))
+        return seen[-1]
+
+    crew.task.step = watch
+    rolled = crew.roll(learner.actor, learner.critic, SMALL.ppo.rollout)
+    np.testing.assert_array_equal(rolled.observation[0], first)
+    np.testing.assert_array_equal(rolled.observation[1:], [transition.observation for transition in seen[:-1]])
+    np.testing.assert_array_equal(rolled.action, actions)
+    np.testing.assert_allclose(rolled.reward, [transition.reward for transition in seen], rtol=1e-6)
 
 
 def test_learning_rate_falls_linearly_to_its_last_value():
     learner = small_learner(learning_rate=1e-3, final_learning_rate=1e-4)
-    rates = [learner.iterate().learning_rate for _ in range(6)]
-    np.testing.assert_allclose(rates, 1e-3 - 0.9e-3 * np.arange(1, 7) / 6, rtol=1e-9)
-
-
-def test_learning_rate_does_not_fall_below_its_last_value():
-    optimizer = torch.optim.SGD([torch.zeros(1, requires_grad=True)], lr=2.0)
-    schedule = LinearDecay(optimizer, steps=2, last_fraction=0.5)
     rates = []
-    for _ in range(4):
-        rates.append(schedule.get_last_lr()[0])
-        optimizer.step()
-        schedule.step()
-    assert rates == [2.0, 1.5, 1.0, 1.0]
+    for _ in range(6):
+        assert learner.iterate().learning_rate == learner.ppo.actor_optimizer.param_groups[0]["lr"]
+        rates.append(learner.curve[-1].learning_rate)
+    np.testing.assert_allclose(rates, 1e-3 - 0.9e-3 * np.arange(6) / 5, rtol=1e-9)
 
 
 def test_the_noise_stays_below_its_falling_ceiling():
@@ -228,7 +271,7 @@ def test_learning_improves_the_reward():
         task=TaskSettings(hold_steps=40),
         ppo=PpoSettings(rollout=16, iterations=12, actor_layers=(64,), critic_layers=(64,)),
     )
-    learner = Learner(ReachTask(ARM, BroadRanges(arm=ARM), 128, preset.task, seed=0), preset.ppo, seed=0)
+    learner = Learner([ReachTask(ARM, BroadRanges(arm=ARM), 128, preset.task, seed=0)], preset.ppo, seed=0)
 
     def mean_reward() -> float:
         task = ReachTask(ARM, BroadRanges(arm=ARM), 128, preset.task, seed=99)

@@ -1,33 +1,31 @@
-"""PPO on the task: skrl's algorithm in a loop of our own.
-
-The loop is our own so that the value of the state before a new target appears can be bootstrapped,
-and so that a training can be interrupted between two updates and continued bit for bit.
-"""
+"""The training as a loop: crews of agents act, actor and critic learn, and it can be interrupted after every update."""
 
 from __future__ import annotations
 
 import pickle
 import time
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
-from skrl.agents.torch.ppo import PPO, PPO_CFG
-from skrl.memories.torch import RandomMemory
-from torch.optim.lr_scheduler import LRScheduler
 
 from rejoint.errors import FileError
 from rejoint.runs import write_whole
-from rejoint.training.networks import Actor, Critic, unbounded
+from rejoint.training.crew import Crew
+from rejoint.training.networks import Actor, Critic
+from rejoint.training.ppo import Losses, Ppo, Rollout, join
 from rejoint.training.presets import PpoSettings
-from rejoint.training.task import ReachTask, Transition
+from rejoint.training.task import ReachTask
 
 SUCCESS_DISTANCE = 0.010
 """[m] a target counts as reached below this distance at its end; Park et al. 2024, section IV-A."""
 
-_CHECKPOINT_FORMAT = 1
+_CHECKPOINT_FORMAT = 2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,42 +49,20 @@ class CurvePoint:
     """time since the training started, pauses not counted"""
 
 
-class LinearDecay(LRScheduler):
-    """Learning rate that falls linearly to a fraction of the initial one over ``steps`` calls."""
-
-    def __init__(self, optimizer: torch.optim.Optimizer, *, steps: int, last_fraction: float) -> None:
-        self.steps, self.last_fraction = steps, last_fraction
-        super().__init__(optimizer)
-
-    def get_lr(self) -> list[float | torch.Tensor]:
-        """Rates of all parameter groups."""
-        done = min(self.last_epoch / max(self.steps, 1), 1.0)
-        return [rate * (1.0 + done * (self.last_fraction - 1.0)) for rate in self.base_lrs]
-
-
 class Learner:
-    """Networks, algorithm and task of one training."""
+    """Networks, algorithm and agents of one training."""
 
-    def __init__(self, task: ReachTask, settings: PpoSettings, *, seed: int) -> None:
+    def __init__(self, tasks: Sequence[ReachTask], settings: PpoSettings, *, seed: int, threads: int = 1) -> None:
+        """Take the task of each crew; ``threads`` of them act, and as many networks learn, at the same time."""
         torch.manual_seed(seed)
-        n, size = task.arm.joints, task.observer.size
-        self.task, self.settings = task, settings
-        self.actor = Actor(size, n, settings.actor_layers, settings.log_std)
-        self.critic = Critic(size, task.truth_size, n, settings.critic_layers)
-        self.agent = PPO(
-            models={"policy": self.actor, "value": self.critic},
-            memory=RandomMemory(memory_size=settings.rollout, num_envs=task.agents, device="cpu"),
-            observation_space=unbounded(size),
-            state_space=unbounded(task.truth_size),
-            action_space=unbounded(n),
-            device="cpu",
-            cfg=_configuration(settings),
-        )
-        self.agent.init()
-        self.agent.enable_training_mode(True)
+        size, self.threads = tasks[0].observer.size, threads
+        self.settings, self.agents = settings, sum(task.agents for task in tasks)
+        self.ends_on_success = tasks[0].settings.ends_on_success
+        self.actor = Actor(size, tasks[0].arm.joints, settings.actor_layers, settings.log_std)
+        self.critic = Critic(size, tasks[0].truth_size, settings.critic_layers)
+        self.crews = [Crew(task, seed=len(tasks) * seed + k) for k, task in enumerate(tasks)]
+        self.ppo = Ppo(self.actor, self.critic, settings, seed=seed)
         self.curve: list[CurvePoint] = []
-        self._wall_before = 0.0
-        self._observation, self._truth = (torch.from_numpy(array) for array in task.reset())
 
     @property
     def iteration(self) -> int:
@@ -97,29 +73,12 @@ class Learner:
         """Run one rollout and one update."""
         start, s = time.perf_counter(), self.settings
         self.actor.ceiling = _ceiling(s, self.iteration)
-        rewards, ends, successes = [], [], []
-        for _ in range(s.rollout):
-            transition = self._interact()
-            ended = transition.truncated | transition.terminated
-            rewards.append(transition.reward.mean())
-            ends.append(transition.distance[ended])
-            held = transition.distance[ended] < SUCCESS_DISTANCE
-            successes.append(transition.terminated[ended] if self.task.settings.ends_on_success else held)
-        end, success = np.concatenate(ends), np.concatenate(successes)
-        tracked, self._wall_before = self.agent.tracking_data, self._wall_before + time.perf_counter() - start
-        last = self.curve[-1] if self.curve else None
-        point = CurvePoint(
-            step=(self.iteration + 1) * s.rollout * self.task.agents,
-            reward=float(np.mean(rewards)),
-            success_rate=float(success.mean()) if len(end) else (last.success_rate if last else 0.0),
-            error_mm=float(np.median(end)) * 1e3 if len(end) else (last.error_mm if last else 0.0),
-            noise=float(np.mean(tracked["Policy / Standard deviation"])),
-            learning_rate=float(self.agent.optimizer.param_groups[0]["lr"]),
-            policy_loss=float(np.mean(tracked["Loss / Policy loss"])),
-            value_loss=float(np.mean(tracked["Loss / Value loss"])),
-            wall_s=self._wall_before,
-        )
-        tracked.clear()
+        rate = _learning_rate(s, self.iteration)
+        # One thread per job: networks of this size lose by a second one within a product (measured).
+        with ThreadPoolExecutor(self.threads, initializer=partial(torch.set_num_threads, 1)) as workers:
+            rollout = join(list(workers.map(lambda crew: crew.roll(self.actor, self.critic, s.rollout), self.crews)))
+            losses = self.ppo.update(rollout, rate, workers)
+        point = self._point(rollout, losses, rate, time.perf_counter() - start)
         self.curve.append(point)
         return point
 
@@ -128,13 +87,10 @@ class Learner:
         content = {
             "format": _CHECKPOINT_FORMAT,
             "identity": identity,
-            "modules": {name: module.state_dict() for name, module in self.agent.checkpoint_modules.items()},
-            "scheduler": self.agent.scheduler.state_dict(),
-            "random": torch.get_rng_state(),
+            "modules": {name: module.state_dict() for name, module in self._modules().items()},
+            "shuffling": self.ppo.shuffling.get_state(),
+            "crews": [_tensors(crew.state()) for crew in self.crews],
             "curve": [asdict(point) for point in self.curve],
-            "observation": self._observation,
-            "truth": self._truth,
-            "task": {name: _tensor(value) for name, value in self.task.state().items()},
         }
         write_whole(path, lambda temporary: torch.save(content, temporary))
 
@@ -144,64 +100,43 @@ class Learner:
             content = torch.load(path, map_location="cpu", weights_only=True)
             if content["format"] != _CHECKPOINT_FORMAT or content["identity"] != identity:
                 return False
-            for name, module in self.agent.checkpoint_modules.items():
+            for name, module in self._modules().items():
                 module.load_state_dict(content["modules"][name])
-            self.agent.scheduler.load_state_dict(content["scheduler"])
-            self.task.load_state({name: _plain(value) for name, value in content["task"].items()})
-            self._observation, self._truth = content["observation"], content["truth"]
+            self.ppo.shuffling.set_state(content["shuffling"])
+            for crew, state in zip(self.crews, content["crews"], strict=True):
+                crew.load_state(state | {"task": _arrays(state["task"])})
             self.curve = [CurvePoint(**point) for point in content["curve"]]
-            torch.set_rng_state(content["random"])
         except (OSError, EOFError, KeyError, RuntimeError, TypeError, ValueError, pickle.UnpicklingError) as error:
             raise FileError(path, "damaged checkpoint", "delete it and train again") from error
-        self._wall_before = self.curve[-1].wall_s if self.curve else 0.0
         return True
 
-    def _interact(self) -> Transition:
-        """One control cycle of all agents, recorded; the last one of a rollout updates the networks."""
-        total = self.settings.rollout * self.settings.iterations
-        clock = {"timestep": self.iteration, "timesteps": total}
-        observation, truth = self._observation, self._truth
-        with torch.no_grad():
-            action, _ = self.agent.act(observation, truth, **clock)
-            transition = self.task.step(action.numpy())
-            self.agent.record_transition(
-                observations=observation,
-                states=truth,
-                actions=action,
-                rewards=_column((self.settings.reward_scale * transition.reward).astype(np.float32)),
-                next_observations=torch.from_numpy(transition.final_observation),
-                next_states=torch.from_numpy(transition.final_truth),
-                terminated=_column(transition.terminated),
-                truncated=_column(transition.truncated),
-                infos={},
-                **clock,
-            )
-        self._observation = torch.from_numpy(transition.observation)
-        self._truth = torch.from_numpy(transition.truth)
-        self.agent.post_interaction(**clock)
-        return transition
+    def _modules(self) -> dict[str, torch.nn.Module | torch.optim.Optimizer]:
+        return {
+            "actor": self.actor, "critic": self.critic,
+            "actor_optimizer": self.ppo.actor_optimizer, "critic_optimizer": self.ppo.critic_optimizer,
+        }  # fmt: skip
+
+    def _point(self, rollout: Rollout, losses: Losses, rate: float, wall_s: float) -> CurvePoint:
+        ended = rollout.ended
+        distance = rollout.distance[ended].numpy()
+        success = rollout.terminated[ended].numpy() if self.ends_on_success else distance < SUCCESS_DISTANCE
+        last = self.curve[-1] if self.curve else None
+        return CurvePoint(
+            step=(self.iteration + 1) * self.settings.rollout * self.agents,
+            reward=float(rollout.reward.mean()),
+            success_rate=float(success.mean()) if len(success) else (last.success_rate if last else 0.0),
+            error_mm=1e3 * float(np.median(distance)) if len(distance) else (last.error_mm if last else 0.0),
+            noise=self.actor.log_std.exp().mean().item(),
+            learning_rate=rate,
+            policy_loss=losses.policy,
+            value_loss=losses.value,
+            wall_s=wall_s + (last.wall_s if last else 0.0),
+        )
 
 
-def _configuration(settings: PpoSettings) -> PPO_CFG:
-    updates = settings.iterations * settings.epochs  # skrl advances the schedule once per epoch
-    decay = {"steps": updates, "last_fraction": settings.final_learning_rate / settings.learning_rate}
-    return PPO_CFG(
-        rollouts=settings.rollout,
-        learning_epochs=settings.epochs,
-        mini_batches=settings.mini_batches,
-        discount_factor=settings.discount,
-        gae_lambda=settings.gae_lambda,
-        learning_rate=settings.learning_rate,
-        learning_rate_scheduler=LinearDecay,
-        learning_rate_scheduler_kwargs=decay,
-        grad_norm_clip=settings.gradient_clip,
-        ratio_clip=settings.clip,
-        value_clip=0.0,
-        entropy_loss_scale=0.0,
-        value_loss_scale=settings.value_weight,
-        time_limit_bootstrap=True,
-        experiment={"write_interval": 0, "checkpoint_interval": 0},
-    )
+def _learning_rate(settings: PpoSettings, iteration: int) -> float:
+    done = iteration / max(settings.iterations - 1, 1)
+    return settings.learning_rate + done * (settings.final_learning_rate - settings.learning_rate)
 
 
 def _ceiling(settings: PpoSettings, iteration: int) -> float:
@@ -209,14 +144,11 @@ def _ceiling(settings: PpoSettings, iteration: int) -> float:
     return first + (last - first) * min(iteration / max(settings.ceiling_falls * settings.iterations, 1.0), 1.0)
 
 
-def _tensor(value: object) -> object:
-    """Array as a tensor: a checkpoint of tensors and plain data can be read without running code in it."""
-    return torch.from_numpy(value) if isinstance(value, np.ndarray) else value
+def _tensors(state: dict[str, Any]) -> dict[str, Any]:
+    """Arrays as tensors: a checkpoint of tensors and plain data can be read without running code in it."""
+    task = {name: torch.from_numpy(v) if isinstance(v, np.ndarray) else v for name, v in state["task"].items()}
+    return state | {"task": task}
 
 
-def _plain(value: object) -> object:
-    return value.numpy() if isinstance(value, torch.Tensor) else value
-
-
-def _column(values: np.ndarray[Any, Any]) -> torch.Tensor:
-    return torch.from_numpy(values)[:, None]
+def _arrays(state: dict[str, Any]) -> dict[str, Any]:
+    return {name: value.numpy() if isinstance(value, torch.Tensor) else value for name, value in state.items()}

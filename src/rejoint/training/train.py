@@ -26,6 +26,9 @@ from rejoint.training.task import ReachTask
 from rejoint.twin.parameters import nominal_parameters
 from rejoint.twin.twin import Twin
 
+CREWS = 2
+"""Crews that the agents are split into, whatever the number of threads, so that results do not depend on it."""
+
 OnProgress = Callable[[float, float, str], None]
 """Called with (done, total, what is being done)."""
 
@@ -38,7 +41,7 @@ class TrainingOptions:
     seed: int = 0
     agents: int = 512
     threads: int = 2
-    """of the simulation"""
+    """of simulation and learning"""
     iterations: int | None = None
     """updates; the preset's own number by default"""
     checkpoint_every: int = 10
@@ -92,7 +95,8 @@ def train(
     options = TrainingOptions() if options is None else options
     recipe, folder = know_stiffness(options.recipe, arm, twin), RunFolder(out)
     checkpoint, curves = folder.training / "checkpoint.pt", folder.training / "curves.parquet"
-    torch.set_num_threads(1)  # measured: networks of this size lose by a second thread
+    torch.set_num_threads(1)  # of one product of matrices: crews and networks are what runs at the same time
+    torch.set_float32_matmul_precision("medium")  # products in bfloat16, where the processor has it, sums in float32
     learner = _learner(arm, twin, recipe, options)
     identity = _identity(arm, twin, recipe, options)
     if options.resume and checkpoint.exists():
@@ -141,9 +145,15 @@ def write_curves(path: Path, curve: Sequence[CurvePoint]) -> None:
 
 
 def _learner(arm: Arm, twin: Twin | None, recipe: Preset, options: TrainingOptions) -> Learner:
-    ranges = training_ranges(arm, twin, recipe)
-    task = ReachTask(arm, ranges, options.agents, recipe.task, seed=options.seed, threads=options.threads)
-    return Learner(task, recipe.ppo, seed=options.seed)
+    ranges, crews = training_ranges(arm, twin, recipe), min(CREWS, options.agents)
+    sizes = [len(part) for part in np.array_split(np.arange(options.agents), crews)]
+    tasks = [
+        ReachTask(
+            arm, ranges, size, recipe.task, seed=crews * options.seed + k, threads=max(options.threads // crews, 1)
+        )
+        for k, size in enumerate(sizes)
+    ]
+    return Learner(tasks, recipe.ppo, seed=options.seed, threads=min(options.threads, crews))
 
 
 def know_stiffness(recipe: Preset, arm: Arm, twin: Twin | None) -> Preset:

@@ -1,0 +1,79 @@
+"""A crew: some of the agents, which act by themselves for a whole rollout.
+
+The agents of a training are split into crews, so that one crew's observations are computed while another one is being
+simulated. Each has its own random numbers: what they do does not depend on when they do it.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from rejoint.training.networks import Actor, Critic
+from rejoint.training.ppo import Rollout
+from rejoint.training.task import ReachTask, Transition
+
+
+class Crew:
+    """The agents of one task, with their exploration noise and where they stand."""
+
+    def __init__(self, task: ReachTask, *, seed: int) -> None:
+        self.task = task
+        self._exploration = torch.Generator().manual_seed(seed)
+        self._observation, self._truth = (torch.from_numpy(array) for array in task.reset())
+
+    @torch.no_grad()
+    def roll(self, actor: Actor, critic: Critic, cycles: int) -> Rollout:
+        """Act for some control cycles."""
+        observations, truths, actions, transitions = [], [], [], []
+        for _ in range(cycles):
+            action = actor.sample(self._observation, self._exploration)
+            transition = self.task.step(action.numpy())
+            observations.append(self._observation)
+            truths.append(self._truth)
+            actions.append(action)
+            transitions.append(transition)
+            self._observation, self._truth = map(torch.from_numpy, (transition.observation, transition.truth))
+        observation, truth, action = torch.stack(observations), torch.stack(truths), torch.stack(actions)
+        return Rollout(
+            observation=observation,
+            truth=truth,
+            action=action,
+            log_prob=actor.log_prob(observation, action),
+            value=critic(observation, truth),
+            final_value=_final_values(critic, transitions),
+            next_value=critic(self._observation, self._truth)[None],
+            reward=_stack(transitions, "reward").float(),
+            terminated=_stack(transitions, "terminated"),
+            truncated=_stack(transitions, "truncated"),
+            distance=_stack(transitions, "distance"),
+        )
+
+    def state(self) -> dict[str, Any]:
+        """Everything that a checkpoint must keep."""
+        return {
+            "exploration": self._exploration.get_state(), "observation": self._observation, "truth": self._truth,
+            "task": self.task.state(),
+        }  # fmt: skip
+
+    def load_state(self, state: dict[str, Any]) -> None:
+        """Continue from what `state` returned, bit for bit."""
+        self._exploration.set_state(state["exploration"])
+        self._observation, self._truth = state["observation"], state["truth"]
+        self.task.load_state(state["task"])
+
+
+def _stack(transitions: list[Transition], name: str) -> Tensor:
+    return torch.stack([torch.from_numpy(getattr(transition, name)) for transition in transitions])
+
+
+def _final_values(critic: Critic, transitions: list[Transition]) -> Tensor:
+    """Values (T, N) of the states that a time-out cut off."""
+    late = _stack(transitions, "truncated")
+    ends = [[torch.from_numpy(array[t.truncated]) for array in (t.final_observation, t.final_truth)]
+            for t in transitions]  # fmt: skip
+    values = torch.zeros(late.shape)
+    values[late] = critic(*(torch.cat(parts) for parts in zip(*ends, strict=True)))
+    return values
