@@ -28,9 +28,7 @@ def reproduce(
         Path | None, typer.Option(help="Page to write (.md), its figures beside it; docs/reproduction.md by default.")
     ] = None,
     list_: Annotated[bool, typer.Option("--list", help="List the experiments and end.")] = False,
-    quick: Annotated[
-        bool, typer.Option("--quick", help="Try every step in a minute; nothing to learn from it.")
-    ] = False,
+    quick: Annotated[bool, typer.Option("--quick", help="Try every step with very little; no result.")] = False,
     again: Annotated[
         bool, typer.Option("--again", help="Write finished experiments anew from what they keep.")
     ] = False,
