@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rejoint.arms import gravity_torque, mycobot280, so101, solve_position
-from rejoint.arms.size import heaviest_load, length_size, torque_size
+from rejoint.arms.size import heaviest_load, length_size, torque_size, weightless
 
 ARM = mycobot280()
 
@@ -36,3 +36,8 @@ def test_a_finer_grid_finds_what_random_targets_need(arm):
     load = np.abs(gravity_torque(arm, solve_position(arm, targets, arm.rest).q)).max(axis=0)
     assert (load <= 1.02 * heaviest_load(arm, 5) + 2e-3).all()
     assert (heaviest_load(arm) <= heaviest_load(arm, 5) + 1e-12).all()
+
+
+def test_bases_and_wrist_rolls_carry_no_weight():
+    np.testing.assert_array_equal(weightless(ARM), [True, False, False, False, True, True])
+    np.testing.assert_array_equal(weightless(so101()), [True, False, False, False, True])

@@ -99,3 +99,29 @@ def test_commands_stay_in_the_working_envelope() -> None:
 def test_the_stiffness_of_every_servo_is_needed() -> None:
     with pytest.raises(InputError, match="stiffness of 6 servos, got"):
         Commander(ARM, CommandLaw(anchor="goal"))
+
+
+def test_joints_without_weight_are_corrected_by_ever_less_and_in_full_when_far() -> None:
+    law = replace(LAW, patience=1.5)
+    degree = np.radians(1.0)
+    step = degree * np.array([[0.0, 0.0], [0.0, 0.5], [-2.0, 0.0]])
+    calm = law.calm(np.array([3.0, 3.0, 30.0]), step)
+    # half of the time: half; at half of a degree a quarter of the rest comes back; beyond a degree all
+    np.testing.assert_allclose(calm, [[0.5], [0.5 + 0.5 * 0.25], [1.0]])
+    np.testing.assert_allclose(law.calm(np.array([0.0, 1.5]), np.zeros((2, 6))), 1.0)
+
+
+def test_only_those_joints_calm_down_and_only_where_the_law_says_so() -> None:
+    rest = np.tile(ARM.rest, (2, 1))
+    pushed = {}
+    for law in (LAW, replace(LAW, patience=2.0)):
+        commander = Commander(ARM, law)
+        now = situation(rest, tcp_position(ARM, rest))
+        commander.reset(now, EVERY)
+        late = replace(now, since_target=np.array([1.0, 8.0]))
+        pushed[law.patience] = command(commander, late, np.ones((2, 6)))
+    difference = pushed[2.0] - pushed[0.0]
+    np.testing.assert_allclose(difference[0], 0.0, atol=1e-12)
+    light = [0, 4, 5]  # base and wrist rolls; shoulder, elbow and wrist bend carry weight
+    np.testing.assert_allclose(difference[1, light], -0.75 * LAW.authority_floor, atol=1e-12)
+    np.testing.assert_allclose(difference[1, 1:4], 0.0, atol=1e-12)

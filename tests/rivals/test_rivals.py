@@ -12,7 +12,7 @@ from rejoint.rivals.catalogue import RIVALS, make_rival
 from rejoint.rivals.scheduled import ScheduledController, ScheduledGains
 from rejoint.rivals.tuning import TuningSettings, candidate_costs, repeat, tune
 from rejoint.rivals.twinrobot import TwinRobot
-from rejoint.training.ranges import BroadRanges
+from rejoint.training.ranges import SLOW_PLAY, BroadRanges
 from rejoint.training.task import ReachTask, TaskSettings
 
 ARM = mycobot280()
@@ -83,10 +83,11 @@ def test_the_adaptive_law_learns_what_its_regressor_spans():
     np.testing.assert_allclose(law._estimate[0][loaded], 1.4, atol=0.02)
 
 
-def test_twins_move_as_in_training():
-    task = ReachTask(ARM, RANGES, 6, TaskSettings(jitter=0.0, targets=10**6, hold_steps=10**6), seed=3)
+@pytest.mark.parametrize("ranges", [RANGES, BroadRanges(arm=ARM, play=SLOW_PLAY)], ids=["tight", "with play"])
+def test_twins_move_as_in_training(ranges):
+    task = ReachTask(ARM, ranges, 6, TaskSettings(jitter=0.0, targets=10**6, hold_steps=10**6), seed=3)
     task.reset()
-    draw = RANGES.draw(np.random.default_rng(1), 6)
+    draw = ranges.draw(np.random.default_rng(1), 6)
     robot = TwinRobot(ARM, draw, seed=0, jitter=0.0)
     assert isinstance(robot, Robot)
     task.twins.write(draw.twin, gravity_scale=draw.gravity_scale)
@@ -97,6 +98,7 @@ def test_twins_move_as_in_training():
     task._measured[:], task._time[:] = robot.read().position, 0.0
     task._middle[:], task._period[:], task._ramp[:] = draw.period, draw.period, draw.twin.ramp_speed
     task._coulomb[:], task._stiction[:] = draw.twin.coulomb, draw.stiction
+    task.play.renew(draw, np.ones(6, dtype=bool))
     task.commander.forget(task._situation(), np.ones(6, dtype=bool))
     rng = np.random.default_rng(5)
     for _ in range(40):

@@ -7,7 +7,7 @@ from rejoint.arms import mycobot280
 from rejoint.control.policy import load_policy
 from rejoint.training.presets import DEFAULT, PAPER
 from rejoint.training.ranges import BroadRanges, IdentifiedRanges, MixedRanges, PaperRanges
-from rejoint.training.train import TrainingOptions, train, training_ranges
+from rejoint.training.train import TrainingOptions, know_stiffness, train, training_ranges
 from rejoint.twin.parameters import nominal_parameters, pack, prior, vector_names
 from rejoint.twin.replay import PredictionError
 from rejoint.twin.twin import HeldOut, Twin
@@ -143,3 +143,28 @@ def test_a_policy_says_which_twin_it_was_trained_on(tmp_path):
     twin = make_twin()
     result = train(ARM, twin, out=tmp_path, options=TrainingOptions(agents=8, threads=1, iterations=1))
     assert load_policy(result.policy, ARM).contract.twin_digest == twin.digest()
+
+
+def test_play_is_met_where_motors_cross_it_slowly():
+    twin = make_twin()
+    none = draws(BROAD.reaching(twin), 50)
+    assert not none.play.any()
+    damped = dataclasses.replace(twin.parameters, damping=4.0 * twin.parameters.damping)
+    draw = draws(BROAD.reaching(dataclasses.replace(twin, parameters=damped)))
+    seen = draw.play.any(axis=1)
+    assert abs(seen.mean() - 0.6) < 0.03
+    assert np.degrees(draw.play.max()) == pytest.approx(1.8, abs=0.01)
+    assert 0.02 <= draw.grease.min() < draw.grease.max() <= 0.2
+    # what is drawn besides does not depend on it
+    moved = dataclasses.replace(BROAD.reaching(dataclasses.replace(twin, parameters=damped)), play=(0.0, 0.0))
+    np.testing.assert_array_equal(draws(moved).twin.damping, draw.twin.damping)
+
+
+def test_the_law_is_patient_on_such_arms_alone():
+    twin = make_twin()
+    damped = dataclasses.replace(twin.parameters, damping=4.0 * twin.parameters.damping)
+    recipe = know_stiffness(DEFAULT, ARM, dataclasses.replace(twin, parameters=damped))
+    assert recipe.task.law.patience == 1.0
+    assert know_stiffness(DEFAULT, ARM, twin).task.law.patience == 0.0
+    assert know_stiffness(DEFAULT, ARM, None).task.law.patience == 0.0
+    assert know_stiffness(PAPER, ARM, dataclasses.replace(twin, parameters=damped)) == PAPER

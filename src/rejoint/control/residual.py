@@ -21,9 +21,10 @@ from typing import Literal
 import numpy as np
 
 from rejoint.arms import Arm, Array, clip_norm, solve_position
+from rejoint.arms.size import weightless
 from rejoint.control.controller import Situation
 from rejoint.control.feedforward import FeedforwardController, FeedforwardGains
-from rejoint.control.law import GAIN, STEP_LIMIT, limit_lead, limit_position
+from rejoint.control.law import GAIN, STEP_LIMIT, between, limit_lead, limit_position
 from rejoint.control.observation import View
 from rejoint.control.robot import Mask
 from rejoint.errors import InputError
@@ -59,6 +60,13 @@ class CommandLaw:
     rest_distance: float = 0.01
     """[m] TCP distance below which that pull fades, so that it does not disturb a settled arm"""
 
+    patience: float = 0.0
+    """[s] since the target was set after which the anchor ``goal`` corrects joints that carry no weight by ever less,
+    as the inverse of the time; 0: never. In the play of its gear such a joint answers late and coasts on, and what
+    ends its swinging is a gain that falls (chosen, after Robbins and Monro 1951)"""
+    patience_step: float = float(np.radians(1.0))
+    """[rad] largest element of the damped least-squares step from which on corrections are in full again"""
+
     envelope_margin: float = float(np.radians(35.0))
     """[rad] how far beyond the postures that its targets need the arm may be commanded, see `working_envelope`
     (chosen); a full turn leaves only the joint limits"""
@@ -67,6 +75,15 @@ class CommandLaw:
         """Largest correction (B, 1) [rad] at the damped least-squares steps ``step`` (B, n) [rad]."""
         largest = np.abs(step).max(axis=-1, keepdims=True)
         return np.minimum(self.authority_floor + self.authority_slope * largest, self.authority_limit)
+
+    def calm(self, since_target: Array, step: Array) -> Array:
+        """Factor (B, 1) on the corrections of weightless joints, (B,) [s] after the target was set.
+
+        ``step`` (B, n) [rad] is the damped least-squares step.
+        """
+        late = self.patience / np.maximum(since_target, self.patience)[:, None]
+        largest = np.abs(step).max(axis=-1, keepdims=True)
+        return late + (1.0 - late) * np.minimum(largest / self.patience_step, 1.0) ** 2
 
     def command(self, arm: Arm, view: View, position: Array, sent: Array, action: Array) -> Array:
         """Return the wanted joint positions (B, n) [rad] of the anchors ``sent`` and ``measured``.
@@ -111,11 +128,15 @@ class Commander:
         law = self.law
         if self._base is None:
             return law.command(self._arm, view, situation.state.position, situation.sent, action)
-        extra = law.authority(view.step) * np.clip(action, -1.0, 1.0)
+        extra = law.authority(view.step) * between(action, -1.0, 1.0)
         # The step does not fade near the target: what keeps the arm from hunting there is the policy.
-        wanted = self._base.correct(situation, clip_norm(view.step, law.step_limit), extra)
+        step = clip_norm(view.step, law.step_limit)
+        if law.patience > 0.0:
+            calm = np.where(weightless(self._arm), law.calm(situation.since_target, view.step), 1.0)
+            step, extra = calm * step, calm * extra
+        wanted = self._base.correct(situation, step, extra)
         lower, upper = working_envelope(self._arm, law.envelope_margin)
-        return np.minimum(np.maximum(wanted, lower), upper)
+        return between(wanted, lower, upper)
 
     def memory(self) -> dict[str, Array]:
         """Return everything that is remembered, by name; live arrays."""

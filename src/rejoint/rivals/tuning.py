@@ -9,7 +9,7 @@ the time to come and stay within 2 mm, and the settled error.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import TypeVar
 
 import numpy as np
@@ -109,5 +109,5 @@ def repeat(draw: Draw, count: int) -> Draw:
         return np.tile(value, (count, *[1] * (value.ndim - 1)))
 
     twin = TwinParameters(**{p.name: tiled(getattr(draw.twin, p.name)) for p in PARAMETERS})
-    others = ("command_delay", "readback_delay", "stiction", "gravity_scale", "period")
+    others = [field.name for field in fields(Draw) if field.name != "twin"]
     return Draw(twin=twin, **{name: tiled(getattr(draw, name)) for name in others})

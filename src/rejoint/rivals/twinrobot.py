@@ -10,6 +10,7 @@ import numpy as np
 
 from rejoint.arms import Arm, Array, gravity_torque, tcp_position
 from rejoint.control.robot import JointState, Mask
+from rejoint.training.play import Play
 from rejoint.training.ranges import Draw
 from rejoint.training.task import SUBSTEPS
 from rejoint.training.wire import Wire
@@ -33,6 +34,8 @@ class TwinRobot:
         self._rng = np.random.default_rng(seed)
         self.twins = TwinBatch(arm, count, threads=threads)
         self.twins.write(draw.twin, gravity_scale=draw.gravity_scale)
+        self.play = Play(arm, count)
+        self.play.renew(draw, np.ones(count, dtype=bool))
         self.wire = Wire(count, n, SUBSTEPS)
         self.wire.command_delay[:], self.wire.readback_delay[:] = draw.command_delay, draw.readback_delay
         position = np.tile(arm.rest, (count, 1))
@@ -73,7 +76,7 @@ class TwinRobot:
         return self.read()
 
     def true_tcp(self) -> Array:
-        """(B, 3) [m] of the twins' links; twins have no play."""
+        """(B, 3) [m] of the twins' links; what play they have lies inside the loop, so the encoders see it."""
         return tcp_position(self._arm, self.twins.qpos)
 
     def stop(self) -> None:
@@ -92,7 +95,7 @@ class TwinRobot:
         for k in range(SUBSTEPS):
             self._reference = approach(self._reference, goals[:, k], reach)
             self.twins.ctrl[:] = self._reference
-            self.twins.set_friction(stribeck_friction(draw.twin.coulomb, draw.stiction, self.twins.qvel))
+            self.play.drive(self.twins, stribeck_friction(draw.twin.coulomb, draw.stiction, self.twins.qvel), substep)
             self.twins.step()
             passed[:, k] = self.twins.qpos
         self.wire.record(starts + substep[:, None], passed)

@@ -26,6 +26,14 @@ TWIN_SHARE = 0.5
 """Fraction of the arms that are drawn around the identified twin (chosen: with 0.8 the policy is a little faster on
 the arm itself, with 0.5 a little steadier on one whose gears play inside the loop)."""
 
+SLOW_PLAY: Interval = (0.0, float(np.radians(1.8)))
+"""[rad] play of arms whose motors cross it slowly (chosen: new servos of this class show about a degree).
+
+A motor crosses play in play times damping over spare torque: with the prior's damping within a control period or
+two, with that of an SO-101 in ten. There a policy that has never met it swings by a degree (measured); elsewhere
+training with it gained nothing where there was play in the loop (0.69 and 0.71 mm settled) and cost
+accuracy where there was none (0.34 and 0.45 mm; one training each)."""
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Draw:
@@ -43,6 +51,10 @@ class Draw:
     """(N,) factor on gravity: unknown masses and payload"""
     period: Array
     """(N,) [s] middle of the control periods"""
+    play: Array
+    """(N, n) [rad] free motion of the gears inside the servo loop"""
+    grease: Array
+    """(N,) damping of a joint inside that play by that of its motor"""
 
 
 class Ranges(Protocol):
@@ -89,6 +101,12 @@ class BroadRanges:
     """[s]"""
     period: Interval = (0.018, 0.055)
     """[s] what the wires of hobby arms allow, from an idle bus to 50 ms over TCP"""
+    play: Interval = (0.0, 0.0)
+    """[rad] of arms whose encoders sit behind the gears; see `SLOW_PLAY`"""
+    playless: float = 0.4
+    """fraction of the arms whose encoders sit before the gears, so that the servos see no play (chosen)"""
+    grease: Interval = (0.02, 0.2)
+    """log-uniform; from a joint that coasts through a degree of play to one that hardly does (chosen)"""
 
     def draw(self, rng: np.random.Generator, count: int) -> Draw:
         """Draw ``count`` arms."""
@@ -112,13 +130,22 @@ class BroadRanges:
             stiction=rng.uniform(*self.stiction, joints),
             gravity_scale=rng.uniform(*self.gravity_scale, whole),
             period=rng.uniform(*self.period, whole),
+            **self._draw_play(rng, count),
         )
+
+    def _draw_play(self, rng: np.random.Generator, count: int) -> dict[str, Array]:
+        joints, whole = (count, self.arm.joints), (count,)
+        if self.play[1] == 0.0:  # nothing is drawn, so that ranges without play stay what they were
+            return {"play": np.zeros(joints), "grease": np.ones(whole)}
+        seen = rng.random((count, 1)) >= self.playless
+        return {"play": rng.uniform(*self.play, joints) * seen, "grease": _log_uniform(rng, self.grease, whole)}
 
     def reaching(self, twin: Twin) -> BroadRanges:
         """Shift the intervals of all torques until each holds the twin's geometric mean over the joints.
 
         Arms of another make than the prior's, such as one with much more friction, lie far outside of it; a
-        broad half that has none like them would teach the policy to shake them.
+        broad half that has none like them would teach the policy to shake them. One with more damping than any of
+        the prior's gets `SLOW_PLAY`.
         """
         base = nominal_parameters(self.arm)
         moved: dict[str, Any] = {}
@@ -127,6 +154,8 @@ class BroadRanges:
             ratio = np.exp(np.log(getattr(twin.parameters, name) / getattr(base, name)).mean())
             shift = ratio / np.clip(ratio, low, high)
             moved[name] = (float(low * shift), float(high * shift))
+        if moved["damping"][1] > self.damping[1]:
+            moved["play"] = SLOW_PLAY
         return replace(self, **moved)
 
     def weaken(self, rng: np.random.Generator, count: int) -> Array:
@@ -162,6 +191,8 @@ class IdentifiedRanges:
             stiction=free.stiction,
             gravity_scale=free.gravity_scale,
             period=free.period,
+            play=free.play,
+            grease=free.grease,
         )
 
 
@@ -233,7 +264,7 @@ class PaperRanges:
         zero, none = np.zeros(count), np.zeros(noise.shape)
         return Draw(
             twin=twin, command_delay=zero, readback_delay=zero, gravity_scale=zero + 1.0, stiction=none + 1.0,
-            period=1.0 / rng.uniform(*self.frequency, count),
+            period=1.0 / rng.uniform(*self.frequency, count), play=none, grease=zero + 1.0,
         )  # fmt: skip
 
     def twins(self, p: Array, d: Array) -> TwinParameters:

@@ -23,6 +23,7 @@ from rejoint.control.guard import GuardLimits, guard
 from rejoint.control.observation import Layout, Observation, Observer
 from rejoint.control.residual import Commander, CommandLaw
 from rejoint.control.robot import JointState, Mask
+from rejoint.training.play import Play
 from rejoint.training.ranges import Draw, Ranges
 from rejoint.training.reward import SUCCESS_DISTANCE, paper_reward, residual_reward
 from rejoint.training.truth import fixed_truth, moving_truth, truth_size
@@ -103,6 +104,7 @@ class ReachTask:
         self.observer = Observer(arm, agents, settings.layout)
         self.commander = Commander(arm, settings.law)
         self.wire = Wire(agents, n, SUBSTEPS)
+        self.play = Play(arm, agents)
         self.truth_size = truth_size(n)
         self._limits = GuardLimits.of(arm)
         self._rng = np.random.default_rng(seed)
@@ -171,6 +173,7 @@ class ReachTask:
         return {
             **{name: getattr(self, f"_{name}") for name in own},
             **{f"wire.{name}": value for name, value in self.wire.state().items()},
+            **{f"play.{name}": value for name, value in self.play.state().items()},
             **{f"observer.{name}": value for name, value in self.observer.state().items()},
             **{f"commander.{name}": value for name, value in self.commander.memory().items()},
             **{f"twins.{name}": value for name, value in self.twins.state().items()},
@@ -202,7 +205,7 @@ class ReachTask:
         for k in range(SUBSTEPS):
             self._reference = approach(self._reference, goals[:, k], reach)
             self.twins.ctrl[:] = self._reference
-            self.twins.set_friction(stribeck_friction(self._coulomb, self._stiction, self.twins.qvel))
+            self.play.drive(self.twins, stribeck_friction(self._coulomb, self._stiction, self.twins.qvel), substep)
             self.twins.step()
             passed[:, k] = self.twins.qpos
         self._time, self._since = self._time + self._period, self._since + self._period
@@ -243,6 +246,7 @@ class ReachTask:
         self.twins.restart(position, ids=where)
         self.wire.command_delay[where], self.wire.readback_delay[where] = draw.command_delay, draw.readback_delay
         self.wire.clear(where, command, position)
+        self.play.renew(draw, where)
         self._sent[where] = self._reference[where] = command
         self._measured[where] = self._quantised(position)
         self._tcp[where] = tcp_position(self.arm, position)

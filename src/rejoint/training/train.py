@@ -29,6 +29,9 @@ from rejoint.twin.twin import Twin
 CREWS = 2
 """Crews that the agents are split into, whatever the number of threads, so that results do not depend on it."""
 
+PATIENCE = 1.0
+"""[s] of the law on arms whose motors cross play slowly (chosen: such a joint swings once in about this time)"""
+
 OnProgress = Callable[[float, float, str], None]
 """Called with (done, total, what is being done)."""
 
@@ -157,12 +160,16 @@ def _learner(arm: Arm, twin: Twin | None, recipe: Preset, options: TrainingOptio
 
 
 def know_stiffness(recipe: Preset, arm: Arm, twin: Twin | None) -> Preset:
-    """Tell a law that raises its goals against gravity how soft the servos are: as the twin has it, else the prior."""
+    """Tell a law that raises its goals against gravity how soft the servos are: as the twin has it, else the prior.
+
+    Where play may make joints swing, the law learns to be patient as well.
+    """
     law = recipe.task.law
     if law.anchor != "goal" or law.stiffness:
         return recipe
     stiffness = nominal_parameters(arm).stiffness if twin is None else twin.parameters.stiffness
-    law = replace(law, stiffness=tuple(np.round(stiffness, 6).tolist()))
+    patience = PATIENCE if twin is not None and BroadRanges(arm=arm).reaching(twin).play[1] > 0.0 else law.patience
+    law = replace(law, stiffness=tuple(np.round(stiffness, 6).tolist()), patience=patience)
     return replace(recipe, task=replace(recipe.task, law=law))
 
 

@@ -101,6 +101,15 @@ class TwinBatch:
         """Change the dry friction (nsim, n) [N m] of every simulation, for friction that depends on the speed."""
         self._batch.expand("dof_frictionloss")[:] = friction
 
+    def set_motors(self, *, armature: Array, damping: Array) -> None:
+        """Change armature (nsim, n) [kg m^2] and damping (nsim, n) [N m s/rad] of every simulation.
+
+        For joints that lose touch with their motors. What MuJoCo derives from them beforehand (`set_const`) stays,
+        which are scales of its solver.
+        """
+        self._batch.expand("dof_armature")[:] = armature
+        self._batch.expand("dof_damping")[:] = damping
+
     def state(self) -> dict[str, Array]:
         """Everything that a checkpoint must keep, as live arrays: states, parameters, constants."""
         fields = ("actuator_gainprm", "actuator_biasprm", "actuator_forcerange", "actuator_acc0", "dof_damping",
