@@ -6,7 +6,18 @@ import mujoco
 import numpy as np
 import pytest
 
-from rejoint.arms import Arm, frames, gravity_torque, jacobian, mycobot280, position_jacobian, tcp_pose, tcp_position
+from rejoint.arms import (
+    Arm,
+    frames,
+    gravity_torque,
+    heights,
+    jacobian,
+    mycobot280,
+    position_jacobian,
+    so101,
+    tcp_pose,
+    tcp_position,
+)
 from rejoint.arms.arm import dh_chain
 from rejoint.arms.mycobot280 import DH_TABLE, PAPER_ANGLE_SHIFT, PAPER_DH_TABLE
 from rejoint.errors import InputError
@@ -106,3 +117,12 @@ def test_an_arm_owns_read_only_copies() -> None:
     assert (arm.upper == 2.0).all()
     with pytest.raises(ValueError, match="read-only"):
         arm.upper[0] = 1.0
+
+
+@pytest.mark.parametrize("arm", [mycobot280(), so101()], ids=lambda arm: arm.name)
+def test_heights_are_those_of_the_frames(arm: Arm) -> None:
+    q = np.random.default_rng(3).uniform(arm.lower, arm.upper, (4, 5, arm.joints))
+    f = frames(arm, q)
+    expected = np.concatenate([f.position[..., 2], f.tcp_position[..., 2:]], axis=-1)
+    np.testing.assert_allclose(heights(arm, q), expected, rtol=0.0, atol=1e-14)
+    np.testing.assert_allclose(heights(arm, q[0, 0]), expected[0, 0], rtol=0.0, atol=1e-14)

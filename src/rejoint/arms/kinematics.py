@@ -41,18 +41,41 @@ def _rotation_terms(arm: Arm) -> tuple[Array, Array, Array]:
 def frames(arm: Arm, q: Array) -> Frames:
     """Compute all frames for joint positions ``q`` (..., n) [rad]."""
     fixed, sine, cosine = _rotation_terms(arm)
-    local = fixed + np.sin(q)[..., None, None] * sine + np.cos(q)[..., None, None] * cosine
-    shape = q.shape[:-1]
-    rotation = np.empty((*shape, arm.joints, 3, 3))
-    position = np.empty((*shape, arm.joints, 3))
-    rotation[..., 0, :, :] = local[..., 0, :, :]
-    position[..., 0, :] = arm.offset[0, :3, 3]
+    local = np.empty((*q.shape, 3, 4))  # rotation and offset in the frame before
+    local[..., :3] = fixed + np.sin(q)[..., None, None] * sine + np.cos(q)[..., None, None] * cosine
+    local[..., 3] = arm.offset[:, :3, 3]
+    pose = np.empty_like(local)
+    pose[..., 0, :, :] = local[..., 0, :, :]
     for i in range(1, arm.joints):
-        before = rotation[..., i - 1, :, :]
-        position[..., i, :] = position[..., i - 1, :] + before @ arm.offset[i, :3, 3]
-        np.matmul(before, local[..., i, :, :], out=rotation[..., i, :, :])
+        before = pose[..., i - 1, :, :]
+        here = np.matmul(before[..., :3], local[..., i, :, :], out=pose[..., i, :, :])
+        here[..., 3] += before[..., 3]
+    rotation, position = pose[..., :3], pose[..., 3]
     last = rotation[..., -1, :, :]
     return Frames(rotation, position, last @ arm.tip[:3, :3], position[..., -1, :] + last @ arm.tip[:3, 3])
+
+
+@lru_cache(maxsize=32)
+def _height_terms(arm: Arm) -> Array:
+    """Per joint the constants (n, 3, 10) A | B | C | offset that the last row of a rotation is multiplied with."""
+    return np.concatenate([*_rotation_terms(arm), arm.offset[:, :3, 3:]], axis=-1)
+
+
+def heights(arm: Arm, q: Array) -> Array:
+    """Heights (..., n + 1) [m] of the joint frames and the TCP at ``q`` (..., n) [rad].
+
+    These are the z of `frames`, for a quarter of the time where there are many postures.
+    """
+    flat = q.reshape(-1, arm.joints)
+    sine, cosine = np.sin(flat)[..., None], np.cos(flat)[..., None]
+    result = np.empty((len(flat), arm.joints + 1))
+    row, height = np.broadcast_to([0.0, 0.0, 1.0], (len(flat), 3)), 0.0
+    for i, terms in enumerate(_height_terms(arm)):
+        product = row @ terms
+        result[:, i] = height = height + product[:, 9]
+        row = product[:, :3] + sine[:, i] * product[:, 3:6] + cosine[:, i] * product[:, 6:9]
+    result[:, -1] = height + row @ arm.tip[:3, 3]
+    return result.reshape(*q.shape[:-1], arm.joints + 1)
 
 
 def tcp_position(arm: Arm, q: Array) -> Array:

@@ -17,7 +17,7 @@ from rejoint.arms.size import torque_size
 from rejoint.control.controller import Situation
 from rejoint.control.goal import Goal
 from rejoint.control.integrator import IntegratorGains
-from rejoint.control.law import dls_step, fade, limit_position, null_space
+from rejoint.control.law import between, dls_step, fade, limit_position, null_space
 from rejoint.control.pace import Pace
 from rejoint.control.robot import Mask
 from rejoint.errors import InputError
@@ -84,7 +84,7 @@ class FeedforwardController:
         on_its_way = (np.abs(self._speed) > self._gains.moving) & (self._speed * push > 0.0)
         # Bounded by itself, not by the measured position: on the way the command leads by the whole distance.
         correction = self._correction + np.where(on_its_way, 0.0, push) + extra
-        self._correction = np.clip(correction, -self._gains.learned_limit, self._gains.learned_limit)
+        self._correction = between(correction, -self._gains.learned_limit, self._gains.learned_limit)
         return limit_position(self._arm, self._raised + self._correction)
 
     def forget(self, situation: Situation, where: Mask) -> None:

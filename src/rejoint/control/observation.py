@@ -186,7 +186,7 @@ class Observer:
         else:
             change = 4.0 * reading.drive if self.layout == "equation-16" else reading.action
             _equation_16(out, reading, change, self.arm)
-        return np.clip(out, -LIMIT, LIMIT, out=out)
+        return np.minimum(np.maximum(out, -LIMIT, out=out), LIMIT, out=out)
 
     def acted(self, action: Array) -> None:
         """Remember the action (B, n) that was decided on this observation."""
@@ -210,21 +210,16 @@ class Observer:
 
 def _residual(out: Observation, reading: Reading) -> None:
     """Fill ``out`` (B, 7n + 8) as `layout_slots` says."""
-    n, view = reading.position.shape[1], reading.view
-    columns = out.T  # rows of the transpose are the observation's columns
-    step = view.step
-    out[:, :n] = 4.0 * reading.drive
-    out[:, n : 2 * n] = 0.5 * reading.velocity
-    out[:, 2 * n : 3 * n] = 5.0 * step
-    out[:, 3 * n : 4 * n] = np.tanh(step / _ONE_DEGREE)
-    out[:, 4 * n : 5 * n] = np.tanh(step / _FIFTH_OF_A_DEGREE)
-    out[:, 5 * n : 6 * n] = reading.position
-    m = 6 * n
-    out[:, m : m + 3] = 20.0 * view.error
-    out[:, m + 3 : m + 6] = view.error / (view.distance + 0.003)[:, None]
-    columns[m + 6] = (np.log(view.distance + 0.0003) + 5.0) / 2.0
-    columns[m + 7] = reading.since_target - 0.5
-    out[:, m + 8 :] = reading.action
+    view = reading.view
+    direction = view.error / (view.distance + 0.003)[:, None]
+    logarithm = (np.log(view.distance + 0.0003) + 5.0) / 2.0
+    scalars = np.stack([logarithm, reading.since_target - 0.5], axis=-1)
+    parts = [
+        4.0 * reading.drive, 0.5 * reading.velocity,
+        5.0 * view.step, np.tanh(view.step / _ONE_DEGREE), np.tanh(view.step / _FIFTH_OF_A_DEGREE),
+        reading.position, 20.0 * view.error, direction, scalars, reading.action,
+    ]  # fmt: skip
+    np.concatenate(parts, axis=1, out=out, casting="same_kind")
 
 
 def _equation_16(out: Observation, reading: Reading, change: Array, arm: Arm) -> None:
