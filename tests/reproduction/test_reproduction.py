@@ -205,6 +205,10 @@ def test_separation_needs_every_seed(monkeypatch):
     monkeypatch.setattr(curves, "LAST", 2)
     good, bad = course((5.0, 7.0), (40.0, 20.0)), course((-8.0, -6.0), (240.0, 250.0))
     np.testing.assert_allclose(curves.at_end([good, bad], "reward"), [6.0, -7.0])
+    cycles = np.array([0, 100, 200])
+    assert curves.stays_above(cycles, [good], -5.0) == 100
+    assert curves.stays_above(cycles, [bad], -5.0) is None
+    assert curves.peak(cycles, [good, bad]) == 200  # means of -1.5 and 0.5
     assert separates([good, good], [bad, bad])
     assert not separates([good, bad], [bad, bad])
     assert not separates([good], [course((-8.0, -6.0), (20.0, 30.0))])  # worse reward, but no longer
