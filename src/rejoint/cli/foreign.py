@@ -50,7 +50,8 @@ def import_(
     for note in imported.notes:
         terminal.say(note)
     seconds = sum(float(log.time[-1] - log.time[0]) for log in imported.logs)
-    terminal.result(f"{len(imported.logs)} run logs, {seconds:.0f} s of motion, in {out}")
+    count = len(imported.logs)
+    terminal.result(f"{count} run log{'s' * (count != 1)}, {seconds:.0f} s of motion, in {out}")
     terminal.finish({"out": str(out), "logs": len(imported.logs), "seconds": seconds, "notes": imported.notes})
 
 

@@ -15,7 +15,7 @@ from rejoint.arms import Arm, tcp_position
 from rejoint.diagnosis.diagnosis import KINDS, Diagnosis, condition_of
 from rejoint.diagnosis.evidence import Evidence
 from rejoint.diagnosis.healthy import HealthyReference
-from rejoint.diagnosis.logmetrics import measure_joint
+from rejoint.diagnosis.logmetrics import MANY_LOGS, measure_joint
 from rejoint.diagnosis.measurement import Measurement
 from rejoint.diagnosis.postures import Postures, joined, resting_postures
 from rejoint.diagnosis.regression import Estimate, mean_of
@@ -98,13 +98,20 @@ def _evidence(arm: Arm, logs: Sequence[RunLog], excluded: Sequence[Exclusions], 
 
 
 def _rest_error(arm: Arm, logs: Sequence[RunLog], excluded: Sequence[Exclusions]) -> Estimate | None:
-    """Mean over the motions [mm] of how far the tool rests from where it was sent, by encoder kinematics."""
-    means = []
+    """Mean [mm] of how far the tool rests from where it was sent, by encoder kinematics.
+
+    Logs count as independent of one another; where there are few, the commands that the arm rests at.
+    """
+    means: list[float] = []
     for log, rows in zip(logs, excluded, strict=True):
         rest = resting_postures(log, rows)
-        if len(rest.position):
-            gap = tcp_position(arm, rest.command) - tcp_position(arm, rest.position)
-            means.append(float(np.linalg.norm(gap, axis=-1).mean()) * 1e3)
+        if not len(rest.position):
+            continue
+        gap = tcp_position(arm, rest.command) - tcp_position(arm, rest.position)
+        error = np.linalg.norm(gap, axis=-1) * 1e3
+        place = np.unique(np.round(rest.command, 3), axis=0, return_inverse=True)[1].ravel()
+        of_place = np.bincount(place, weights=error) / np.bincount(place)
+        means += [float(error.mean())] if len(logs) >= MANY_LOGS else of_place.tolist()
     return mean_of(np.array(means)) if means else None
 
 
