@@ -14,6 +14,7 @@ from rejoint.arms.workspace import (
     derive_targets,
     derive_workspace,
     reach,
+    rising_frames,
 )
 from rejoint.errors import InputError
 
@@ -125,3 +126,8 @@ def test_an_arm_that_cannot_move_in_space_is_refused() -> None:
         derive_workspace(planar)
     with pytest.raises(InputError, match="no region of reachable targets"):
         derive_targets(replace(arm, rest=arm.upper))
+
+
+def test_a_shoulder_on_its_column_neither_rises_nor_sinks() -> None:
+    np.testing.assert_array_equal(rising_frames(mycobot280()), [False, False, True, True, True, True])
+    np.testing.assert_array_equal(rising_frames(so101()), [False, False, True, True, True])

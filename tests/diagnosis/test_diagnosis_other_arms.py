@@ -24,7 +24,16 @@ def ur5e() -> Arm:
     return load_arm(str(Path(found.origin).parent / "arms/ur5e/ur5e.urdf"))
 
 
-@pytest.mark.parametrize("make", [so101, ur5e])
+def low_shoulder() -> Arm:
+    """A UR5, whose shoulder sits 89 mm above the base, less than what other joints keep from the floor."""
+    found = find_spec("ManipulaPy")
+    if found is None or not found.submodule_search_locations:
+        pytest.skip("ManipulaPy is not installed")
+    folder = Path(found.submodule_search_locations[0])
+    return load_arm(str(folder / "ManipulaPy_data/universal_robots/ur5/ur5.urdf"), base="base_link", tip="tool0")
+
+
+@pytest.mark.parametrize("make", [so101, ur5e, low_shoulder])
 @pytest.mark.parametrize("seed", range(3))
 def test_a_plan_for_another_arm_is_safe_and_slow_enough(make, seed):
     arm = make()

@@ -21,6 +21,7 @@ Self-collision is not looked at.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from itertools import product
 
 import numpy as np
@@ -66,6 +67,15 @@ _CLIMB = 200
 def reach(arm: Arm) -> float:
     """Add up the link lengths [m] from the first joint to the TCP."""
     return float(np.linalg.norm(link_ends(arm.offset, arm.tip), axis=1).sum())
+
+
+@lru_cache(maxsize=32)
+def rising_frames(arm: Arm) -> NDArray[np.bool_]:
+    """Tell which joint frames (n,) have a height that depends on the posture: a shoulder on a column has not."""
+    postures = np.random.default_rng(0).uniform(arm.lower, arm.upper, (64, arm.joints))
+    rising: NDArray[np.bool_] = np.ptp(frames(arm, postures).position[..., 2], axis=0) > 1e-6
+    rising.setflags(write=False)
+    return rising
 
 
 def derive_rest(arm: Arm, seed: int = 0) -> Array:

@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, frames, gravity_torque, tcp_position
 from rejoint.arms.size import heaviest_load, length_size, torque_size
+from rejoint.arms.workspace import rising_frames
 from rejoint.diagnosis.path import Path, smooth_ramp
 from rejoint.diagnosis.segments import Segment
 from rejoint.errors import InputError
@@ -169,8 +170,9 @@ def _plan_once(arm: Arm, seed: int, start: Array, plan: Plan) -> Excitation:
 def is_safe(arm: Arm, q: Array) -> NDArray[np.bool_]:
     """Tell for postures (..., n) [rad] whether the excitation may go there; returns (...)."""
     f = frames(arm, q)
-    # The first joint frame never moves; it may lie in the base plane.
-    lowest = np.minimum(f.position[..., 1:, 2].min(axis=-1), f.tcp_position[..., 2])
+    # Frames that never rise or sink, such as a shoulder on its column, may be anywhere.
+    height = np.where(rising_frames(arm), f.position[..., 2], np.inf).min(axis=-1)
+    lowest = np.minimum(height, f.tcp_position[..., 2])
     reach = np.linalg.norm(f.tcp_position[..., :2], axis=-1)
     rest_reach = np.linalg.norm(tcp_position(arm, arm.rest)[:2])
     inside = ((q >= arm.lower + LIMIT_MARGIN) & (q <= arm.upper - LIMIT_MARGIN)).all(axis=-1)
