@@ -18,7 +18,7 @@ from rejoint.twin.uncertainty import uncertainty
 sys.path.append(str(Path(__file__).parents[1] / "diagnosis"))
 from plant_logs import record_motions
 
-SEEDS = 4
+SEEDS = 3
 SETTINGS = LogSettings(coarse_seconds=48.0, fit_seconds=200.0, threads=1, stictions=(1.25,), timestep=STEP)
 
 DISTURBANCE, MEMORY = np.radians(0.2), 0.4
@@ -66,7 +66,7 @@ def distances():
 def test_every_kind_of_parameter_is_recovered_inside_its_interval_as_often_as_claimed(distances):
     """The parameters of a joint share one scale, so only joints and seeds count as independent tests.
 
-    Of 20 at 95 %, fewer than 16 within is a chance of less than one in three hundred.
+    Of 15 at 95 %, fewer than 12 within is a chance of less than one in a hundred.
     """
     inside = np.concatenate([np.abs(z) < 1.96 for _, z, _ in distances])
     assert len(inside) >= 15 * SEEDS
