@@ -7,6 +7,7 @@ from rejoint.runs import RunLog
 from rejoint.twin.batch import TwinBatch
 from rejoint.twin.model import stribeck_friction
 from rejoint.twin.parameters import TwinParameters
+from rejoint.twin.profile import Profile
 from rejoint.twin.reference import Reference
 
 ARM = so101()
@@ -36,7 +37,15 @@ def wandering(seed, seconds, centre=(0.0, -0.4, 0.2, 0.3, 0.0), size=0.25):
     return time, command
 
 
-def record(label, time, command, truth=TRUTH, stiction=1.25, table=None):
+def chirp(seed, seconds, highest=3.6, size=0.13, centre=(0.0, -0.4, 0.2, 0.3, 0.0)):
+    """Commands (T, n) of sines that get faster, up to ``highest`` [Hz], each joint with its own phase."""
+    time = np.arange(0.0, seconds, PERIOD)
+    phase = 2 * np.pi * (0.3 * time + (highest - 0.3) * time**2 / (2 * seconds))
+    start = np.random.default_rng(seed).uniform(0, 6.3, ARM.joints)
+    return time, centre + size * np.sin(phase[:, None] + start) * np.minimum(time, 1.0)[:, None]
+
+
+def record(label, time, command, truth=TRUTH, stiction=1.25, table=None, acceleration=np.inf):
     """Run log of the arm whose twin is ``truth`` under commands that are in force from each row on."""
     batch = TwinBatch(ARM, 1, STEP, table=table is not None)
     batch.write(truth)
@@ -44,6 +53,8 @@ def record(label, time, command, truth=TRUTH, stiction=1.25, table=None):
         batch.put_tables([table])
     batch.restart(command[:1])
     reference = Reference(time, command, np.atleast_1d(truth.ramp_speed), command[0])
+    if acceleration < np.inf:
+        reference = Profile(time, command, acceleration)
     grid = np.arange(int((time[-1] - time[0]) / STEP) + 2) * STEP + time[0]
     control = reference.sample(grid, np.atleast_1d(truth.delay))[0]
     batch.rollout(np.tile(control[:1], (1, 400, 1)).reshape(1, 400, -1), stiction)

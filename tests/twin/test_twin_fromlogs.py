@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from motion_logs import ARM, STEP, TRUTH, pressing, record, wandering
+from motion_logs import ARM, STEP, TRUTH, chirp, pressing, record, wandering
 
 from rejoint.arms import tcp_position
 from rejoint.errors import InputError
@@ -78,6 +78,11 @@ def test_a_twin_with_a_table_survives_its_file(found, tmp_path):
     assert back.digest() == found.twin.digest()
     assert replace(back, table=None).digest() != back.digest()
     assert replace(back, stiction=2.0).digest() != back.digest()
+    assert back.acceleration == found.twin.acceleration == np.inf
+    limited = replace(back, acceleration=39.0)
+    assert limited.digest() != back.digest()
+    write_twin(tmp_path / "limited.toml", limited)
+    assert read_twin(tmp_path / "limited.toml", ARM).acceleration == 39.0
 
 
 def test_a_slow_ramp_is_noticed():
@@ -87,6 +92,17 @@ def test_a_slow_ramp_is_noticed():
     found = identify_logs(ARM, logs, settings)
     assert found.twin.parameters.ramp_speed == pytest.approx(0.7, rel=0.1)
     assert found.judgement.mean[FITTED].free.tcp < 2e-3
+
+
+def test_a_limited_acceleration_is_noticed():
+    slow = [record(f"motion{k}", *wandering(k, 16.0), acceleration=38.0) for k in range(3)]
+    fast = [record(f"chirp{k}", *chirp(k, 16.0), acceleration=38.0) for k in range(2)]
+    settings = replace(QUICK, stictions=(1.25,), hold_out=("chirp1", "motion2"), fit_seconds=48.0, fast_seconds=16.0)
+    found = identify_logs(ARM, [*slow, *fast], settings)
+    assert found.twin.acceleration == pytest.approx(38.0, rel=0.06)
+    errors = {motion.motion: motion.errors[FITTED].free for motion in found.judgement.motions}
+    assert errors["chirp1"].joint < np.radians(0.5)
+    assert errors["motion2"].tcp < 2e-3
 
 
 def test_a_stickier_arm_is_noticed():

@@ -70,6 +70,9 @@ def _document(twin: Twin) -> tomlkit.TOMLDocument:
     document.add("fit_seconds", tomlkit.item(twin.fit_seconds).comment("s, motion that the fit has seen"))
     document.add("notes", _row(twin.notes))
     document.add("stiction", tomlkit.item(twin.stiction).comment("friction at rest over friction in motion"))
+    if twin.acceleration < np.inf:
+        limit = tomlkit.item(twin.acceleration).comment("rad/s^2, of the reference while commands keep changing")
+        document.add("acceleration", limit)
     document.add("held_out", _held_out_table(twin.held_out))
     place = 0
     for p in PARAMETERS:
@@ -171,6 +174,7 @@ def _twin(data: dict[str, Any]) -> Twin:
         fit_seconds=float(data["fit_seconds"]),
         notes=tuple(str(note) for note in data["notes"]),
         stiction=float(data.get("stiction", STICTION)),
+        acceleration=float(data.get("acceleration", np.inf)),
         table=Table(**{key: float(value) for key, value in data["table"].items()}) if "table" in data else None,
     )
 

@@ -24,8 +24,16 @@ from rejoint.twin.identify import fitted_twin
 from rejoint.twin.judge import NO_TWIN, TIMESTEP, Candidate, Judgement, judge
 from rejoint.twin.parameters import healthy_parameters, unpack
 from rejoint.twin.replay import PredictionError, Replay, Window
-from rejoint.twin.segments import by_motion, contact_windows, free_windows, thin
-from rejoint.twin.structure import STICTIONS, Structure, expressible, find_structure, rough_fit, simplest
+from rejoint.twin.segments import by_motion, contact_windows, fastest, free_windows, merged, thin
+from rejoint.twin.structure import (
+    STICTIONS,
+    Structure,
+    expressible,
+    find_acceleration,
+    find_structure,
+    rough_fit,
+    simplest,
+)
 from rejoint.twin.table import Table
 from rejoint.twin.tablefit import fit_table
 from rejoint.twin.twin import HeldOut, Twin
@@ -69,6 +77,8 @@ class LogSettings:
     """[s] of motion that decides on the structure"""
     fit_seconds: float = 400.0
     """[s] of motion of the final fit, spread over all motions"""
+    fast_seconds: float = 40.0
+    """[s] of the motion that accelerates most: it decides on a limited acceleration and is always fitted"""
     contact_seconds: float = 80.0
     """[s] of motion in contact that the table is fitted to"""
     table: bool = True
@@ -118,9 +128,11 @@ def identify_logs(
     on_progress("table", 0.7)
     table = None if height is None or not settings.table else _fit_table(problem, found, excluded, height, settings)
     on_progress("held-out motions", 0.8)
-    parameters, stiction = unpack(found.vector, arm.joints), problem.replay.stiction
+    parameters, replay = unpack(found.vector, arm.joints), problem.replay
     candidates = [
-        Candidate(name=FITTED, parameters=parameters, stiction=stiction, table=table),
+        Candidate(
+            name=FITTED, parameters=parameters, stiction=replay.stiction, table=table, acceleration=replay.acceleration
+        ),
         Candidate(name=HEALTHY, parameters=healthy_parameters(arm), stiction=1.0),
         *beside,
     ]
@@ -177,16 +189,22 @@ def fit_motions(
     belief = unknown_prior(arm)
 
     def problem(chosen: Sequence[Window], structure: Structure) -> Problem:
-        replay = Replay(arm, logs, chosen, settings.timestep, settings.threads, structure.stiction)
+        replay = Replay(
+            arm, logs, chosen, settings.timestep, settings.threads, structure.stiction,
+            acceleration=structure.acceleration,
+        )  # fmt: skip
         return Problem(replay, structure.prior, structure.frozen, STRIDE)
 
-    rough = problem(thin(windows, logs, settings.coarse_seconds), simplest(belief, settings.stictions[0]))
+    fast = fastest(windows, logs, settings.fast_seconds)
+    slow, simple = thin(windows, logs, settings.coarse_seconds), simplest(belief, settings.stictions[0])
+    rough = problem(slow, simple)
     x = rough_fit(rough)
-    usable = expressible(rough, x)
     on_progress("structure", 0.3)
-    found = find_structure(lambda structure: problem(usable, structure), belief, settings.stictions, x)
+    simple = find_acceleration(lambda structure: problem(fast, structure), simple, x)
+    usable = expressible(problem(merged(slow, fast), simple), x)
+    found = find_structure(lambda structure: problem(usable, structure), belief, simple, settings.stictions, x)
     on_progress("fit", 0.5)
-    every = problem(thin(windows, logs, settings.fit_seconds), found.structure)
+    every = problem(merged(thin(windows, logs, settings.fit_seconds), fast), found.structure)
     fine = problem(expressible(every, found.vector), found.structure)
     return fine, fit(fine, found.vector, REFINEMENT)
 
@@ -202,8 +220,9 @@ def _fit_table(
         return None
     chosen = thin(windows, replay.logs, settings.contact_seconds)
     touching = Replay(
-        replay.arm, replay.logs, chosen, settings.timestep, settings.threads, replay.stiction, on_table=True
-    )
+        replay.arm, replay.logs, chosen, settings.timestep, settings.threads, replay.stiction, on_table=True,
+        acceleration=replay.acceleration,
+    )  # fmt: skip
     return fit_table(touching, parameters, height)
 
 

@@ -117,6 +117,7 @@ def fitted_twin(
         held_out=held_out,
         fit_seconds=sum(float(replay.times(i)[-1]) for i in range(len(replay.windows))),
         stiction=replay.stiction,
+        acceleration=replay.acceleration,
         table=table,
     )
     notes = twin_notes(replay.arm, replay.logs, twin, found)

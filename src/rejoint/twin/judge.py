@@ -42,11 +42,16 @@ class Candidate:
     """friction at rest over friction in motion"""
     table: Table | None = None
     """where contacts are to be predicted too"""
+    acceleration: float = np.inf
+    """[rad/s^2] of the servos' references, while commands keep changing"""
 
     @staticmethod
     def of(name: str, twin: Twin) -> Candidate:
         """Take everything from a fitted twin."""
-        return Candidate(name=name, parameters=twin.parameters, stiction=twin.stiction, table=twin.table)
+        return Candidate(
+            name=name, parameters=twin.parameters, stiction=twin.stiction, table=twin.table,
+            acceleration=twin.acceleration,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -169,7 +174,8 @@ def _paths(arm: Arm, candidate: Candidate, logs: Sequence[RunLog], timestep: flo
     for start in range(0, len(order), 2 * threads):
         part = order[start : start + 2 * threads]
         chosen = [windows[i] for i in part]
-        replay = Replay(arm, logs, chosen, timestep, threads, candidate.stiction, on_table=on_table)
+        replay = Replay(arm, logs, chosen, timestep, threads, candidate.stiction, on_table=on_table,
+                        acceleration=candidate.acceleration)  # fmt: skip
         found = replay.predict(candidate.parameters.repeat(1), tables)
         paths |= {i: path[0] for i, path in zip(part, found, strict=True)}
     return [paths[i] for i in range(len(logs))]

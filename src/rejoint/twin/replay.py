@@ -9,7 +9,7 @@ the age of the answer, which a log alone cannot tell from the latency of the com
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -21,6 +21,7 @@ from rejoint.runs import RunLog
 from rejoint.twin.batch import TwinBatch
 from rejoint.twin.model import STICTION, TIMESTEP
 from rejoint.twin.parameters import TwinParameters
+from rejoint.twin.profile import Profile
 from rejoint.twin.reference import Reference
 from rejoint.twin.table import Table
 
@@ -68,6 +69,7 @@ class Replay:
         stiction: float = STICTION,
         *,
         on_table: bool = False,
+        acceleration: float = np.inf,
     ) -> None:
         for log in logs:
             log.require(arm.name, arm.joint_names)
@@ -75,6 +77,8 @@ class Replay:
             raise InputError("replay: no windows; a run log needs at least three rows")
         self.arm, self.logs, self.windows = arm, list(logs), list(windows)
         self.timestep, self.threads, self.stiction, self.on_table = timestep, threads, stiction, on_table
+        self.acceleration = acceleration
+        self._profiles: dict[int, Profile] = {}
         self._velocity = [measured_velocity(log) for log in self.logs]
         spans = [self._log(w).time[w.last - 1] - self._log(w).time[w.first] for w in self.windows]
         self.steps = int(np.ceil(max(spans) / timestep)) + 1
@@ -144,9 +148,16 @@ class Replay:
         parts = [references[w.log].sample(self._log(w).time[w.first] + grid, parameters.delay) for w in self.windows]
         return np.concatenate(parts)
 
-    def _references(self, parameters: TwinParameters) -> dict[int, Reference]:
-        """Compute the references by the number of the log, for logs that a window shows."""
+    def _references(self, parameters: TwinParameters) -> Mapping[int, Reference | Profile]:
+        """Compute the references by the number of the log, for logs that a window shows.
+
+        A servo that limits its acceleration does not limit its speed as well.
+        """
         shown = {w.log: self.logs[w.log] for w in self.windows}
+        if self.acceleration < np.inf:
+            if not self._profiles:
+                self._profiles = {i: Profile(log.time, log.command, self.acceleration) for i, log in shown.items()}
+            return self._profiles
         return {i: Reference(log.time, log.command, parameters.ramp_speed, log.command[0]) for i, log in shown.items()}
 
 

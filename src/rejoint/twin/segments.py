@@ -52,6 +52,32 @@ def thin(windows: Sequence[Window], logs: Sequence[RunLog], seconds: float) -> l
     return [w for w, wanted in zip(windows, chosen, strict=True) if wanted]
 
 
+def fastest(windows: Sequence[Window], logs: Sequence[RunLog], seconds: float) -> list[Window]:
+    """Keep about ``seconds`` [s] of the windows, those whose commands accelerate most: they show a servo's limits.
+
+    Only commands that keep changing count: jumps to a goal that is then held pass a limited acceleration by.
+    """
+
+    def acceleration(w: Window) -> float:
+        time, command = logs[w.log].time[w.first : w.last], logs[w.log].command[w.first : w.last]
+        speed = np.diff(command, axis=0) / np.diff(time)[:, None]
+        changing = speed != 0.0
+        lasting = changing[:-2] & changing[1:-1] & changing[2:]
+        change = (speed[2:] - speed[:-2]) / (time[2:-1] - time[:-3])[:, None]
+        return float(np.sqrt(np.mean(np.where(lasting, change, 0.0) ** 2)))
+
+    order = sorted(range(len(windows)), key=lambda i: -acceleration(windows[i]))
+    lengths = np.array([logs[windows[i].log].time[windows[i].last - 1] - logs[windows[i].log].time[windows[i].first]
+                        for i in order])  # fmt: skip
+    return [windows[i] for i in sorted(order[: int(np.searchsorted(np.cumsum(lengths), seconds)) + 1])]
+
+
+def merged(one: Sequence[Window], other: Sequence[Window]) -> list[Window]:
+    """Put two selections of windows together, each window once."""
+    every = {(w.log, w.first, w.last): w for w in (*one, *other)}
+    return [every[key] for key in sorted(every)]
+
+
 def by_motion(windows: Sequence[Window]) -> NDArray[np.integer]:
     """(rows,) number of the motion that each row of the windows is of."""
     motions = np.repeat([w.log for w in windows], [w.last - w.first for w in windows])

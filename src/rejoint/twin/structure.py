@@ -25,6 +25,14 @@ low-cost arm ask for; a single one may not tell)"""
 LIMITS = ("torque_limit", "ramp_speed")
 """Parameters that leave no trace unless they are reached"""
 
+ACCELERATIONS = (20.0, 40.0, 80.0)
+"""[rad/s^2] limits of the reference's acceleration that are tried first (chosen: around 39, the largest setting of the
+serial-bus servos of `rejoint.twin.profile`)"""
+DELAYS = (-0.008, -0.004, 0.0, 0.004, 0.008, 0.012)
+"""[s] changes of the delay that are tried with other accelerations (chosen)"""
+EARLIER = 0.01
+"""[s] by which the delay has made up for a limited acceleration (measured: 5 to 15 ms on a real low-cost arm)"""
+
 STICTION_GAIN = 0.10
 """Relative gain in loss, averaged over the joints, that another stiction must bring (chosen: windows of one motion
 favour a wrong one by 5 %)"""
@@ -34,10 +42,15 @@ LIMIT_GAIN = 0.15
 """The same for a limit: one that is really reached brings several times as much (measured on known truth), while a
 speed limit that gains 6 % by passing for a limited acceleration predicts jumps worse (measured on a real arm)"""
 
+FINEST = 1.05
+"""Factor between the accelerations that are tried last (chosen: below it the loss is flat)"""
+
 STARTS = 8
 """Candidates of the random search before the first descent (chosen)"""
 NEAR = 0.2
 """Loss of a first fit over that of no twin that counts as near: a third of its residual (chosen)"""
+SHORT = 3
+"""Steps of a descent on few windows (chosen)"""
 ROUGH = 6
 """Steps of the first descent (chosen)"""
 FURTHER = 2
@@ -60,6 +73,8 @@ class Structure:
     frozen: tuple[str, ...]
     stiction: float
     """friction at rest over friction in motion, of all joints"""
+    acceleration: float = np.inf
+    """[rad/s^2] of the reference, while commands keep changing"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -108,18 +123,64 @@ def expressible(problem: Problem, x: Array) -> list[Window]:
     return [w for w, own in zip(problem.replay.windows, by_window, strict=True) if own <= limit]
 
 
+def find_acceleration(make: Callable[[Structure], Problem], simple: Structure, start: Array) -> Structure:
+    """Limit the reference's acceleration where that explains the fastest windows, from ``start`` (k,).
+
+    ``make`` turns a structure into a problem of these windows. Each limit is judged by its own fit: without one,
+    delay and inertia stand for it.
+    """
+
+    def fitted(acceleration: float, earlier: float) -> tuple[Problem, Array]:
+        problem = make(replace(simple, acceleration=acceleration))
+        y = start.copy()
+        y[_places(problem, "delay")] -= earlier
+        return problem, fit(problem, y, SHORT).vector
+
+    without = _losses(*fitted(np.inf, 0.0))
+    found = {a: fitted(a, EARLIER) for a in ACCELERATIONS}
+    ratios = {a: _ratio(_losses(*found[a]), without) for a in found}
+    best = min(found, key=lambda a: ratios[a])
+    if ratios[best] >= 1.0 - LIMIT_GAIN:
+        return simple
+    around, factor = _by_delay(*found[best]), ACCELERATIONS[1] / ACCELERATIONS[0]
+    ratios = {best: _ratio(_lowest(found[best][0], around), without)}
+    while factor > FINEST:
+        factor = np.sqrt(factor)
+        for a in (best / factor, best * factor):
+            ratios[a] = _ratio(_lowest(make(replace(simple, acceleration=a)), around), without)
+        best = min(ratios, key=lambda a: ratios[a])
+    return replace(simple, acceleration=float(best))
+
+
+def _by_delay(problem: Problem, x: Array) -> Array:
+    """Give vectors (m, k) that differ from ``x`` in the delay, which makes up for the lag of a lower acceleration."""
+    around = np.tile(x, (len(DELAYS), 1))
+    around[:, _places(problem, "delay")] += np.array(DELAYS)[:, None]
+    return np.clip(around, problem.prior.lower, problem.prior.upper)
+
+
+def _lowest(problem: Problem, vectors: Array) -> Array:
+    """Losses (n,) of the best of the ``vectors`` (m, k)."""
+    losses = loss(problem.residuals(vectors)).sum(axis=1)
+    return np.asarray(losses[np.argmin(losses.sum(axis=1))])
+
+
 def find_structure(
-    make: Callable[[Structure], Problem], belief: Prior, stictions: Sequence[float], start: Array
+    make: Callable[[Structure], Problem], belief: Prior, structure: Structure, stictions: Sequence[float], start: Array
 ) -> Found:
-    """Compare structures on the same windows, from ``start`` (k,); ``make`` turns one into a problem."""
-    structure = simplest(belief, stictions[0])
+    """Compare structures on the same windows, from a simple one and its ``start`` (k,).
+
+    ``make`` turns a structure into a problem.
+    """
     problem = make(structure)
     x = fit(problem, start, FURTHER).vector
     first = best = _losses(problem, x)
-    tried = [(f"stiction {structure.stiction:g}, no limits", 1.0)]
+    tried = [(f"stiction {structure.stiction:g}, acceleration {structure.acceleration:.3g}", 1.0)]
     for limit in LIMITS:
         frozen = tuple(name for name in structure.frozen if name != limit)
-        freed = replace(structure, prior=_without_limits(belief, frozen), frozen=frozen)
+        # A reference has one limit: either its speed or its acceleration.
+        acceleration = np.inf if limit == "ramp_speed" else structure.acceleration
+        freed = replace(structure, prior=_without_limits(belief, frozen), frozen=frozen, acceleration=acceleration)
         y, losses = _with_limit(make(freed), x, limit)
         tried.append((f"with {limit}", _ratio(losses, first)))
         if _ratio(losses, best) < 1.0 - LIMIT_GAIN:

@@ -74,6 +74,8 @@ class Twin:
     """what a user of the twin should know, in words"""
     stiction: float = STICTION
     """friction at rest over friction in motion"""
+    acceleration: float = np.inf
+    """[rad/s^2] of the servos' references while commands keep changing (`rejoint.twin.profile`); inf: not limited"""
     table: Table | None = None
     """what the arm leaned on in the logs, if anything; no part of the arm"""
 
@@ -102,6 +104,8 @@ class Twin:
             raise InputError(f"twin: the covariance must not have negative eigenvalues, found {values.min():.3g}")
         if not 1.0 <= self.stiction < np.inf:
             raise InputError(f"twin: friction at rest over that in motion must be at least 1, got {self.stiction}")
+        if not self.acceleration > 0.0:
+            raise InputError(f"twin: the acceleration of its references must be above 0, got {self.acceleration}")
         if (self.lower >= self.upper).any():
             raise InputError("twin: every lower bound must be below the upper one")
 
@@ -154,7 +158,8 @@ class Twin:
         """Draw ``count`` twins from the correlated covariance, within the physical bounds.
 
         Standard deviations of identified parameters are multiplied by ``widen``, and their logarithms
-        spread by ``least_spread`` on top; the others keep their prior range.
+        spread by ``least_spread`` on top; the others keep their prior range. A delay below zero is that of a recorder
+        that reads after it stamps; no arm answers before it is told, so drawn ones are not below zero.
         """
         scale = np.where(self.identified, widen, 1.0)
         covariance = self.covariance * np.outer(scale, scale)
@@ -162,7 +167,8 @@ class Twin:
         values, vectors = np.linalg.eigh(covariance)
         root = vectors * np.sqrt(np.maximum(values, 0.0))
         drawn = pack(self.parameters) + rng.standard_normal((count, len(self.names))) @ root.T
-        return unpack(np.clip(drawn, self.lower, self.upper), len(self.joint_names))
+        lower = np.where(np.array(self.names) == "delay", np.maximum(self.lower, 0.0), self.lower)
+        return unpack(np.clip(drawn, lower, self.upper), len(self.joint_names))
 
     def require(self, arm: Arm) -> None:
         """Refuse with a ContractError if this twin is of another arm."""
@@ -180,6 +186,8 @@ class Twin:
             h.update(np.ascontiguousarray(array, dtype="<f8").tobytes())
         if self.stiction != STICTION:
             h.update(np.array(self.stiction, dtype="<f8").tobytes())
+        if self.acceleration != np.inf:
+            h.update(b"acceleration" + np.array(self.acceleration, dtype="<f8").tobytes())
         if self.table is not None:
             h.update(np.array(astuple(self.table), dtype="<f8").tobytes())
         return h.hexdigest()[:16]

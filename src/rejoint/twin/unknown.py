@@ -23,8 +23,9 @@ _NOMINAL: dict[str, dict[str, float]] = {
     # chosen: twice and more what the arm weighs, or nobody would have recorded it moving
     "torque_limit": {"nominal": 3.0, "sigma": 0.7, "upper": 50.0, "wrist": 1.0},
     "offset": {"sigma": 0.02, "lower": -0.2, "upper": 0.2},
-    # chosen: a bus servo answers within a few periods; position and command may share a stamp
-    "delay": {"nominal": 0.01, "sigma": 0.015, "upper": 0.2},
+    # chosen: a bus servo answers within a few periods; below zero where a position is read up to a period of 20 ms
+    # later than its row is stamped
+    "delay": {"nominal": 0.01, "sigma": 0.015, "lower": -0.02, "upper": 0.2},
     # chosen: faster than most motions, so that a ramp must show itself in the data
     "ramp_speed": {"nominal": 8.0, "sigma": 0.7, "upper": 50.0, "by_speed": False},
 }
