@@ -70,7 +70,7 @@ def test_logs_alone_become_diagnosis_twin_report_and_replay(run, logs, tmp_path)
     assert {"motions-free.png", "prediction-free.png", "worst-tool.png", "worst-joints.png"} <= figures
     assert "twin-correlations.png" in figures
 
-    code, out, err = run("replay", folder.twin, "--logs", logs, "--arm", "so101", "--out", "again", "--json")
+    code, out, err = run("replay", folder.twin, "--logs", logs, "--out", "again", "--json")  # of the arm of the twin
     assert code == 0, err
     again = read_json(tmp_path / "again" / "replay.json", Judgement)
     assert json.loads(out.splitlines()[-1])["page"] == "again/replay.html"

@@ -68,15 +68,17 @@ def replay(
 ) -> None:
     """Predict every motion open loop with a twin and show how far off it is, free space and contact apart.
 
-    Example: `rejoint replay runs/so101/twin.toml --logs logs/so101 --arm so101 --published maker.toml --out replay`
+    Example: `rejoint replay runs/so101/twin.toml --logs logs/so101 --published maker.toml --out replay`
     """
     from rejoint.report.replay import write_replay
     from rejoint.twin.file import read_twin
     from rejoint.twin.judge import Candidate, judge
 
     terminal = Terminal(json=json)
-    chosen = choose_arm(terminal, arm, base, tip)
-    candidates = [Candidate.of("twin", read_twin(twin, chosen)), *read_sets(published, chosen)]
+    found = read_twin(twin)
+    chosen = choose_arm(terminal, arm or found.arm, base, tip)
+    found.require(chosen)
+    candidates = [Candidate.of("twin", found), *read_sets(published, chosen)]
     judgement = judge(chosen, candidates, read_folder(logs), threads=2)
     show_errors(terminal, judgement)
     page = write_replay(out, judgement, twin=str(twin), logs=str(logs))
