@@ -1,8 +1,8 @@
 """Where an arm works well: a rest posture and a region of reachable targets, derived by sampling.
 
 Rest. Postures are drawn uniformly within the joint limits with a fixed seed. Those with the TCP in
-front of the base (x > 0, the axis that REP 103 calls forward), every moving joint frame clear of
-the floor and every joint clear of its limits are scored by the sum of five terms between 0 and 1:
+front of the base (x > 0, the axis that REP 103 calls forward) and well above the floor, every moving joint frame clear
+of the floor and every joint clear of its limits are scored by the sum of five terms between 0 and 1:
 manipulability (Yoshikawa 1985, det(JJ')^1/2 over the largest seen), nearness to mid-range, an elbow
 above the TCP, a TCP straight ahead, and little holding torque against gravity. Weights are equal
 (chosen). The best are improved by a random local search and then by one in whole degrees.
@@ -14,7 +14,7 @@ the arm's largest holding torque. The region is the largest box of good points t
 TCP and has at most the edges that Park et al. 2024 (section IV-A) use, in proportion to the arm:
 0.2 x 0.4 x 0.2 of the summed link lengths, rounded inwards to millimetres. It is verified on another
 grid, and drawn towards the rest TCP until that holds. For the myCobot 280 this finds
-x 144..248, y -107..100, z 119..223 mm, where the paper has 130..230, -100..100, 150..250 (measured).
+x 145..248, y -107..100, z 120..224 mm, where the paper has 130..230, -100..100, 150..250 (measured).
 Self-collision is not looked at.
 """
 
@@ -48,6 +48,10 @@ LIMIT_MARGIN = 0.05
 
 REST_MARGIN = 0.15
 """the same for the rest posture (chosen: targets around it need room)"""
+
+REST_HEIGHT = 0.18
+"""least height of the rest posture's TCP above the floor by the summed link lengths (chosen: steps of 0.2 rad in a
+shoulder half of that length away lower the TCP by half of it)"""
 
 AXIS_CLEARANCE = 0.15
 """least distance of targets from the base's vertical axis, by the summed link lengths (chosen: outside the column)"""
@@ -189,7 +193,8 @@ def _score(survey: _Survey, q: Array) -> Array:
     )  # fmt: skip
     ahead = (tcp[..., 0] > 0) & (distance > 2 * AXIS_CLEARANCE * survey.reach)
     inside = (np.abs(q - middle) <= (1 - 2 * REST_MARGIN) * half).all(axis=-1)
-    return np.where(survey.clear(f) & ahead & inside, score, -np.inf)
+    high = tcp[..., 2] > arm.floor + REST_HEIGHT * survey.reach
+    return np.where(survey.clear(f) & ahead & inside & high, score, -np.inf)
 
 
 def _rest_candidates(survey: _Survey, seed: int) -> list[Array]:
