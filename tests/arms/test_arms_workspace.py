@@ -10,6 +10,7 @@ from rejoint.arms.workspace import (
     AXIS_CLEARANCE,
     EDGES,
     LIMIT_MARGIN,
+    REST_HEIGHT,
     derive_rest,
     derive_targets,
     derive_workspace,
@@ -39,7 +40,7 @@ def test_the_rest_posture_is_a_good_one(derived: Arm) -> None:
     assert (np.abs(q - middle) < 0.8 * half).all()
     np.testing.assert_allclose(np.degrees(q), np.rint(np.degrees(q)), atol=1e-9)
     assert f.tcp_position[0] > 0.15 * reach(derived)
-    assert f.tcp_position[2] > derived.floor
+    assert f.tcp_position[2] > derived.floor + REST_HEIGHT * reach(derived)
     assert f.position[:, 2].max() > f.tcp_position[2]  # elbow up
     others = np.random.default_rng(1).uniform(derived.lower, derived.upper, (2000, derived.joints))
     assert manipulability(derived, q) > np.quantile(manipulability(derived, others), 0.6)
