@@ -102,19 +102,19 @@ def test_the_stiffness_of_every_servo_is_needed() -> None:
 
 
 def test_joints_without_weight_are_corrected_by_ever_less_and_in_full_when_far() -> None:
-    law = replace(LAW, patience=1.5)
+    law = replace(LAW, patience=1.5, patience_power=2.0)
     degree = np.radians(1.0)
     step = degree * np.array([[0.0, 0.0], [0.0, 0.5], [-2.0, 0.0]])
     calm = law.calm(np.array([3.0, 3.0, 30.0]), step)
-    # half of the time: half; at half of a degree a quarter of the rest comes back; beyond a degree all
-    np.testing.assert_allclose(calm, [[0.5], [0.5 + 0.5 * 0.25], [1.0]])
+    # after twice the time: a quarter; at half of a degree a quarter of the rest comes back; beyond a degree all
+    np.testing.assert_allclose(calm, [[0.25], [0.25 + 0.75 * 0.25], [1.0]])
     np.testing.assert_allclose(law.calm(np.array([0.0, 1.5]), np.zeros((2, 6))), 1.0)
 
 
 def test_only_those_joints_calm_down_and_only_where_the_law_says_so() -> None:
     rest = np.tile(ARM.rest, (2, 1))
     pushed = {}
-    for law in (LAW, replace(LAW, patience=2.0)):
+    for law in (LAW, replace(LAW, patience=2.0, patience_power=1.0)):
         commander = Commander(ARM, law)
         now = situation(rest, tcp_position(ARM, rest))
         commander.reset(now, EVERY)

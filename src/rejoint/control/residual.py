@@ -62,8 +62,10 @@ class CommandLaw:
 
     patience: float = 0.0
     """[s] since the target was set after which the anchor ``goal`` corrects joints that carry no weight by ever less,
-    as the inverse of the time; 0: never. In the play of its gear such a joint answers late and coasts on, and what
-    ends its swinging is a gain that falls (chosen, after Robbins and Monro 1951)"""
+    as a power of the time; 0: never. In the play of its gear such a joint answers late and coasts on, and what ends
+    its swinging is a gain that falls (after Robbins and Monro 1951)"""
+    patience_power: float = 1.5
+    """of that fall (chosen: with 1 some joints still swing after 8 s, with 2 more stop short)"""
     patience_step: float = float(np.radians(1.0))
     """[rad] largest element of the damped least-squares step from which on corrections are in full again"""
 
@@ -81,7 +83,7 @@ class CommandLaw:
 
         ``step`` (B, n) [rad] is the damped least-squares step.
         """
-        late = self.patience / np.maximum(since_target, self.patience)[:, None]
+        late = (self.patience / np.maximum(since_target, self.patience)[:, None]) ** self.patience_power
         largest = np.abs(step).max(axis=-1, keepdims=True)
         return late + (1.0 - late) * np.minimum(largest / self.patience_step, 1.0) ** 2
 

@@ -29,8 +29,8 @@ from rejoint.twin.twin import Twin
 CREWS = 2
 """Crews that the agents are split into, whatever the number of threads, so that results do not depend on it."""
 
-PATIENCE = 1.0
-"""[s] of the law on arms whose motors cross play slowly (chosen: such a joint swings once in about this time)"""
+PATIENCE = 0.7
+"""[s] of the law on arms whose motors cross play slowly (chosen: within it such a joint comes near and swings once)"""
 
 OnProgress = Callable[[float, float, str], None]
 """Called with (done, total, what is being done)."""
