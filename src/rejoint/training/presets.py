@@ -7,7 +7,6 @@ from typing import Literal
 
 import numpy as np
 
-from rejoint.control.feedforward import FeedforwardGains
 from rejoint.control.residual import CommandLaw
 from rejoint.errors import InputError
 from rejoint.training.task import TaskSettings
@@ -57,14 +56,7 @@ class Preset:
     ppo: PpoSettings = field(default_factory=PpoSettings)
 
 
-DEFAULT = Preset(
-    name="default",
-    task=TaskSettings(
-        # Chosen on families of worn arms that no result is reported on: pushing joints on their way as well, up to 1 rad/s,
-        # brings the arm within 2 mm a tenth sooner; steps that fade at half a millimetre hunt less against stiction.
-        law=CommandLaw(anchor="goal", learning=FeedforwardGains(moving=1.0, rate=4.5), fade=0.3e-3)
-    ),
-)
+DEFAULT = Preset(name="default", task=TaskSettings(law=CommandLaw(anchor="goal")))
 
 PAPER = Preset(
     name="paper",
@@ -74,7 +66,7 @@ PAPER = Preset(
         law=CommandLaw(
             anchor="measured",
             step_gain=1.0,
-            authority_floor=float(np.radians(10.0)),  # chosen: with the paper's 5 ten targets take nearly twice as long
+            authority_floor=float(np.radians(10.0)),  # chosen: with the paper's 5 fewer targets are learned
             authority_slope=0.0,
             authority_limit=float(np.radians(10.0)),
             rest_gain=0.0,
