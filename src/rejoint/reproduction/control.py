@@ -61,8 +61,8 @@ def run(bench: Bench) -> Findings:
         "twins and never on this arm. ± is the standard deviation over targets.",
         "The worn arm's default error was tuned to the paper's, so the first row is a fit. The paper's error is read "
         "at the crossing, which is why it lies just under the threshold for whatever arrives; the table of held "
-        "targets shows what remains when the arm is to stay. A policy that was trained to touch 5 mm and be sent on "
-        "does not stay well.",
+        "targets shows what remains when the arm is to stay. A policy that is trained to touch 5 mm and be sent on "
+        "has no reason to come closer.",
     )
     readings = (
         "Equation 27 can be read in two ways. As printed, the sum of errors is multiplied by dt = 0.02 s; then the "
