@@ -187,22 +187,21 @@ def fit(problem: Problem, start: Array, iterations: int) -> Fit:
     x = np.clip(start, problem.prior.lower, problem.prior.upper)
     fixed = problem.frozen
     converged, iteration = False, 0
+    residual = problem.residuals(x[None])[0]
     while not converged and iteration < iterations:
         iteration += 1
         signs = problem.inward(x, _alternating(problem, iteration))
-        residuals = problem.residuals(np.vstack([x, problem.perturbations(x, signs)]))
-        weights = problem.weights(residuals[0])
-        jacobian = problem.jacobian(residuals[0], residuals[1:], signs)
-        curvature, gradient = problem.system(jacobian, residuals[0], weights)
+        weights = problem.weights(residual)
+        jacobian = problem.jacobian(residual, problem.residuals(problem.perturbations(x, signs)), signs)
+        curvature, gradient = problem.system(jacobian, residual, weights)
         curvature += np.diag(problem.prior.sigma**-2)
         gradient += (x - problem.prior.mean) / problem.prior.sigma**2
         fixed = problem.frozen | _pressed(problem.prior, x, gradient)
         trials = _steps(problem, x, curvature, gradient, fixed)
-        x, gained = line_up(problem, np.vstack([x, trials]), residuals[:1], weights)
+        x, gained, residual = line_up(problem, np.vstack([x, trials]), residual[None], weights)
         converged = gained < LEAST_GAIN
-    residual = problem.residuals(x[None])
-    weights = problem.weights(residual[0])
-    final = float(problem.costs(x[None], residual, weights)[1][0])
+    weights = problem.weights(residual)
+    final = float(problem.costs(x[None], residual[None], weights)[1][0])
     return Fit(
         vector=x,
         cost=final,
@@ -225,7 +224,7 @@ def search(problem: Problem, starts: Array, rng: np.random.Generator, rounds: in
         residuals = np.concatenate([known, tried])
         best = int(np.argmin(loss(residuals).sum(axis=(1, 2))))
         weights = problem.weights(residuals[best])
-        x, _ = line_up(problem, candidates, residuals, weights)
+        x, _, _ = line_up(problem, candidates, residuals, weights)
         spread = (
             np.where(problem.frozen, 0.0, prior.sigma) * 0.5**i * rng.choice([0.0, 1.0], size=(len(starts) - 1, len(x)))
         )
@@ -257,8 +256,8 @@ def _steps(problem: Problem, x: Array, curvature: Array, gradient: Array, fixed:
     return np.clip(trial, problem.prior.lower, problem.prior.upper)
 
 
-def line_up(problem: Problem, candidates: Array, residuals: Array, weights: Weights) -> tuple[Array, float]:
-    """Let each joint pick its best candidate (s, k); return the mixture and what it gained on the first.
+def line_up(problem: Problem, candidates: Array, residuals: Array, weights: Weights) -> tuple[Array, float, Array]:
+    """Let each joint pick its best candidate (s, k); return the mixture, its gain on the first and its residuals.
 
     ``residuals`` (r, rows, n) are those of the first candidates that are known already. The mixture is
     simulated as well; where the joints' choices do not fit together, the best single candidate wins.
@@ -271,10 +270,11 @@ def line_up(problem: Problem, candidates: Array, residuals: Array, weights: Weig
     for joint, choice in enumerate(np.argmin(by_joint, axis=0)):
         own = problem.owner == joint
         mixed[own] = candidates[choice, own]
-    cost = float(problem.costs(mixed[None], problem.residuals(mixed[None]), weights)[1][0])
+    own_residual = problem.residuals(mixed[None])
+    cost = float(problem.costs(mixed[None], own_residual, weights)[1][0])
     if cost < total[best]:
-        return mixed, float(total[0] - cost)
-    return candidates[best], float(total[0] - total[best])
+        return mixed, float(total[0] - cost), own_residual[0]
+    return candidates[best], float(total[0] - total[best]), residuals[best]
 
 
 def loss(residual: Array) -> Array:

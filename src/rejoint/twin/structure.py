@@ -228,7 +228,7 @@ def _with_limit(problem: Problem, x: Array, limit: str) -> tuple[Array, Array]:
             candidates.append(candidate)
     tried = np.clip(candidates, problem.prior.lower, problem.prior.upper)
     before = problem.residuals(tried[:1])
-    y, _ = line_up(problem, tried, before, problem.weights(before[0]))
+    y, _, _ = line_up(problem, tried, before, problem.weights(before[0]))
     losses = _losses(problem, y)
     if _ratio(losses, _losses(problem, x)) >= 1.0 - GAIN:
         return x, losses
