@@ -8,12 +8,15 @@ import argparse
 from collections.abc import Callable
 from pathlib import Path
 
-from benchmarks import control, identification, plant, training
+from benchmarks import agents, control, identification, plant, policy, rivals, training
 
 BENCHMARKS: dict[str, Callable[[Path | None], None]] = {
     "plant": lambda _logs: plant.main(),
     "control": lambda _logs: control.main(),
     "training": lambda _logs: training.main(),
+    "rivals": lambda _logs: rivals.main(),
+    "agents": lambda _logs: agents.main(),
+    "policy": lambda _logs: policy.main(),
     "identification": identification.bench,
 }
 

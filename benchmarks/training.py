@@ -1,31 +1,67 @@
-"""What training costs beyond the simulation that it cannot do without."""
+"""What training costs beyond the simulation that it cannot do without: the very same physics steps, simulated alone."""
 
-import tempfile
 import time
-from pathlib import Path
 
 import numpy as np
+import torch
 
+from benchmarks.learners import ROLLOUT, begin
 from rejoint.arms import mycobot280
-from rejoint.training.task import SUBSTEPS
-from rejoint.training.train import TrainingOptions, train
+from rejoint.training.task import SUBSTEPS, ReachTask
 from rejoint.twin.batch import TwinBatch
 
-AGENTS, ITERATIONS, ROLLOUT = 512, 8, 32
+ROUNDS = 6
+
+
+class Tape:
+    """Records every physics step of some agents: states and parameters where they begin, then what drives them."""
+
+    def __init__(self, task: ReachTask) -> None:
+        self._twins, self._step = task.twins, task.twins.step
+        self._live = task.twins.state()
+        self.steps: list[dict[str, np.ndarray]] = []
+        task.twins.step = self._record  # type: ignore[method-assign]
+
+    def _record(self, substeps: int = 1, ids: None = None) -> None:
+        # Everything, since the arms of some agents are exchanged on the way.
+        self.steps.append({name: value.copy() for name, value in self._live.items()})
+        self._step(substeps, ids)
+
+
+def replay(twins: TwinBatch, tapes: list[Tape]) -> float:
+    """Simulate what was recorded, all agents in one batch; returns the time [s] of the steps alone."""
+    live, taken = twins.state(), 0.0
+    for parts in zip(*(tape.steps for tape in tapes), strict=True):
+        for name, value in live.items():
+            value[...] = np.concatenate([part[name] for part in parts])
+        start = time.perf_counter()
+        twins.step()
+        taken += time.perf_counter() - start
+    return taken
 
 
 def main() -> None:
-    arm = mycobot280()
-    twins = TwinBatch(arm, AGENTS, threads=2)
-    twins.restart(np.tile(arm.rest, (AGENTS, 1)))
-    twins.step(SUBSTEPS)
-    start = time.perf_counter()
-    for _ in range(ITERATIONS * ROLLOUT):
-        twins.step(SUBSTEPS)
-    raw = time.perf_counter() - start
-    with tempfile.TemporaryDirectory() as folder:
-        options = TrainingOptions(iterations=ITERATIONS, agents=AGENTS, threads=2)
-        whole = train(arm, None, out=Path(folder), options=options).wall_s
-    steps = AGENTS * ITERATIONS * ROLLOUT
-    print(f"raw simulation of the same steps: {raw:.2f} s, {1e6 * raw / steps / SUBSTEPS:.2f} us per physics step")
-    print(f"training: {whole:.2f} s, {steps / whole:.0f} transitions per second, {whole / raw:.2f} x raw simulation")
+    learner = begin()
+    torch.set_num_threads(1)
+    torch.set_float32_matmul_precision("medium")
+    twins = TwinBatch(mycobot280(), learner.agents, threads=2)
+    whole, raw = [], []
+    for _ in range(ROUNDS):  # in turns, so that other load hits both alike
+        start = time.perf_counter()
+        learner.iterate()
+        whole.append(time.perf_counter() - start)
+        tapes = [Tape(crew.task) for crew in learner.crews]
+        learner.iterate()
+        raw.append(replay(twins, tapes))
+        for crew in learner.crews:
+            del crew.task.twins.step
+    steps = learner.agents * ROLLOUT
+    alone, training = float(np.median(raw)), float(np.median(whole))
+    print(
+        f"simulation of the same steps alone: {1e6 * alone / steps / SUBSTEPS:.2f} us per physics step on two threads"
+    )
+    print(f"training: {steps / training:.0f} transitions per second, {training / alone:.2f} x that simulation")
+
+
+if __name__ == "__main__":
+    main()

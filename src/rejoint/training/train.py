@@ -100,7 +100,7 @@ def train(
     checkpoint, curves = folder.training / "checkpoint.pt", folder.training / "curves.parquet"
     torch.set_num_threads(1)  # of one product of matrices: crews and networks are what runs at the same time
     torch.set_float32_matmul_precision("medium")  # products in bfloat16, where the processor has it, sums in float32
-    learner = _learner(arm, twin, recipe, options)
+    learner = make_learner(arm, twin, recipe, options)
     identity = _identity(arm, twin, recipe, options)
     if options.resume and checkpoint.exists():
         learner.load(checkpoint, identity)
@@ -147,7 +147,8 @@ def write_curves(path: Path, curve: Sequence[CurvePoint]) -> None:
     write_whole(path, lambda temporary: pq.write_table(table, temporary))
 
 
-def _learner(arm: Arm, twin: Twin | None, recipe: Preset, options: TrainingOptions) -> Learner:
+def make_learner(arm: Arm, twin: Twin | None, recipe: Preset, options: TrainingOptions) -> Learner:
+    """Set up what a training works on, at its beginning."""
     ranges, crews = training_ranges(arm, twin, recipe), min(CREWS, options.agents)
     sizes = [len(part) for part in np.array_split(np.arange(options.agents), crews)]
     tasks = [
