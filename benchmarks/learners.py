@@ -1,5 +1,7 @@
 """A training to take times of: the default recipe on the broad ranges of a myCobot 280."""
 
+import torch
+
 from rejoint.arms import mycobot280
 from rejoint.training.learner import Learner
 from rejoint.training.presets import DEFAULT
@@ -10,6 +12,7 @@ ROLLOUT = DEFAULT.ppo.rollout
 
 def begin(agents: int = 512) -> Learner:
     """Start a training on two threads and do its first update."""
+    torch.set_float32_matmul_precision("medium")  # as `rejoint train` does
     arm = mycobot280()
     learner = make_learner(arm, None, know_stiffness(DEFAULT, arm, None), TrainingOptions(agents=agents, threads=2))
     learner.iterate()

@@ -3,7 +3,6 @@
 import time
 
 import numpy as np
-import torch
 
 from benchmarks.learners import ROLLOUT, begin
 from rejoint.arms import mycobot280
@@ -42,8 +41,6 @@ def replay(twins: TwinBatch, tapes: list[Tape]) -> float:
 
 def main() -> None:
     learner = begin()
-    torch.set_num_threads(1)
-    torch.set_float32_matmul_precision("medium")
     twins = TwinBatch(mycobot280(), learner.agents, threads=2)
     whole, raw = [], []
     for _ in range(ROUNDS):  # in turns, so that other load hits both alike
