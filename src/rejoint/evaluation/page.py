@@ -11,6 +11,7 @@ import numpy as np
 from rejoint.arms import Array
 from rejoint.evaluation.family import FAMILY_SIZE
 from rejoint.evaluation.outcome import Outcome
+from rejoint.evaluation.paired import NEVER_RATIO
 from rejoint.evaluation.result import Evaluation
 from rejoint.evaluation.tables import HEADERS, pair_cells, pair_headers, row_cells
 from rejoint.report.embed import inline_svg
@@ -48,13 +49,16 @@ def _verdict(evaluation: Evaluation) -> list[str]:
         if pair.rival != evaluation.best.get(pair.variant) or pair.settled is None:
             continue
         ratio, settled = pair.stay_ratio[-1], pair.settled
+        speed = f"(median ratio {ratio.value:.2f})"
+        if ratio.value >= NEVER_RATIO:
+            speed = "(mostly it never stays there)"
         faster = "sooner" if ratio.high < 1 else "later" if ratio.low > 1 else "neither clearly sooner nor later"
         nearer = (
             "nearer" if settled.high < 0 else "farther off" if settled.low > 0 else "neither nearer nor farther off"
         )
         lines.append(
             f"{evaluation.meanings[pair.variant]}: {pair.controller} is within "
-            f"{1e3 * evaluation.protocol.within[-1]:g} mm {faster} than {pair.rival} (median ratio {ratio.value:.2f}) "
+            f"{1e3 * evaluation.protocol.within[-1]:g} mm {faster} than {pair.rival} {speed} "
             f"and settles {nearer} ({1e3 * settled.value:+.2f} mm)."
         )
     return [f"{line[:1].upper()}{line[1:]}" for line in lines] or ["No learned policy took part."]

@@ -12,6 +12,9 @@ from rejoint.arms import Array
 from rejoint.comparison.result import Estimate
 from rejoint.comparison.statistics import CONFIDENCE, paired_difference
 
+NEVER_RATIO = 100.0
+"""Ratio where only one of two ever stays: no time within a hold is as many times another (chosen)"""
+
 RESAMPLES = 1000
 """Bootstrap resamples of a median (chosen: ends of the interval repeat within 3 % of its width)"""
 
@@ -24,7 +27,7 @@ def difference(first: Array, second: Array, *, seed: int = 0) -> Estimate | None
 
 def time_ratio(first: Array, second: Array, *, seed: int = 0) -> Estimate:
     """Median of ``first / second`` (A, K) for times that may be infinite or NaN (stopped: counts as never)."""
-    ratio = ratios(first, second)
+    ratio = ratios(first, second)  # (A, K)
     median = float(np.median(ratio))
     rng = np.random.default_rng(seed)
     picks = rng.integers(0, len(ratio), (RESAMPLES, len(ratio)))
@@ -34,8 +37,10 @@ def time_ratio(first: Array, second: Array, *, seed: int = 0) -> Estimate:
 
 
 def ratios(first: Array, second: Array) -> Array:
-    """``first / second`` for times; 1 where both are never, infinite or 0 where one is."""
+    """``first / second`` for times; 1 where both are never, `NEVER_RATIO` or its inverse where one is."""
     first, second = (np.where(np.isnan(times), np.inf, np.maximum(times, 1e-3)) for times in (first, second))
     both = np.isinf(first) & np.isinf(second)
     finite = np.where(np.isinf(first) | np.isinf(second), 1.0, first / np.where(np.isinf(second), 1.0, second))
-    return np.where(both, 1.0, np.where(np.isinf(first), np.inf, np.where(np.isinf(second), 0.0, finite)))
+    return np.where(
+        both, 1.0, np.where(np.isinf(first), NEVER_RATIO, np.where(np.isinf(second), 1 / NEVER_RATIO, finite))
+    )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from rejoint.comparison.result import Estimate
+from rejoint.evaluation.paired import NEVER_RATIO
 from rejoint.evaluation.result import Evaluation, Pair, Row
 from rejoint.report.numerals import NEVER, UNKNOWN, interval, number
 from rejoint.report.view import Cell
@@ -86,5 +87,7 @@ def _signed(value: Estimate | None, factor: float) -> Cell:
 
 
 def _ratio(value: Estimate) -> Cell:
-    ends = [NEVER if end == float("inf") else number(end, 2) for end in (value.low, value.high)]
-    return Cell(NEVER if value.value == float("inf") else number(value.value, 2), " to ".join(ends))
+    low, middle, high = (
+        NEVER if end >= NEVER_RATIO else number(end, 2) for end in (value.low, value.value, value.high)
+    )
+    return Cell(middle, f"{low} to {high}")
