@@ -12,27 +12,37 @@ from rejoint.twin.batch import TwinBatch
 ROUNDS = 6
 
 
+DRIVEN = ("ctrl", "dof_frictionloss", "opt.timestep", "dof_solref")
+"""What a training changes before every step"""
+
+
 class Tape:
-    """Records every physics step of some agents: states and parameters where they begin, then what drives them."""
+    """Records every physics step of some agents: everything where arms are exchanged, else what drives them."""
 
     def __init__(self, task: ReachTask) -> None:
-        self._twins, self._step = task.twins, task.twins.step
-        self._live = task.twins.state()
+        self._twins, self._step, self._arms = task.twins, task.twins.step, None
+        self._live = {**task.twins.state(), "ctrl": task.twins.ctrl}
         self.steps: list[dict[str, np.ndarray]] = []
         task.twins.step = self._record  # type: ignore[method-assign]
 
     def _record(self, substeps: int = 1, ids: None = None) -> None:
-        # Everything, since the arms of some agents are exchanged on the way.
-        self.steps.append({name: value.copy() for name, value in self._live.items()})
+        arms = self._live["dof_armature"].copy()
+        known = self._arms is not None and np.array_equal(arms, self._arms)
+        self._arms = arms
+        self.steps.append({name: self._live[name].copy() for name in (DRIVEN if known else self._live)})
         self._step(substeps, ids)
 
 
 def replay(twins: TwinBatch, tapes: list[Tape]) -> float:
     """Simulate what was recorded, all agents in one batch; returns the time [s] of the steps alone."""
-    live, taken = twins.state(), 0.0
+    live, taken = {**twins.state(), "ctrl": twins.ctrl}, 0.0
     for parts in zip(*(tape.steps for tape in tapes), strict=True):
-        for name, value in live.items():
-            value[...] = np.concatenate([part[name] for part in parts])
+        first = 0
+        for part in parts:
+            after = first + len(part["ctrl"])
+            for name, value in part.items():
+                live[name][first:after] = value
+            first = after
         start = time.perf_counter()
         twins.step()
         taken += time.perf_counter() - start
