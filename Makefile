@@ -18,7 +18,7 @@ check: $(READY)
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
-bench: $(READY)
+bench: $(VENV)/bench
 	$(BIN)/python -m benchmarks $(if $(LOGS),--logs "$(LOGS)")
 
 format: $(READY)
@@ -30,6 +30,11 @@ $(READY): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[train,report,logs,dev]"
 	touch $(READY)
+
+# The other programs that the benchmarks compare with; nothing else needs them.
+$(VENV)/bench: $(READY)
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[bench]"
+	touch $(VENV)/bench
 
 clean:
 	rm -rf $(VENV) build dist
