@@ -25,9 +25,9 @@ low-cost arm ask for; a single one may not tell)"""
 LIMITS = ("torque_limit", "ramp_speed")
 """Parameters that leave no trace unless they are reached"""
 
-ACCELERATIONS = (20.0, 40.0, 80.0)
-"""[rad/s^2] limits of the reference's acceleration that are tried first (chosen: around 39, the largest setting of the
-serial-bus servos of `rejoint.twin.profile`)"""
+ACCELERATIONS = (40.0, 20.0, 80.0)
+"""[rad/s^2] limits of the reference's acceleration; the first that helps is refined (chosen: around 39, the largest
+setting of the serial-bus servos of `rejoint.twin.profile`)"""
 DELAYS = (-0.008, -0.004, 0.0, 0.004, 0.008, 0.012)
 """[s] changes of the delay that are tried with other accelerations (chosen)"""
 EARLIER = 0.01
@@ -137,13 +137,14 @@ def find_acceleration(make: Callable[[Structure], Problem], simple: Structure, s
         return problem, fit(problem, y, SHORT).vector
 
     without = _losses(*fitted(np.inf, 0.0))
-    found = {a: fitted(a, EARLIER) for a in ACCELERATIONS}
-    ratios = {a: _ratio(_losses(*found[a]), without) for a in found}
-    best = min(found, key=lambda a: ratios[a])
-    if ratios[best] >= 1.0 - LIMIT_GAIN:
+    for best in ACCELERATIONS:
+        problem, y = fitted(best, EARLIER)
+        if _ratio(_losses(problem, y), without) < 1.0 - LIMIT_GAIN:
+            break
+    else:
         return simple
-    around, factor = _by_delay(*found[best]), ACCELERATIONS[1] / ACCELERATIONS[0]
-    ratios = {best: _ratio(_lowest(found[best][0], around), without)}
+    around, factor = _by_delay(problem, y), 2.0
+    ratios = {best: _ratio(_lowest(problem, around), without)}
     while factor > FINEST:
         factor = np.sqrt(factor)
         for a in (best / factor, best * factor):
