@@ -16,7 +16,7 @@ from rejoint.runs import RunFolder
 from rejoint.training.export import policy_graph
 from rejoint.training.learner import Learner
 from rejoint.training.networks import Actor, Critic, perceptron
-from rejoint.training.ppo import Rollout, advantages, join
+from rejoint.training.ppo import Ppo, Rollout, join
 from rejoint.training.presets import DEFAULT, PAPER, PpoSettings, load_preset
 from rejoint.training.ranges import BroadRanges
 from rejoint.training.task import ReachTask, TaskSettings
@@ -75,12 +75,11 @@ def test_a_training_is_a_function_of_its_seed(tmp_path):
     assert policies[0] == policies[1] != policies[2]
 
 
-def test_threads_do_not_change_what_is_learned(tmp_path):
-    one, two = (
-        train(ARM, None, out=tmp_path / str(threads), options=options(iterations=3, threads=threads))
-        for threads in (1, 2)
-    )
-    assert one.policy.read_bytes() == two.policy.read_bytes()
+def test_threads_do_not_change_what_the_agents_do():
+    arms = [ReachTask(ARM, BroadRanges(arm=ARM), 8, SMALL.task, seed=k) for k in range(2)]
+    again = [ReachTask(ARM, BroadRanges(arm=ARM), 8, SMALL.task, seed=k) for k in range(2)]
+    one, two = (Learner(tasks, SMALL.ppo, seed=0, threads=k).iterate() for k, tasks in ((1, arms), (2, again)))
+    assert (one.reward, one.error_mm) == (two.reward, two.error_mm)
 
 
 class InterruptedTrainingError(Exception):
@@ -160,18 +159,17 @@ def test_the_density_of_actions_is_that_of_the_noise():
     actions = torch.stack(draws).detach()
     with torch.no_grad():
         normal = torch.distributions.Normal(actor.net(observation), actor.log_std.exp())
-        # but for the constant, n ln(2 pi) / 2
-        expected = normal.log_prob(actions).sum(dim=-1) + 1.5 * np.log(2.0 * np.pi)
-        assert torch.allclose(actor.log_prob(observation, actions), expected, atol=1e-5)
+        told = actor.act({"observations": observation, "taken_actions": actions}, role="policy")[1]["log_prob"]
+        assert torch.allclose(told[:, 0], normal.log_prob(actions).sum(dim=-1), atol=1e-5)
     np.testing.assert_allclose(actions.std(dim=0).numpy(), np.exp(-0.7), rtol=0.05)
 
 
 def test_the_critic_sees_the_truth():
-    critic = Critic(50, 56, (16,))
+    critic = Critic(50, 56, 6, (16,))
     observations, truth = torch.zeros(1, 50), torch.zeros(1, 56)
     other = truth.clone()
     other[0, 7] = 1.0
-    first, second = critic(observations, truth), critic(observations, other)
+    first, second = critic.value(observations, truth), critic.value(observations, other)
     assert first.shape == (1,)
     assert first.item() != second.item()
 
@@ -179,10 +177,24 @@ def test_the_critic_sees_the_truth():
 def rollout(cycles, agents, **tensors) -> Rollout:
     """A rollout of zeros but for what is given."""
     shape = (cycles, agents)
-    zeros = {name: torch.zeros(shape) for name in ("log_prob", "value", "final_value", "reward", "distance")}
+    zeros = {name: torch.zeros(shape) for name in ("value", "final_value", "reward", "distance")}
     zeros |= {name: torch.zeros(shape, dtype=torch.bool) for name in ("terminated", "truncated")}
     zeros |= {name: torch.zeros((*shape, 2)) for name in ("observation", "truth", "action")}
-    return Rollout(**(zeros | {"next_value": torch.zeros((1, agents))} | tensors))
+    zeros |= {name: torch.zeros((1, agents, 2)) for name in ("next_observation", "next_truth")}
+    return Rollout(**(zeros | tensors))
+
+
+def returns(seen: Rollout, next_value: float, **changes) -> torch.Tensor:
+    """Taught returns less values (T, N), where the critic gives ``next_value`` to the state after the last."""
+    settings = dataclasses.replace(SMALL.ppo, rollout=len(seen.reward), mini_batches=1, **changes)
+    critic = Critic(2, 2, 2, (4,))
+    with torch.no_grad():
+        for parameter in critic.net.parameters():
+            parameter.zero_()
+        critic.net[-1].bias.fill_(next_value)
+    ppo = Ppo(Actor(2, 2, (4,), -0.7), critic, settings, agents=seen.reward.shape[1])
+    ppo.learn(seen, 1e-3, iteration=0)
+    return ppo.memory.get_tensor_by_name("returns")[..., 0] - seen.value
 
 
 def test_advantages_worked_by_hand():
@@ -190,9 +202,9 @@ def test_advantages_worked_by_hand():
     column = lambda *values: torch.tensor(values)[:, None]  # noqa: E731
     seen = rollout(
         3, 1, reward=column(1.0, 2.0, 3.0), truncated=column(False, True, False), value=column(10.0, 20.0, 30.0),
-        final_value=column(0.0, 4.0, 0.0), next_value=torch.tensor([[8.0]]),
+        final_value=column(0.0, 4.0, 0.0),
     )  # fmt: skip
-    got = advantages(seen, PpoSettings(discount=0.5, gae_lambda=0.8, reward_scale=2.0))
+    got = returns(seen, 8.0, discount=0.5, gae_lambda=0.8, reward_scale=2.0)
     third = 6.0 + 0.5 * 8.0 - 30.0
     second = 4.0 + 0.5 * 4.0 - 20.0
     first = 2.0 + 0.5 * 20.0 - 10.0 + 0.5 * 0.8 * second
@@ -200,16 +212,16 @@ def test_advantages_worked_by_hand():
 
 
 def test_success_has_no_value_beyond_it():
-    done = torch.tensor([[True, False]])
-    seen = rollout(1, 2, terminated=done, next_value=torch.tensor([[8.0, 8.0]]))
-    np.testing.assert_allclose(advantages(seen, PpoSettings(discount=0.5)), [[0.0, 4.0]])
+    done = torch.tensor([[True, False], [False, False]])
+    seen = rollout(2, 2, terminated=done)
+    np.testing.assert_allclose(returns(seen, 8.0, discount=0.5, gae_lambda=1.0), [[0.0, 2.0], [4.0, 4.0]])
 
 
 def test_agents_of_crews_stand_side_by_side():
     mark = lambda first: first + 10.0 * torch.arange(3)[:, None] + torch.arange(2)  # noqa: E731 - agent + 10 cycle
     both = join([rollout(3, 2, reward=mark(0.0)), rollout(3, 2, reward=mark(2.0))])
     np.testing.assert_array_equal(both.reward, np.arange(4) + 10.0 * np.arange(3)[:, None])
-    assert both.next_value.shape == (1, 4)
+    assert both.next_observation.shape == (1, 4, 2)
 
 
 def test_time_outs_are_bootstrapped_from_the_state_before_the_new_target():
@@ -222,7 +234,9 @@ def test_time_outs_are_bootstrapped_from_the_state_before_the_new_target():
     assert not rolled.terminated.any()
     for t, n in rolled.truncated.nonzero().tolist():
         with torch.no_grad():
-            value = learner.critic(*(torch.from_numpy(a[n]) for a in (seen[t].final_observation, seen[t].final_truth)))
+            value = learner.critic.value(
+                *(torch.from_numpy(a[n]) for a in (seen[t].final_observation, seen[t].final_truth))
+            )
         np.testing.assert_allclose(rolled.final_value[t, n].item(), value.item(), rtol=1e-4)
         assert (seen[t].final_observation[n] != seen[t].observation[n]).any()
     assert not rolled.final_value[~rolled.truncated].any()
@@ -251,7 +265,7 @@ def test_learning_rate_falls_linearly_to_its_last_value():
     learner = small_learner(learning_rate=1e-3, final_learning_rate=1e-4)
     rates = []
     for _ in range(6):
-        assert learner.iterate().learning_rate == learner.ppo.actor_optimizer.param_groups[0]["lr"]
+        assert learner.iterate().learning_rate == learner.ppo.optimizer.param_groups[0]["lr"]
         rates.append(learner.curve[-1].learning_rate)
     np.testing.assert_allclose(rates, 1e-3 - 0.9e-3 * np.arange(6) / 5, rtol=1e-9)
 

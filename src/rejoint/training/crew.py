@@ -41,10 +41,10 @@ class Crew:
             observation=observation,
             truth=truth,
             action=action,
-            log_prob=actor.log_prob(observation, action),
-            value=critic(observation, truth),
+            value=critic.value(observation, truth),
             final_value=_final_values(critic, transitions),
-            next_value=critic(self._observation, self._truth)[None],
+            next_observation=self._observation[None],
+            next_truth=self._truth[None],
             reward=_stack(transitions, "reward").float(),
             terminated=_stack(transitions, "terminated"),
             truncated=_stack(transitions, "truncated"),
@@ -75,5 +75,5 @@ def _final_values(critic: Critic, transitions: list[Transition]) -> Tensor:
     ends = [[torch.from_numpy(array[t.truncated]) for array in (t.final_observation, t.final_truth)]
             for t in transitions]  # fmt: skip
     values = torch.zeros(late.shape)
-    values[late] = critic(*(torch.cat(parts) for parts in zip(*ends, strict=True)))
+    values[late] = critic.value(*(torch.cat(parts) for parts in zip(*ends, strict=True)))
     return values

@@ -1,4 +1,4 @@
-"""The training as a loop: crews of agents act, actor and critic learn, and it can be interrupted after every update."""
+"""The training as a loop: crews of agents act, skrl's PPO learns, and it can be interrupted after every update."""
 
 from __future__ import annotations
 
@@ -53,15 +53,15 @@ class Learner:
     """Networks, algorithm and agents of one training."""
 
     def __init__(self, tasks: Sequence[ReachTask], settings: PpoSettings, *, seed: int, threads: int = 1) -> None:
-        """Take the task of each crew; ``threads`` of them act, and as many networks learn, at the same time."""
+        """Take the task of each crew; ``threads`` of them act at the same time, and as many threads learn."""
         torch.manual_seed(seed)
         size, self.threads = tasks[0].observer.size, threads
         self.settings, self.agents = settings, sum(task.agents for task in tasks)
         self.ends_on_success = tasks[0].settings.ends_on_success
         self.actor = Actor(size, tasks[0].arm.joints, settings.actor_layers, settings.log_std)
-        self.critic = Critic(size, tasks[0].truth_size, settings.critic_layers)
+        self.critic = Critic(size, tasks[0].truth_size, tasks[0].arm.joints, settings.critic_layers)
         self.crews = [Crew(task, seed=len(tasks) * seed + k) for k, task in enumerate(tasks)]
-        self.ppo = Ppo(self.actor, self.critic, settings, seed=seed)
+        self.ppo = Ppo(self.actor, self.critic, settings, agents=self.agents)
         self.curve: list[CurvePoint] = []
 
     @property
@@ -74,10 +74,10 @@ class Learner:
         start, s = time.perf_counter(), self.settings
         self.actor.ceiling = _ceiling(s, self.iteration)
         rate = _learning_rate(s, self.iteration)
-        # One thread per job: networks of this size lose by a second one within a product (measured).
         with ThreadPoolExecutor(self.threads, initializer=partial(torch.set_num_threads, 1)) as workers:
             rollout = join(list(workers.map(lambda crew: crew.roll(self.actor, self.critic, s.rollout), self.crews)))
-            losses = self.ppo.update(rollout, rate, workers)
+        torch.set_num_threads(self.threads)
+        losses = self.ppo.learn(rollout, rate, iteration=self.iteration)
         point = self._point(rollout, losses, rate, time.perf_counter() - start)
         self.curve.append(point)
         return point
@@ -88,7 +88,7 @@ class Learner:
             "format": _CHECKPOINT_FORMAT,
             "identity": identity,
             "modules": {name: module.state_dict() for name, module in self._modules().items()},
-            "shuffling": self.ppo.shuffling.get_state(),
+            "random": torch.get_rng_state(),
             "crews": [_tensors(crew.state()) for crew in self.crews],
             "curve": [asdict(point) for point in self.curve],
         }
@@ -102,7 +102,7 @@ class Learner:
                 return False
             for name, module in self._modules().items():
                 module.load_state_dict(content["modules"][name])
-            self.ppo.shuffling.set_state(content["shuffling"])
+            torch.set_rng_state(content["random"])
             for crew, state in zip(self.crews, content["crews"], strict=True):
                 crew.load_state(state | {"task": _arrays(state["task"])})
             self.curve = [CurvePoint(**point) for point in content["curve"]]
@@ -111,10 +111,7 @@ class Learner:
         return True
 
     def _modules(self) -> dict[str, torch.nn.Module | torch.optim.Optimizer]:
-        return {
-            "actor": self.actor, "critic": self.critic,
-            "actor_optimizer": self.ppo.actor_optimizer, "critic_optimizer": self.ppo.critic_optimizer,
-        }  # fmt: skip
+        return {"actor": self.actor, "critic": self.critic, "optimizer": self.ppo.optimizer}
 
     def _point(self, rollout: Rollout, losses: Losses, rate: float, wall_s: float) -> CurvePoint:
         ended = rollout.ended

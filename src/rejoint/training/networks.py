@@ -1,13 +1,15 @@
-"""Actor and critic of PPO, and what other learners build their networks from."""
+"""Actor and critic of PPO as skrl models, and what other learners build their networks from."""
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
+from typing import Any
 
 import gymnasium
 import numpy as np
 import torch
+from skrl.models.torch import DeterministicMixin, GaussianMixin, Model
 from torch import Tensor, nn
 
 LAST_LAYER_SCALE = 0.01
@@ -19,11 +21,13 @@ def unbounded(size: int) -> gymnasium.spaces.Box:
     return gymnasium.spaces.Box(-np.inf, np.inf, (size,), dtype=np.float32)
 
 
-class Actor(nn.Module):
+class Actor(GaussianMixin, Model):  # type: ignore[misc]
     """Gaussian policy whose noise has a ceiling that the training lowers."""
 
     def __init__(self, observation_size: int, joints: int, layers: Sequence[int], log_std: float) -> None:
-        super().__init__()
+        spaces = {"observation_space": unbounded(observation_size), "action_space": unbounded(joints)}
+        Model.__init__(self, **spaces, device="cpu")
+        GaussianMixin.__init__(self, clip_log_std=False, reduction="sum")
         self.net = perceptron((observation_size, *layers, joints))
         with torch.no_grad():
             for parameter in self.net[-1].parameters():
@@ -36,32 +40,32 @@ class Actor(nn.Module):
         """Logarithm (n,) of the exploration noise."""
         return self.free_log_std.clamp(max=self.ceiling)
 
+    def compute(self, inputs: dict[str, Tensor], role: str = "") -> tuple[Tensor, dict[str, Any]]:  # noqa: ARG002
+        """Mean action (..., n) and logarithm of the noise, as skrl asks for them."""
+        return self.net(inputs["observations"]), {"log_std": self.log_std}
+
     def sample(self, observation: Tensor, random: torch.Generator) -> Tensor:
-        """Draw actions (N, n) for observations (N, size)."""
+        """Draw actions (N, n) for observations (N, size); several threads may do so at the same time."""
         mean: Tensor = self.net(observation)
         return mean + self.log_std.exp() * torch.randn(mean.shape, generator=random)
 
-    def log_prob(self, observation: Tensor, action: Tensor) -> Tensor:
-        """Logarithm (...) of the density of actions (..., n), less a constant: only differences are of interest."""
-        log_std = self.log_std
-        deviation = (action - self.net(observation)) * (-log_std).exp()
-        return -0.5 * (deviation**2).sum(dim=-1) - log_std.sum()
 
-
-class Critic(nn.Module):
+class Critic(DeterministicMixin, Model):  # type: ignore[misc]
     """Value of an observation together with the twin's truth."""
 
-    def __init__(self, observation_size: int, truth_size: int, layers: Sequence[int]) -> None:
-        super().__init__()
+    def __init__(self, observation_size: int, truth_size: int, joints: int, layers: Sequence[int]) -> None:
+        spaces = {"observation_space": unbounded(observation_size), "action_space": unbounded(joints)}
+        Model.__init__(self, **spaces, state_space=unbounded(truth_size), device="cpu")
+        DeterministicMixin.__init__(self)
         self.net = perceptron((observation_size + truth_size, *layers, 1))
 
-    def inputs(self, observation: Tensor, truth: Tensor) -> Tensor:
-        """Everything that the critic sees (..., size)."""
-        return torch.cat([observation, truth], dim=-1)
+    def compute(self, inputs: dict[str, Tensor], role: str = "") -> tuple[Tensor, dict[str, Any]]:  # noqa: ARG002
+        """Values (..., 1), as skrl asks for them."""
+        return self.net(torch.cat([inputs["observations"], inputs["states"]], dim=-1)), {}
 
-    def forward(self, observation: Tensor, truth: Tensor) -> Tensor:
-        """Values (...)."""
-        values: Tensor = self.net(self.inputs(observation, truth))[..., 0]
+    def value(self, observation: Tensor, truth: Tensor) -> Tensor:
+        """Values (...); several threads may ask at the same time."""
+        values: Tensor = self.compute({"observations": observation, "states": truth})[0][..., 0]
         return values
 
 

@@ -1,17 +1,19 @@
-"""Proximal policy optimisation (Schulman et al. 2017, arXiv:1707.06347): what is learned from one rollout.
+"""Proximal policy optimisation (Schulman et al. 2017, arXiv:1707.06347) by skrl, from whole rollouts.
 
-Actor and critic share neither weights nor loss, so each goes through the rollout by itself: two jobs that can run on
-two cores, with the same result as one after the other.
+skrl's agent acts and records cycle by cycle, all agents in one. Here crews of agents do so at the same time, each with
+its own random numbers; what they did is put into skrl's memory at once, and skrl learns from it.
 """
 
 from __future__ import annotations
 
-from concurrent.futures import Executor
 from dataclasses import dataclass, fields
 from typing import NamedTuple
 
+import numpy as np
 import torch
-from torch import Tensor, nn
+from skrl.agents.torch.ppo import PPO, PPO_CFG
+from skrl.memories.torch import RandomMemory
+from torch import Tensor
 
 from rejoint.training.networks import Actor, Critic
 from rejoint.training.presets import PpoSettings
@@ -24,13 +26,13 @@ class Rollout:
     observation: Tensor
     truth: Tensor
     action: Tensor
-    log_prob: Tensor
-    """of the actions when they were taken"""
     value: Tensor
     final_value: Tensor
     """value of the state in which a target timed out, before the next one appeared; 0 elsewhere"""
-    next_value: Tensor
-    """(1, N) value of the state after the last cycle"""
+    next_observation: Tensor
+    """(1, N, size) after the last cycle"""
+    next_truth: Tensor
+    """(1, N, size)"""
     reward: Tensor
     terminated: Tensor
     truncated: Tensor
@@ -56,68 +58,69 @@ def join(rollouts: list[Rollout]) -> Rollout:
     return Rollout(**{name: torch.cat([getattr(rollout, name) for rollout in rollouts], dim=1) for name in names})
 
 
-def advantages(rollout: Rollout, settings: PpoSettings) -> Tensor:
-    """Generalised advantage estimates (T, N); Schulman et al. 2016, arXiv:1506.02438.
+class Ppo(PPO):  # type: ignore[misc]
+    """skrl's agent, which learns from rollouts that others have made."""
 
-    A time-out is no failure: its return goes on with the value of the state that it cut off.
-    """
-    reward = settings.reward_scale * rollout.reward + settings.discount * rollout.final_value
-    goes_on = settings.discount * (~rollout.ended).float()
-    following = torch.cat([rollout.value[1:], rollout.next_value])
-    surprise = reward + goes_on * following - rollout.value
-    result, after = torch.empty_like(surprise), torch.zeros_like(surprise[0])
-    for t in reversed(range(len(surprise))):
-        after = surprise[t] + settings.gae_lambda * goes_on[t] * after
-        result[t] = after
-    return result
+    def __init__(self, actor: Actor, critic: Critic, settings: PpoSettings, *, agents: int) -> None:
+        self.settings = settings
+        super().__init__(
+            models={"policy": actor, "value": critic},
+            memory=RandomMemory(memory_size=settings.rollout, num_envs=agents, device="cpu", replacement=False),
+            observation_space=actor.observation_space,
+            state_space=critic.state_space,
+            action_space=actor.action_space,
+            device="cpu",
+            cfg=_configuration(settings),
+        )
+        self.init()
+        self.enable_training_mode(True)
+
+    def learn(self, rollout: Rollout, learning_rate: float, *, iteration: int) -> Losses:
+        """Improve both networks by one rollout, whose ``iteration``-th update this is."""
+        columns = {
+            "observations": rollout.observation, "states": rollout.truth, "actions": rollout.action,
+            "log_prob": self._densities(rollout), "values": rollout.value[..., None],
+            "rewards": self._rewards(rollout)[..., None],
+            "terminated": rollout.terminated[..., None], "truncated": rollout.truncated[..., None],
+        }  # fmt: skip
+        for name, column in columns.items():
+            self.memory.set_tensor_by_name(name, column)
+        self.memory.filled = True
+        self._current_next_observations = rollout.next_observation[0]
+        self._current_next_states = rollout.next_truth[0]
+        self.optimizer.param_groups[0]["lr"] = learning_rate
+        self.enable_models_training_mode(True)
+        self.update(timestep=iteration, timesteps=self.settings.iterations)
+        self.enable_models_training_mode(False)
+        tracked = {name: float(np.mean(values)) for name, values in self.tracking_data.items()}
+        self.tracking_data.clear()
+        return Losses(tracked["Loss / Policy loss"], tracked["Loss / Value loss"])
+
+    @torch.no_grad()
+    def _densities(self, rollout: Rollout) -> Tensor:
+        """Logarithms (T, N, 1) of the densities of the actions when they were taken."""
+        taken = {"observations": rollout.observation, "taken_actions": rollout.action}
+        densities: Tensor = self.policy.act(taken, role="policy")[1]["log_prob"]
+        return densities
+
+    def _rewards(self, rollout: Rollout) -> Tensor:
+        """Rewards (T, N); a time-out is no failure: it goes on with the value of the state that it cut off."""
+        return self.settings.reward_scale * rollout.reward + self.settings.discount * rollout.final_value
 
 
-class Ppo:
-    """Optimisers of an actor and a critic."""
-
-    def __init__(self, actor: Actor, critic: Critic, settings: PpoSettings, *, seed: int) -> None:
-        self.actor, self.critic, self.settings = actor, critic, settings
-        self.actor_optimizer = torch.optim.Adam(actor.parameters(), lr=settings.learning_rate, fused=True)
-        self.critic_optimizer = torch.optim.Adam(critic.parameters(), lr=settings.learning_rate, fused=True)
-        self.shuffling = torch.Generator().manual_seed(seed)
-
-    def update(self, rollout: Rollout, learning_rate: float, workers: Executor) -> Losses:
-        """Improve both networks by one rollout."""
-        s, advantage = self.settings, advantages(rollout, self.settings)
-        returns = (advantage + rollout.value).flatten()
-        advantage = ((advantage - advantage.mean()) / (advantage.std() + 1e-8)).flatten()
-        batches = [
-            batch
-            for _ in range(s.epochs)
-            for batch in torch.randperm(len(returns), generator=self.shuffling).chunk(s.mini_batches)
-        ]
-        for optimizer in (self.actor_optimizer, self.critic_optimizer):
-            optimizer.param_groups[0]["lr"] = learning_rate
-        policy = workers.submit(self._improve_actor, rollout, advantage, batches)
-        value = workers.submit(self._improve_critic, rollout, returns, batches)
-        return Losses(policy.result(), value.result())
-
-    def _improve_actor(self, rollout: Rollout, advantage: Tensor, batches: list[Tensor]) -> float:
-        observation, action = rollout.observation.flatten(0, 1), rollout.action.flatten(0, 1)
-        before, clip, total = rollout.log_prob.flatten(), self.settings.clip, 0.0
-        for batch in batches:
-            gain = advantage[batch]
-            ratio = (self.actor.log_prob(observation[batch], action[batch]) - before[batch]).exp()
-            loss = -torch.minimum(gain * ratio, gain * ratio.clamp(1.0 - clip, 1.0 + clip)).mean()
-            total += self._descend(loss, self.actor, self.actor_optimizer)
-        return total / len(batches)
-
-    def _improve_critic(self, rollout: Rollout, returns: Tensor, batches: list[Tensor]) -> float:
-        seen, total = self.critic.inputs(rollout.observation, rollout.truth).flatten(0, 1), 0.0
-        for batch in batches:
-            error = self.critic.net(seen[batch])[:, 0] - returns[batch]
-            total += self._descend(self.settings.value_weight * (error**2).mean(), self.critic, self.critic_optimizer)
-        return total / len(batches)
-
-    def _descend(self, loss: Tensor, network: nn.Module, optimizer: torch.optim.Optimizer) -> float:
-        optimizer.zero_grad()
-        loss.backward()  # type: ignore[no-untyped-call]
-        if self.settings.gradient_clip > 0.0:
-            nn.utils.clip_grad_norm_(network.parameters(), self.settings.gradient_clip)
-        optimizer.step()
-        return loss.item()
+def _configuration(settings: PpoSettings) -> PPO_CFG:
+    return PPO_CFG(
+        rollouts=settings.rollout,
+        learning_epochs=settings.epochs,
+        mini_batches=settings.mini_batches,
+        discount_factor=settings.discount,
+        gae_lambda=settings.gae_lambda,
+        learning_rate=settings.learning_rate,
+        grad_norm_clip=settings.gradient_clip,
+        ratio_clip=settings.clip,
+        value_clip=0.0,
+        entropy_loss_scale=0.0,
+        value_loss_scale=settings.value_weight,
+        time_limit_bootstrap=True,
+        experiment={"write_interval": 0, "checkpoint_interval": 0},
+    )

@@ -27,7 +27,7 @@ from rejoint.twin.parameters import nominal_parameters
 from rejoint.twin.twin import Twin
 
 CREWS = 2
-"""Crews that the agents are split into, whatever the number of threads, so that results do not depend on it."""
+"""Crews that the agents are split into, whatever the number of threads: what they do does not depend on it."""
 
 PATIENCE = 0.7
 """[s] of the law on arms whose motors cross play slowly (chosen: within it such a joint comes near and swings once)"""
@@ -44,7 +44,8 @@ class TrainingOptions:
     seed: int = 0
     agents: int = 512
     threads: int = 2
-    """of simulation and learning"""
+    """of simulation and learning; with another number of them sums are taken in another order, and the policy
+    differs in its last digits"""
     iterations: int | None = None
     """updates; the preset's own number by default"""
     checkpoint_every: int = 10
@@ -98,7 +99,6 @@ def train(
     options = TrainingOptions() if options is None else options
     recipe, folder = know_stiffness(options.recipe, arm, twin), RunFolder(out)
     checkpoint, curves = folder.training / "checkpoint.pt", folder.training / "curves.parquet"
-    torch.set_num_threads(1)  # of one product of matrices: crews and networks are what runs at the same time
     torch.set_float32_matmul_precision("medium")  # products in bfloat16, where the processor has it, sums in float32
     learner = make_learner(arm, twin, recipe, options)
     identity = _identity(arm, twin, recipe, options)
