@@ -245,6 +245,8 @@ def test_the_newest_unfinished_run_is_resumed(tmp_path: Path, monkeypatch: pytes
     assert work.newest_or_new("emulated:worn?seed=3", mycobot280(), 0) == (first, True)
     (first / "report.html").write_text("done")
     assert work.newest_or_new("emulated:worn?seed=3", mycobot280(), 0) == (first.with_name("002"), False)
+    with pytest.raises(FileError, match="it holds runs, name one of: 001"):
+        work.open_run(first.parent)
 
 
 def test_options_are_read_as_written() -> None:

@@ -118,7 +118,10 @@ def open_run(path: Path) -> Run:
     """Open an existing run folder; FileError if it is none."""
     folder = RunFolder(path)
     if not folder.info.exists():
-        raise FileError(path, "no run folder (it holds no run.json)", "start with: rejoint diagnose ROBOT --run FOLDER")
+        within = sorted(p.parent.name for p in path.glob("*/run.json"))
+        begin = "start with: rejoint diagnose ROBOT --run FOLDER"
+        hint = f"it holds runs, name one of: {', '.join(within)}" if within else begin
+        raise FileError(path, "no run folder (it holds no run.json)", hint)
     info = read_json(folder.info, RunInfo)
     return Run(folder=folder, info=info, arm=load_arm(folder.arm(info.arm)))
 
