@@ -63,7 +63,7 @@ def folds(arm: Arm, logs: Sequence[RunLog]) -> None:
         found = identify_logs(arm, logs, settings, note)
         mean = found.judgement.mean
         at = dict(stages)
-        judged = at["intervals"] - at["held-out motions"]
+        judged = at["done"] - at["held-out motions"]
         print(f"\nfold {k}: {len(found.fitted)} motions fitted in {at['done'] - judged:.1f} s of one core, "
               f"stiction {found.twin.stiction:g}, {found.twin.table}")  # fmt: skip
         for name in ("stiffness", "damping", "coulomb", "armature", "offset", "delay"):

@@ -9,10 +9,14 @@ from motion_logs import ARM, STEP, TRUTH, chirp, pressing, record, wandering
 from rejoint.arms import tcp_position
 from rejoint.errors import InputError
 from rejoint.twin.file import read_twin, write_twin
+from rejoint.twin.fit import Problem
 from rejoint.twin.fromlogs import FITTED, HEALTHY, LogSettings, hold_out, identify_logs
 from rejoint.twin.judge import NO_TWIN
 from rejoint.twin.parameters import pack, vector_names
+from rejoint.twin.replay import Replay, cut
+from rejoint.twin.structure import find_acceleration, simplest
 from rejoint.twin.table import Table
+from rejoint.twin.unknown import unknown_prior
 
 TABLE = Table(height=-0.02, slope_x=0.02, slope_y=0.0, stiffness=3000.0, friction=0.2)
 QUICK = LogSettings(coarse_seconds=40.0, fit_seconds=96.0, contact_seconds=24.0, threads=1)
@@ -103,6 +107,33 @@ def test_a_limited_acceleration_is_noticed():
     errors = {motion.motion: motion.errors[FITTED].free for motion in found.judgement.motions}
     assert errors["chirp1"].joint < np.radians(0.5)
     assert errors["motion2"].tcp < 2e-3
+
+
+def test_what_is_known_of_the_servos_holds_where_the_logs_do_not_tell():
+    """An arm that stands still shows no limit of its acceleration; one that moves may show that there is none."""
+    assert pytest.approx(38.963, abs=1e-3) == ARM.servo_acceleration  # 254 * 100 counts of a 4096th turn
+    time, moving = wandering(0, 8.0)
+    still = [record(f"still{k}", time, np.tile(moving[k : k + 1], (len(time), 1))) for k in (0, 200)]
+    simple = simplest(unknown_prior(ARM), 1.25)
+    for logs, found in ((still, {39.0: 39.0, np.inf: np.inf}), ([record("moving", time, moving)], {39.0: np.inf})):
+        windows = cut(logs, 8.0)
+
+        def problem(structure, logs=logs, windows=windows):
+            replay = Replay(ARM, logs, windows, STEP, 1, structure.stiction, acceleration=structure.acceleration)
+            return Problem(replay, structure.prior, structure.frozen)
+
+        start = np.where(np.isinf(pack(TRUTH)), simple.prior.mean, pack(TRUTH))
+        start = np.clip(start, simple.prior.lower, simple.prior.upper)
+        for known, expected in found.items():
+            assert find_acceleration(problem, simple, start, known).acceleration == expected
+
+
+def test_threads_do_not_change_what_is_found(logs):
+    few = LogSettings(coarse_seconds=8.0, fit_seconds=8.0, fast_seconds=8.0, contact_seconds=8.0, hold_out=("press1",))
+    chosen = [logs[i] for i in (0, 1, 10, 11)]
+    one, two = (identify_logs(ARM, chosen, replace(few, threads=threads)).twin for threads in (1, 2))
+    assert one.digest() == two.digest()
+    assert one.table == two.table
 
 
 def test_a_stickier_arm_is_noticed():

@@ -73,6 +73,8 @@ class Arm:
     """[m] lowest height that the guard allows for the TCP"""
     encoder_step: float
     """[rad] resolution of the joint encoders"""
+    servo_acceleration: float = np.inf
+    """[rad/s^2] to which servos of this kind are known to limit that of their reference; infinite where nothing is"""
 
     def __post_init__(self) -> None:
         _freeze(self)

@@ -54,6 +54,7 @@ class Draft:
     targets: Box | None = None
     floor: float | None = None
     encoder_step: float | None = None
+    servo_acceleration: float = np.inf
     notes: tuple[str, ...] = ()
 
 
@@ -86,6 +87,7 @@ def finish(draft: Draft, seed: int = 0) -> Loaded:
         targets=draft.targets or Box(lower=-np.ones(3), upper=np.ones(3)),
         floor=0.0 if floor is None else floor,
         encoder_step=step,
+        servo_acceleration=draft.servo_acceleration,
     )
     if floor is None:
         arm = replace(arm, floor=round(FLOOR_RATIO * reach(arm), 3))

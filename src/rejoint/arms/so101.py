@@ -7,6 +7,8 @@ Frames, limits, masses, inertias and the TCP (site ``gripperframe``): TheRobotSt
 belong to the last link. Zero is the middle of each joint's calibrated range.
 Servos: Feetech STS3215, 12-bit encoder; 45 turns a minute without load for the 12 V variant C018 (datasheet
 value in TheRobotStudio/SO-ARM100, issue 134). The 7.4 V variant is faster by its data, so this bounds both.
+LeRobot (``motors/feetech/feetech.py``, ``configure_motors``) sets Acceleration and Maximum_Acceleration to 254, in
+units of 100 counts/s^2 (Feetech's memory table of the STS series).
 Rest posture, target region and floor: derived with `rejoint.arms.workspace`, seed 0.
 """
 
@@ -77,6 +79,10 @@ _TCP_POSITION = (-0.0079, -0.000218121, -0.0981274)
 _TCP_QUATERNION = (0.707107, 0.0, 0.707107, -2.37788e-17)
 
 _MAX_SPEED_RPM = 45.0
+_COUNTS = 4096
+"""Encoder counts a turn"""
+_ACCELERATION = 254 * 100 * 2 * np.pi / _COUNTS
+"""[rad/s^2]"""
 
 REST_DEG = (0.0, -12.0, -12.0, 48.0, 3.0)
 
@@ -101,7 +107,8 @@ def so101() -> Arm:
         rest=np.radians(REST_DEG),
         targets=Box(lower=np.array([0.289, -0.096, 0.173]), upper=np.array([0.384, 0.095, 0.267])),
         floor=0.019,
-        encoder_step=2 * np.pi / 4096,
+        encoder_step=2 * np.pi / _COUNTS,
+        servo_acceleration=_ACCELERATION,
     )
 
 

@@ -5,6 +5,7 @@
     name = "my-arm"
     floor_m = 0.02                          # optional, as are all keys marked so
     encoder_counts_per_turn = 4096          # optional
+    servo_acceleration_rad_s2 = 39          # optional: to which the servos are set to limit that of their reference
     rest_deg = [0, -30, 60]                 # optional
 
     [targets]                               # optional
@@ -50,7 +51,8 @@ from rejoint.arms.rotations import quaternion_of, rotation_of
 from rejoint.errors import FileError, InputError
 from rejoint.runs import write_whole
 
-_ARM_KEYS = ("name", "floor_m", "encoder_counts_per_turn", "rest_deg", "targets", "tip", "joint")
+_ARM_KEYS = ("name", "floor_m", "encoder_counts_per_turn", "servo_acceleration_rad_s2", "rest_deg", "targets", "tip",
+             "joint")  # fmt: skip
 _FRAME_KEYS = ("position_m", "quaternion", "axis")
 _LINK_KEYS = ("mass_kg", "com_m", "inertia_kg_m2")
 _JOINT_KEYS = ("name", *_FRAME_KEYS, "dh", "lower_deg", "upper_deg", "max_speed_deg_s", *_LINK_KEYS)
@@ -100,14 +102,17 @@ def read_draft(path: Path) -> Draft:
         targets=_targets(top),
         floor=top.number("floor_m"),
         encoder_step=None if counts is None else 2 * np.pi / counts,
+        servo_acceleration=top.number("servo_acceleration_rad_s2", above=0.0) or np.inf,
     )
 
 
 def _head(arm: Arm) -> str:
+    known = np.isfinite(arm.servo_acceleration)
+    limit = f"servo_acceleration_rad_s2 = {float(arm.servo_acceleration)!r}\n" if known else ""
     return (
         f"name = {_quoted(arm.name)}\n"
         f"floor_m = {arm.floor!r}\n"
-        f"encoder_counts_per_turn = {float(2 * np.pi / arm.encoder_step)!r}\n"
+        f"encoder_counts_per_turn = {float(2 * np.pi / arm.encoder_step)!r}\n{limit}"
         f"rest_deg = {_listed(np.degrees(arm.rest))}\n"
         f"\n[targets]\nlower_m = {_listed(arm.targets.lower)}\nupper_m = {_listed(arm.targets.upper)}\n"
         f"\n[tip]\nposition_m = {_listed(arm.tip[:3, 3])}\nquaternion = {_listed(quaternion_of(arm.tip[:3, :3]))}\n"

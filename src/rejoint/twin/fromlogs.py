@@ -10,6 +10,7 @@ all motions are fitted; the table, if there is one, last.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -57,6 +58,8 @@ torques, which logs hardly fix, smaller ones measure stick-slip (measured on one
 low-cost arm's logs: with 4.5 % the elbow's stiffnesses end 60 % apart, with 12 % they end 12 % apart)"""
 REFINEMENT = 4
 """Steps of the final descent, which starts at the optimum of a part of its data (chosen)"""
+POLISH = 2
+"""Last steps, with the finite differences of an excitation: large ones stop short of the optimum (chosen)"""
 
 SHORTEST = 20.0
 """[s] of free motion below which an identification is refused (chosen, as for an excitation)"""
@@ -73,7 +76,7 @@ class LogSettings:
     hold_out_every: int = 4
     window: float = 8.0
     """[s] between restarts from the measured state; 1 to 50 s make no difference (measured on a real arm)"""
-    coarse_seconds: float = 160.0
+    coarse_seconds: float = 100.0
     """[s] of motion that decides on the structure"""
     fit_seconds: float = 400.0
     """[s] of motion of the final fit, spread over all motions"""
@@ -125,9 +128,12 @@ def identify_logs(
     excluded = find_exclusions(arm, seen, height)
     on_progress("search", 0.0)
     problem, found = fit_motions(arm, seen, excluded, settings, on_progress)
-    on_progress("table", 0.7)
-    table = None if height is None or not settings.table else _fit_table(problem, found, excluded, height, settings)
-    on_progress("held-out motions", 0.8)
+    on_progress("table and intervals", 0.7)
+    with ThreadPoolExecutor(settings.threads) as pool:  # side by side: neither needs the other
+        known = pool.submit(lambda: uncertainty(problem, found, independent(problem)))
+        on_table = pool.submit(_fit_table, problem, found, excluded, height, settings)
+        knowledge, table = known.result(), on_table.result()
+    on_progress("held-out motions", 0.9)
     parameters, replay = unpack(found.vector, arm.joints), problem.replay
     candidates = [
         Candidate(
@@ -137,8 +143,6 @@ def identify_logs(
         *beside,
     ]
     judgement = judge(arm, candidates, unseen, table=height, timestep=settings.timestep, threads=settings.threads)
-    on_progress("intervals", 0.9)
-    knowledge = uncertainty(problem, found, independent(problem))
     twin = fitted_twin(problem, found, knowledge, _held_out(judgement), table)
     on_progress("done", 1.0)
     return LogIdentification(twin=twin, fitted=tuple(log.label for log in seen), judgement=judgement)
@@ -188,31 +192,40 @@ def fit_motions(
         raise InputError(f"identification: {seconds:.0f} s of free motion, expected at least {SHORTEST:.0f} s")
     belief = unknown_prior(arm)
 
-    def problem(chosen: Sequence[Window], structure: Structure) -> Problem:
+    def problem(
+        chosen: Sequence[Window], structure: Structure, threads: int = settings.threads, stride: float = STRIDE
+    ) -> Problem:
         replay = Replay(
-            arm, logs, chosen, settings.timestep, settings.threads, structure.stiction,
-            acceleration=structure.acceleration,
-        )  # fmt: skip
-        return Problem(replay, structure.prior, structure.frozen, STRIDE)
+            arm, logs, chosen, settings.timestep, threads, structure.stiction, acceleration=structure.acceleration
+        )
+        return Problem(replay, structure.prior, structure.frozen, stride)
 
     fast = fastest(windows, logs, settings.fast_seconds)
     slow, simple = thin(windows, logs, settings.coarse_seconds), simplest(belief, settings.stictions[0])
     rough = problem(slow, simple)
     x = rough_fit(rough)
     on_progress("structure", 0.3)
-    simple = find_acceleration(lambda structure: problem(fast, structure), simple, x)
+    simple = find_acceleration(lambda structure: problem(fast, structure), simple, x, arm.servo_acceleration)
     usable = expressible(problem(merged(slow, fast), simple), x)
-    found = find_structure(lambda structure: problem(usable, structure), belief, simple, settings.stictions, x)
+    found = find_structure(
+        lambda structure, threads: problem(usable, structure, threads), belief, simple, settings.stictions, x,
+        settings.threads,
+    )  # fmt: skip
     on_progress("fit", 0.5)
     every = problem(merged(thin(windows, logs, settings.fit_seconds), fast), found.structure)
-    fine = problem(expressible(every, found.vector), found.structure)
-    return fine, fit(fine, found.vector, REFINEMENT)
+    chosen = expressible(every, found.vector)
+    fine = problem(chosen, found.structure)
+    descended = fit(fine, found.vector, REFINEMENT)
+    polished = fit(problem(chosen, found.structure, stride=1.0), descended.vector, POLISH)
+    return fine, replace(polished, converged=descended.converged, iterations=descended.iterations + polished.iterations)
 
 
 def _fit_table(
-    problem: Problem, found: Fit, excluded: Sequence[Exclusions], height: float, settings: LogSettings
+    problem: Problem, found: Fit, excluded: Sequence[Exclusions], height: float | None, settings: LogSettings
 ) -> Table | None:
-    """Fit the table to motion in contact; None where there is too little of it."""
+    """Fit the table to motion in contact; None where there is none or too little of it."""
+    if height is None or not settings.table:
+        return None
     replay, parameters = problem.replay, unpack(found.vector, problem.joints)
     windows = contact_windows(replay.logs, excluded, settings.window)
     seconds = sum(float(replay.logs[w.log].time[w.last - 1] - replay.logs[w.log].time[w.first]) for w in windows)

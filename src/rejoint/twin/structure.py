@@ -8,6 +8,7 @@ structure up; a more elaborate one must pay for itself.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -26,8 +27,8 @@ LIMITS = ("torque_limit", "ramp_speed")
 """Parameters that leave no trace unless they are reached"""
 
 ACCELERATIONS = (40.0, 20.0, 80.0)
-"""[rad/s^2] limits of the reference's acceleration; the first that helps is refined (chosen: around 39, the largest
-setting of the serial-bus servos of `rejoint.twin.profile`)"""
+"""[rad/s^2] limits of the reference's acceleration, after that which is known of the servos; the first that helps is
+refined (chosen: around 39, the largest setting of the serial-bus servos of `rejoint.twin.profile`)"""
 DELAYS = (-0.008, -0.004, 0.0, 0.004, 0.008, 0.012)
 """[s] changes of the delay that are tried with other accelerations (chosen)"""
 EARLIER = 0.01
@@ -123,11 +124,13 @@ def expressible(problem: Problem, x: Array) -> list[Window]:
     return [w for w, own in zip(problem.replay.windows, by_window, strict=True) if own <= limit]
 
 
-def find_acceleration(make: Callable[[Structure], Problem], simple: Structure, start: Array) -> Structure:
+def find_acceleration(
+    make: Callable[[Structure], Problem], simple: Structure, start: Array, known: float = np.inf
+) -> Structure:
     """Limit the reference's acceleration where that explains the fastest windows, from ``start`` (k,).
 
     ``make`` turns a structure into a problem of these windows. Each limit is judged by its own fit: without one,
-    delay and inertia stand for it.
+    delay and inertia stand for it. What is ``known`` [rad/s^2] of the servos holds where these windows do not tell.
     """
 
     def fitted(acceleration: float, earlier: float) -> tuple[Problem, Array]:
@@ -137,10 +140,13 @@ def find_acceleration(make: Callable[[Structure], Problem], simple: Structure, s
         return problem, fit(problem, y, SHORT).vector
 
     without = _losses(*fitted(np.inf, 0.0))
-    for best in ACCELERATIONS:
+    for best in ACCELERATIONS if known == np.inf else (known, *ACCELERATIONS[1:]):
         problem, y = fitted(best, EARLIER)
-        if _ratio(_losses(problem, y), without) < 1.0 - LIMIT_GAIN:
+        ratio = _ratio(_losses(problem, y), without)
+        if ratio < 1.0 - LIMIT_GAIN:
             break
+        if best == known and ratio < 1.0 / (1.0 - LIMIT_GAIN):
+            return replace(simple, acceleration=known)
     else:
         return simple
     around, factor = _by_delay(problem, y), 2.0
@@ -167,13 +173,18 @@ def _lowest(problem: Problem, vectors: Array) -> Array:
 
 
 def find_structure(
-    make: Callable[[Structure], Problem], belief: Prior, structure: Structure, stictions: Sequence[float], start: Array
+    make: Callable[[Structure, int], Problem],
+    belief: Prior,
+    structure: Structure,
+    stictions: Sequence[float],
+    start: Array,
+    threads: int = 1,
 ) -> Found:
     """Compare structures on the same windows, from a simple one and its ``start`` (k,).
 
-    ``make`` turns a structure into a problem.
+    ``make`` turns a structure into a problem that takes as many threads; the result does not depend on ``threads``.
     """
-    problem = make(structure)
+    problem = make(structure, threads)
     x = fit(problem, start, FURTHER).vector
     first = best = _losses(problem, x)
     tried = [(f"stiction {structure.stiction:g}, acceleration {structure.acceleration:.3g}", 1.0)]
@@ -182,27 +193,45 @@ def find_structure(
         # A reference has one limit: either its speed or its acceleration.
         acceleration = np.inf if limit == "ramp_speed" else structure.acceleration
         freed = replace(structure, prior=_without_limits(belief, frozen), frozen=frozen, acceleration=acceleration)
-        y, losses = _with_limit(make(freed), x, limit)
+        y, losses = _with_limit(make(freed, threads), x, limit)
         tried.append((f"with {limit}", _ratio(losses, first)))
         if _ratio(losses, best) < 1.0 - LIMIT_GAIN:
             structure, x, best = freed, y, losses
-    for ladder in _ladders(stictions):
-        before = structure
-        for stiction in ladder:
-            stickier = replace(structure, stiction=stiction)
-            # A joint that sticks more at rest has less friction in motion for the same hysteresis.
-            guess = x.copy()
-            guess[_places(problem, "coulomb")] -= np.log(stiction / structure.stiction)
-            problem = make(stickier)
-            y = fit(problem, guess, FURTHER).vector
-            losses = _losses(problem, y)
-            tried.append((f"stiction {stiction:g}", _ratio(losses, first)))
-            if _ratio(losses, best) >= 1.0 - STICTION_GAIN:
-                break
-            structure, x, best = stickier, y, losses
-        if structure is not before:
-            break
+
+    def climb(ladder: Sequence[float]) -> tuple[Structure, Array, list[tuple[str, float]]]:
+        return _climb(lambda stickier: make(stickier, 1), structure, x, best, ladder)
+
+    # Upwards and downwards side by side; down counts only where up does not help.
+    with ThreadPoolExecutor(threads) as pool:
+        ladders = list(pool.map(climb, _ladders(stictions)))
+    for climbed, y, ratios in ladders:
+        tried += [(name, ratio * _ratio(best, first)) for name, ratio in ratios]
+        if climbed is not structure:
+            return Found(structure=climbed, vector=y, tried=tuple(tried))
     return Found(structure=structure, vector=x, tried=tuple(tried))
+
+
+def _climb(
+    make: Callable[[Structure], Problem], structure: Structure, x: Array, best: Array, ladder: Sequence[float]
+) -> tuple[Structure, Array, list[tuple[str, float]]]:
+    """Try the stictions of a ladder until one does not pay, from the optimum ``x`` (k,) and its losses (n,).
+
+    Returns the last structure that paid, its optimum, and the losses of each one tried over those at the start.
+    """
+    start, tried = best, []
+    for stiction in ladder:
+        stickier = replace(structure, stiction=stiction)
+        problem = make(stickier)
+        # A joint that sticks more at rest has less friction in motion for the same hysteresis.
+        guess = x.copy()
+        guess[_places(problem, "coulomb")] -= np.log(stiction / structure.stiction)
+        y = fit(problem, guess, FURTHER).vector
+        losses = _losses(problem, y)
+        tried.append((f"stiction {stiction:g}", _ratio(losses, start)))
+        if _ratio(losses, best) >= 1.0 - STICTION_GAIN:
+            break
+        structure, x, best = stickier, y, losses
+    return structure, x, tried
 
 
 def _ladders(stictions: Sequence[float]) -> tuple[list[float], list[float]]:
