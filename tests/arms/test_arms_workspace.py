@@ -30,7 +30,7 @@ def derived(request: pytest.FixtureRequest) -> Arm:
 
 
 def manipulability(arm: Arm, q: np.ndarray) -> np.ndarray:
-    j = position_jacobian(arm, frames(arm, q))
+    j = position_jacobian(frames(arm, q))
     return np.sqrt(np.linalg.det(j @ np.swapaxes(j, -1, -2)))
 
 

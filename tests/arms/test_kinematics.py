@@ -60,7 +60,7 @@ def test_agrees_with_mujoco() -> None:
 
 def test_jacobian_is_the_derivative() -> None:
     q, h = random_postures(20), 1e-6
-    analytic = position_jacobian(ARM, frames(ARM, q))
+    analytic = position_jacobian(frames(ARM, q))
     for i in range(ARM.joints):
         step = h * np.eye(ARM.joints)[i]
         numeric = (tcp_position(ARM, q + step) - tcp_position(ARM, q - step)) / (2 * h)

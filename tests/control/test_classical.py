@@ -127,7 +127,7 @@ def test_integrator_by_hand():
     sent = REST + 0.05
     command = IntegratorController(ARM, gains).command(situation(REST, sent=sent))
     f = frames(ARM, REST)
-    jacobian, error = position_jacobian(ARM, f), TARGETS[:, 0] - f.tcp_position
+    jacobian, error = position_jacobian(f), TARGETS[:, 0] - f.tcp_position
     for b in range(3):
         j = jacobian[b]
         step = np.linalg.solve(j.T @ j + 0.05**2 * np.eye(6), j.T @ error[b])  # the n x n form of equation 11

@@ -53,7 +53,7 @@ def test_residual_observation_worked_by_hand():
     observer.acted(np.array([[0.1, 0.2, 0.3, 0.4, 0.5, 0.6]]))
     seen = observer.observe(situation([second], [target], [sent], time=1.025, since=0.3))[0]
     f = frames(ARM, second)
-    step = dls(position_jacobian(ARM, f), target - f.tcp_position)
+    step = dls(position_jacobian(f), target - f.tcp_position)
     expected = {
         "drive": [0.4, -0.8, 0.0, 0.0, 0.2, 0.0],
         "velocity": [0.0, 0.5 * 0.01 / 0.025, 0.0, 0.0, 0.0, 0.0],
@@ -164,7 +164,7 @@ def test_the_homing_motion_leaves_the_tool_in_place_to_first_order():
     rng = np.random.default_rng(5)
     position = ARM.rest + rng.normal(0.0, 0.3, (20, 6))
     view = look(ARM, position, tcp_position(ARM, position))
-    jacobian = position_jacobian(ARM, frames(ARM, position))
+    jacobian = position_jacobian(frames(ARM, position))
     drift = np.linalg.norm((jacobian @ view.homing[..., None])[..., 0], axis=-1)
     straight = np.linalg.norm((jacobian @ (ARM.rest - position)[..., None])[..., 0], axis=-1)
     assert (drift < 0.3 * straight).all()  # damping lets a little through

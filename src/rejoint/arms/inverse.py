@@ -83,12 +83,12 @@ def solve_position(
     q = np.clip(np.broadcast_to(start, (*shape, arm.joints)), arm.lower, arm.upper)
     for iteration in range(iterations + 1):
         f = frames(arm, q)
-        j = position_jacobian(arm, f)
+        j = position_jacobian(f)
         e = target - f.tcp_position
         residual = np.linalg.norm(e, axis=-1)
         if rotation is not None:
             turn = rotation_error(f.tcp_rotation, rotation)
-            axes = np.swapaxes(np.einsum("...nij,nj->...ni", f.rotation, arm.axis), -1, -2)
+            axes = np.swapaxes(f.axis, -1, -2)
             j, e = np.concatenate([j, axes], axis=-2), np.concatenate([e, turn], axis=-1)
         converged = np.abs(e).max(axis=-1) < tolerance
         if converged.all() or iteration == iterations:

@@ -20,62 +20,65 @@ class Frames(NamedTuple):
     """(..., n, 3, 3) orientation of the joint frames"""
     position: Array
     """(..., n, 3) [m] origins of the joint frames"""
+    axis: Array
+    """(..., n, 3) directions of the joint axes"""
     tcp_rotation: Array
     """(..., 3, 3)"""
     tcp_position: Array
     """(..., 3) [m]"""
 
 
+_ALL_ROWS, _LAST_ROW = np.eye(4)[:3], np.eye(4)[2:3]
+_NEXT, _AFTER = np.array([1, 2, 0]), np.array([2, 0, 1])  # coordinates in the cyclic order of a cross product
+
+
 @lru_cache(maxsize=32)
-def _rotation_terms(arm: Arm) -> tuple[Array, Array, Array]:
-    """Per joint the constants A, B, C with offset rotation @ Rot(axis, q) = A + B sin q + C cos q."""
+def _joint_terms(arm: Arm) -> Array:
+    """Constants (n, 3, 16) A | B | C of the joints: a 4 x 4 frame in the one before is A + B sin q + C cos q."""
     cross = np.zeros((arm.joints, 3, 3))
     x, y, z = arm.axis.T
     cross[:, 0, 1], cross[:, 0, 2], cross[:, 1, 2] = -z, y, -x
     cross[:, 1, 0], cross[:, 2, 0], cross[:, 2, 1] = z, -y, x
     square = cross @ cross  # Rodrigues: R = I + sin q K + (1 - cos q) K^2
-    rotation = arm.offset[:, :3, :3]
-    return rotation @ (np.eye(3) + square), rotation @ cross, -rotation @ square
+    terms = np.zeros((arm.joints, 3, 4, 4))
+    for term, rotation in zip(np.swapaxes(terms, 0, 1), (np.eye(3) + square, cross, -square), strict=True):
+        term[:, :3, :3] = arm.offset[:, :3, :3] @ rotation
+    terms[:, 0, :, 3] = arm.offset[:, :, 3]
+    return terms.reshape(arm.joints, 3, 16)
+
+
+def _poses(arm: Arm, q: Array, rows: Array) -> Array:
+    """Compute ``rows`` (r, 4) of the frames of joints and TCP, (n + 1, B, r, 4), at B postures ``q`` (..., n).
+
+    Joints come first, so that each product runs over all postures, in few calls.
+    """
+    angles = q.reshape(-1, arm.joints).T
+    waves = np.empty((*angles.shape, 3))
+    waves[..., 0] = 1.0
+    np.sin(angles, out=waves[..., 1])
+    np.cos(angles, out=waves[..., 2])
+    steps = (waves @ _joint_terms(arm)).reshape(*angles.shape, 4, 4)
+    poses = np.empty((arm.joints + 1, angles.shape[1], *rows.shape))
+    for step, pose in zip(steps, poses, strict=False):
+        rows = np.matmul(rows, step, out=pose)
+    np.matmul(rows, arm.tip, out=poses[-1])
+    return poses
 
 
 def frames(arm: Arm, q: Array) -> Frames:
     """Compute all frames for joint positions ``q`` (..., n) [rad]."""
-    fixed, sine, cosine = _rotation_terms(arm)
-    local = np.empty((*q.shape, 3, 4))  # rotation and offset in the frame before
-    local[..., :3] = fixed + np.sin(q)[..., None, None] * sine + np.cos(q)[..., None, None] * cosine
-    local[..., 3] = arm.offset[:, :3, 3]
-    pose = np.empty_like(local)
-    pose[..., 0, :, :] = local[..., 0, :, :]
-    for i in range(1, arm.joints):
-        before = pose[..., i - 1, :, :]
-        here = np.matmul(before[..., :3], local[..., i, :, :], out=pose[..., i, :, :])
-        here[..., 3] += before[..., 3]
-    rotation, position = pose[..., :3], pose[..., 3]
-    last = rotation[..., -1, :, :]
-    return Frames(rotation, position, last @ arm.tip[:3, :3], position[..., -1, :] + last @ arm.tip[:3, 3])
-
-
-@lru_cache(maxsize=32)
-def _height_terms(arm: Arm) -> Array:
-    """Per joint the constants (n, 3, 10) A | B | C | offset that the last row of a rotation is multiplied with."""
-    return np.concatenate([*_rotation_terms(arm), arm.offset[:, :3, 3:]], axis=-1)
+    n, lead = arm.joints, q.shape[:-1]
+    poses = _poses(arm, q, _ALL_ROWS)
+    axes = (poses[:n, ..., :3].reshape(n, -1, 3) @ arm.axis[:, :, None]).reshape(n, -1, 3)
+    joints = poses[:n].transpose(1, 0, 2, 3).reshape(*lead, n, 3, 4)
+    tcp = poses[n].reshape(*lead, 3, 4)
+    axis = axes.transpose(1, 0, 2).reshape(*lead, n, 3)
+    return Frames(joints[..., :3], joints[..., 3], axis, tcp[..., :3], tcp[..., 3])
 
 
 def heights(arm: Arm, q: Array) -> Array:
-    """Heights (..., n + 1) [m] of the joint frames and the TCP at ``q`` (..., n) [rad].
-
-    These are the z of `frames`, for a quarter of the time where there are many postures.
-    """
-    flat = q.reshape(-1, arm.joints)
-    sine, cosine = np.sin(flat)[..., None], np.cos(flat)[..., None]
-    result = np.empty((len(flat), arm.joints + 1))
-    row, height = np.broadcast_to([0.0, 0.0, 1.0], (len(flat), 3)), 0.0
-    for i, terms in enumerate(_height_terms(arm)):
-        product = row @ terms
-        result[:, i] = height = height + product[:, 9]
-        row = product[:, :3] + sine[:, i] * product[:, 3:6] + cosine[:, i] * product[:, 6:9]
-    result[:, -1] = height + row @ arm.tip[:3, 3]
-    return result.reshape(*q.shape[:-1], arm.joints + 1)
+    """Heights (..., n + 1) [m] of the joint frames and the TCP at ``q`` (..., n) [rad]: the z of `frames`."""
+    return _poses(arm, q, _LAST_ROW)[..., 0, 3].T.reshape(*q.shape[:-1], arm.joints + 1)
 
 
 def tcp_position(arm: Arm, q: Array) -> Array:
@@ -91,36 +94,27 @@ def tcp_pose(arm: Arm, q: Array) -> Array:
     return pose
 
 
-def _axes(arm: Arm, f: Frames) -> Array:
-    return np.einsum("...nij,nj->...ni", f.rotation, arm.axis)
-
-
-def position_jacobian(arm: Arm, f: Frames) -> Array:
+def position_jacobian(f: Frames) -> Array:
     """d(TCP position)/dq (..., 3, n) [m/rad] from already computed frames."""
-    lever = np.swapaxes(f.tcp_position[..., None, :] - f.position, -1, -2)
-    axes = np.swapaxes(_axes(arm, f), -1, -2)
-    # axes x lever, written out: np.cross costs twice as much for a single arm
-    result = np.empty_like(lever)
-    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
-        result[..., i, :] = axes[..., j, :] * lever[..., k, :] - axes[..., k, :] * lever[..., j, :]
-    return result
+    axis, lever = f.axis.T, (f.tcp_position[..., None, :] - f.position).T
+    # axis x lever, written out with coordinates first: np.cross costs several times as much
+    product = axis[_NEXT] * lever[_AFTER] - axis[_AFTER] * lever[_NEXT]
+    return np.swapaxes(product.T, -1, -2)
 
 
 def jacobian(arm: Arm, q: Array) -> Array:
     """Geometric Jacobian (..., 6, n): linear velocity [m/rad] above angular velocity, base frame."""
     f = frames(arm, q)
-    angular = np.swapaxes(_axes(arm, f), -1, -2)
-    return np.concatenate([position_jacobian(arm, f), angular], axis=-2)
+    return np.concatenate([position_jacobian(f), np.swapaxes(f.axis, -1, -2)], axis=-2)
 
 
 def gravity_torque(arm: Arm, q: Array) -> Array:
     """Torque (..., n) [N m] with which the motors hold the arm against gravity at ``q`` (..., n)."""
     f = frames(arm, q)
-    axes = _axes(arm, f)
     com = f.position + np.einsum("...nij,nj->...ni", f.rotation, arm.com)
     torque = np.zeros(q.shape)
     for i in range(arm.joints):
         weight = arm.mass[i:, None] * GRAVITY
         moment = np.cross(com[..., i:, :] - f.position[..., i : i + 1, :], weight).sum(axis=-2)
-        torque[..., i] = -(axes[..., i, :] * moment).sum(axis=-1)
+        torque[..., i] = -(f.axis[..., i, :] * moment).sum(axis=-1)
     return torque

@@ -64,7 +64,7 @@ class FeedforwardController:
         self._goal.reset(situation, where)
         goal = self._goal.position[where]
         # What was learned in the null space moves no tool, but adds up from target to target until the arm folds.
-        idle = null_space(position_jacobian(self._arm, frames(self._arm, goal)), self._correction[where])
+        idle = null_space(position_jacobian(frames(self._arm, goal)), self._correction[where])
         self._correction[where] -= idle
         self._raised[where] = goal + gravity_torque(self._arm, goal) / self._stiffness
 

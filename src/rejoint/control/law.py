@@ -38,7 +38,7 @@ class DlsStep(NamedTuple):
 def dls_step(arm: Arm, measured: Array, target: Array) -> DlsStep:
     """Step from joint positions ``measured`` (..., n) [rad] towards ``target`` (..., 3) [m]."""
     f = frames(arm, measured)
-    jacobian = position_jacobian(arm, f)
+    jacobian = position_jacobian(f)
     error = target - f.tcp_position
     return DlsStep(clip_norm(dls(jacobian, error), STEP_LIMIT), error, jacobian)
 

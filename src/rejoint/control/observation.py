@@ -83,7 +83,7 @@ class Reading(NamedTuple):
 def look(arm: Arm, position: Array, target: Array) -> View:
     """View the targets (B, 3) [m] from the joint positions (B, n) [rad]; kinematics are computed once."""
     f = frames(arm, position)
-    jacobian = position_jacobian(arm, f)
+    jacobian = position_jacobian(f)
     transpose = np.swapaxes(jacobian, -1, -2)
     error = target - f.tcp_position
     away = arm.rest - position

@@ -183,11 +183,10 @@ def _within(value: float, share: float) -> Estimate:
 def link_inertia(arm: Arm, q: Array) -> Array:
     """Moments of inertia (n,) [kg m^2] of all that hangs on each joint, about its axis, at posture ``q`` (n,) [rad]."""
     f = frames(arm, q)
-    axis = np.einsum("nij,nj->ni", f.rotation, arm.axis)
     com = f.position + np.einsum("nij,nj->ni", f.rotation, arm.com)
     inertia = f.rotation @ arm.inertia @ np.swapaxes(f.rotation, -1, -2)
-    own = np.einsum("ji,kil,jl->jk", axis, inertia, axis)
-    lever = np.cross(axis[:, None, :], com[None, :, :] - f.position[:, None, :])
+    own = np.einsum("ji,kil,jl->jk", f.axis, inertia, f.axis)
+    lever = np.cross(f.axis[:, None, :], com[None, :, :] - f.position[:, None, :])
     about = own + arm.mass * (lever**2).sum(axis=-1)
     return np.triu(about).sum(axis=1)
 

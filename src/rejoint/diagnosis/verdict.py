@@ -129,7 +129,7 @@ def find(
 ) -> tuple[Finding, ...]:
     """Name everything that is wrong, the worst at the tool first."""
     q, commands = postures.position, postures.command
-    levers = np.linalg.norm(position_jacobian(arm, frames(arm, q)), axis=-2)
+    levers = np.linalg.norm(position_jacobian(frames(arm, q)), axis=-2)
     loads, errors = np.abs(gravity_torque(arm, q)), np.abs(commands - q)
     common = _common_lag(measurement, healthy)
     found: list[Finding] = []

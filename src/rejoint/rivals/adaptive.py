@@ -76,7 +76,7 @@ class AdaptiveController:
             self._estimate[0] = self._gains.prior
         self._goal.reset(situation, where)
         goal = self._goal.position[where]
-        lever = position_jacobian(self._arm, frames(self._arm, goal))[..., 2, :]
+        lever = position_jacobian(frames(self._arm, goal))[..., 2, :]
         self._regressor[0][where] = gravity_torque(self._arm, goal) / self._stiffness
         self._regressor[1][where] = _UNIT_MASS * _STANDARD_GRAVITY * lever / self._stiffness
         self._regressor[2][where] = 1.0

@@ -79,7 +79,7 @@ class MpcController:
             self._begin(situation)
         self._goal.reset(situation, where)
         goal = self._goal.position[where]
-        self._jacobian[where] = position_jacobian(self._arm, frames(self._arm, goal))
+        self._jacobian[where] = position_jacobian(frames(self._arm, goal))
         self._holding[where] = goal + gravity_torque(self._arm, goal) / self._twin.stiffness[where]
         self._holding[where] -= self._twin.offset[where]
         self._plan[where] = (self._holding - self._offset)[where, None]

@@ -85,7 +85,7 @@ class ScheduledController:
         self._goal.reset(situation, where)
         goal = self._goal.position[where]
         # What was learned in the null space moves no tool, but adds up from target to target until the arm folds.
-        idle = null_space(position_jacobian(self._arm, frames(self._arm, goal)), self._integral[where])
+        idle = null_space(position_jacobian(frames(self._arm, goal)), self._integral[where])
         carry = np.broadcast_to(gains.carry, (len(sent), 1))[where]
         share = np.broadcast_to(gains.feedforward, (len(sent), 1))[where]
         self._integral[where] = carry * (self._integral[where] - idle)
