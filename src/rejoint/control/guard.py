@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntFlag
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -104,6 +105,16 @@ class GuardLimits:
             if not getattr(self, name) > 0:
                 raise InputError(f"guard limits: {name} must be positive, got {getattr(self, name)}")
 
+    @cached_property
+    def floors(self) -> Array:
+        """(n,) [m] lowest heights of all joint frames but the first, which stands still, and of the TCP."""
+        return np.append(np.full(self.arm.joints - 1, self.joint_floor), self.tcp_floor)
+
+    @cached_property
+    def believed(self) -> tuple[Array, Array]:
+        """(n,), (n,) [rad] lowest and highest measured positions that are believed."""
+        return self.arm.lower - self.range_margin, self.arm.upper + self.range_margin
+
     @classmethod
     def of(cls, arm: Arm, *, margin: float = np.radians(0.5)) -> GuardLimits:
         """Limits of an arm; commands stay ``margin`` [rad] inside the joint limits (chosen).
@@ -139,24 +150,25 @@ def guard(limits: GuardLimits, command: Array, sent: Array, state: JointState, p
     led back at the speed limit. An acceptable command passes unchanged.
     """
     last, trips = _check(limits, command, sent, state)
-    tripped: Mask = trips != 0
-    measured, wanted = state.position, command
-    if tripped.any():
-        measured, wanted = (np.where(tripped[:, None], last, array) for array in (measured, wanted))
+    measured, wanted, hold = state.position, command, trips.any()
+    if hold:
+        measured, wanted = (np.where(trips[:, None] != 0, last, array) for array in (measured, wanted))
     elapsed = np.minimum(np.fmax(period, 0.0), limits.max_period)  # NaN counts as no time
     reach = limits.max_speed * elapsed[..., None]
     near = limit_lead(wanted, measured, limits.max_lead)
     legal = between(near, limits.lower, limits.upper)
     stepped = between(legal, last - reach, last + reach)
-    allowed, lifted = _keep_above_floor(limits, np.where(tripped[:, None], last, stepped), last)
-    changed = (allowed != wanted).any(axis=-1) & ~tripped
+    if hold:  # whatever the limits say of the posture
+        stepped = np.where(trips[:, None] != 0, last, stepped)
+    allowed, lifted = _keep_above_floor(limits, stepped, last)
+    changed = allowed != wanted
     if not changed.any():
         return Guarded(allowed, trips)
     reasons = (
         _flag(near != wanted, Reason.LEAD) + _flag(legal != near, Reason.POSITION)
         + _flag(stepped != legal, Reason.STEP) + _flag(lifted[:, None], Reason.FLOOR)
     )  # fmt: skip
-    return Guarded(allowed, trips + reasons * changed)
+    return Guarded(allowed, trips + reasons * changed.any(axis=-1))
 
 
 def reason_names(reasons: int) -> tuple[str, ...]:
@@ -166,8 +178,8 @@ def reason_names(reasons: int) -> tuple[str, ...]:
 
 def _check(limits: GuardLimits, command: Array, sent: Array, state: JointState) -> tuple[Array, Reasons]:
     """Return the posture to hold (B, n), always finite, and the trips (B,)."""
-    lowest, highest = limits.arm.lower - limits.range_margin, limits.arm.upper + limits.range_margin
-    if _nothing_wrong(limits, command + sent, state, (lowest, highest)):
+    lowest, highest = limits.believed
+    if _nothing_wrong(limits, command + sent, state):
         return sent, np.zeros(len(sent), dtype=np.uint16)
     unknown = ~np.isfinite(state.position)
     not_finite = ~np.isfinite(command) | ~np.isfinite(sent) | unknown
@@ -186,11 +198,12 @@ def _check(limits: GuardLimits, command: Array, sent: Array, state: JointState) 
     return np.where(np.isfinite(sent), sent, known), trips
 
 
-def _nothing_wrong(limits: GuardLimits, numbers: Array, state: JointState, believed: tuple[Array, Array]) -> bool:
+def _nothing_wrong(limits: GuardLimits, numbers: Array, state: JointState) -> bool:
     """Tell that nothing trips in the whole batch; almost always so, and cheaper to ask than what does."""
     if state.temperature is not None or state.fault is not None:
         return False
-    fine = np.isfinite(numbers) & (state.position >= believed[0]) & (state.position <= believed[1])
+    lowest, highest = limits.believed
+    fine = np.isfinite(numbers) & (state.position >= lowest) & (state.position <= highest)
     return bool(fine.all() and (state.age <= limits.max_age).all())  # NaN is never within limits
 
 
@@ -222,8 +235,5 @@ def _keep_above_floor(limits: GuardLimits, command: Array, sent: Array) -> tuple
 
 
 def _clearances(limits: GuardLimits, q: Array) -> Array:
-    """Height (..., n) [m] above their floors of all joint frames but the first, which stands still, and of the TCP."""
-    clearance = heights(limits.arm, q)[..., 1:]
-    clearance[..., :-1] -= limits.joint_floor
-    clearance[..., -1] -= limits.tcp_floor
-    return clearance
+    """Height (..., n) [m] above their floors of all joint frames but the first, and of the TCP."""
+    return heights(limits.arm, q)[..., 1:] - limits.floors

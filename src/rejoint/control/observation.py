@@ -13,6 +13,7 @@ two successive measurements.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -210,16 +211,25 @@ class Observer:
 
 def _residual(out: Observation, reading: Reading) -> None:
     """Fill ``out`` (B, 7n + 8) as `layout_slots` says."""
-    view = reading.view
-    direction = view.error / (view.distance + 0.003)[:, None]
-    logarithm = (np.log(view.distance + 0.0003) + 5.0) / 2.0
-    scalars = np.stack([logarithm, reading.since_target - 0.5], axis=-1)
+    view, n = reading.view, reading.position.shape[1]
+    distance = view.distance[:, None]
     parts = [
-        4.0 * reading.drive, 0.5 * reading.velocity,
-        5.0 * view.step, np.tanh(view.step / _ONE_DEGREE), np.tanh(view.step / _FIFTH_OF_A_DEGREE),
-        reading.position, 20.0 * view.error, direction, scalars, reading.action,
+        reading.drive, reading.velocity, view.step, view.step, view.step, reading.position, view.error,
+        view.error / (distance + 0.003), np.log(distance + 0.0003) + 5.0, reading.since_target[:, None] - 0.5,
+        reading.action,
     ]  # fmt: skip
-    np.concatenate(parts, axis=1, out=out, casting="same_kind")
+    numbers = np.concatenate(parts, axis=1)
+    numbers *= _residual_factors(n)
+    near = numbers[:, 3 * n : 5 * n]
+    np.tanh(near, out=near)
+    out[...] = numbers
+
+
+@cache
+def _residual_factors(n: int) -> Array:
+    """Factors (7n + 8,) on the parts of the observation of n joints."""
+    joints = [4.0, 0.5, 5.0, 1.0 / _ONE_DEGREE, 1.0 / _FIFTH_OF_A_DEGREE, 1.0]
+    return np.repeat([*joints, 20.0, 1.0, 0.5, 1.0, 1.0], [*[n] * len(joints), 3, 3, 1, 1, n])
 
 
 def _equation_16(out: Observation, reading: Reading, change: Array, arm: Arm) -> None:
