@@ -25,7 +25,7 @@ from rejoint.training.task import ReachTask
 SUCCESS_DISTANCE = 0.010
 """[m] a target counts as reached below this distance at its end; Park et al. 2024, section IV-A."""
 
-_CHECKPOINT_FORMAT = 2
+_CHECKPOINT_FORMAT = 3
 
 
 @dataclass(frozen=True, kw_only=True)

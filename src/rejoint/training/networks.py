@@ -9,7 +9,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import torch
-from skrl.models.torch import DeterministicMixin, GaussianMixin, Model
+from skrl.models.torch import DeterministicMixin, Model
 from torch import Tensor, nn
 
 LAST_LAYER_SCALE = 0.01
@@ -21,13 +21,16 @@ def unbounded(size: int) -> gymnasium.spaces.Box:
     return gymnasium.spaces.Box(-np.inf, np.inf, (size,), dtype=np.float32)
 
 
-class Actor(GaussianMixin, Model):  # type: ignore[misc]
-    """Gaussian policy whose noise has a ceiling that the training lowers."""
+class Actor(Model):  # type: ignore[misc]
+    """Gaussian policy whose noise has a ceiling that the training lowers.
+
+    skrl's own draws an action whenever it is asked for a density, and takes logarithms of the noise of each sample:
+    a twentieth of the learning.
+    """
 
     def __init__(self, observation_size: int, joints: int, layers: Sequence[int], log_std: float) -> None:
         spaces = {"observation_space": unbounded(observation_size), "action_space": unbounded(joints)}
         Model.__init__(self, **spaces, device="cpu")
-        GaussianMixin.__init__(self, clip_log_std=False, reduction="sum")
         self.net = perceptron((observation_size, *layers, joints))
         with torch.no_grad():
             for parameter in self.net[-1].parameters():
@@ -43,6 +46,19 @@ class Actor(GaussianMixin, Model):  # type: ignore[misc]
     def compute(self, inputs: dict[str, Tensor], role: str = "") -> tuple[Tensor, dict[str, Any]]:  # noqa: ARG002
         """Mean action (..., n) and logarithm of the noise, as skrl asks for them."""
         return self.net(inputs["observations"]), {"log_std": self.log_std}
+
+    def act(self, inputs: dict[str, Tensor], *, role: str = "") -> tuple[Tensor, dict[str, Any]]:
+        """Mean action (..., n) and logarithm (..., 1) of the density of the actions taken, as skrl asks for them."""
+        mean, outputs = self.compute(inputs, role)
+        log_std = outputs["log_std"]
+        apart = (inputs["taken_actions"] - mean) * (-log_std).exp()
+        constant = log_std.sum() + 0.5 * mean.shape[-1] * np.log(2.0 * np.pi)
+        return mean, {"log_prob": -0.5 * (apart**2).sum(dim=-1, keepdim=True) - constant}
+
+    def distribution(self, *, role: str = "") -> torch.distributions.Normal:  # noqa: ARG002
+        """Distribution of the noise alone; skrl reports its width."""
+        log_std = self.log_std.detach()
+        return torch.distributions.Normal(torch.zeros_like(log_std), log_std.exp())
 
     def sample(self, observation: Tensor, random: torch.Generator) -> Tensor:
         """Draw actions (N, n) for observations (N, size); several threads may do so at the same time."""
@@ -70,8 +86,8 @@ class Critic(DeterministicMixin, Model):  # type: ignore[misc]
 
 
 def perceptron(sizes: Sequence[int]) -> nn.Sequential:
-    """Fully connected layers with ELU between them."""
+    """Fully connected layers with ELU between them, which overwrites what it is given: there is less to remember."""
     layers: list[nn.Module] = []
     for before, after in itertools.pairwise(sizes):
-        layers += [nn.Linear(before, after), nn.ELU()]
+        layers += [nn.Linear(before, after), nn.ELU(inplace=True)]
     return nn.Sequential(*layers[:-1])
