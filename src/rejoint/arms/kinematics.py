@@ -28,57 +28,58 @@ class Frames(NamedTuple):
     """(..., 3) [m]"""
 
 
-_ALL_ROWS, _LAST_ROW = np.eye(4)[:3], np.eye(4)[2:3]
 _NEXT, _AFTER = np.array([1, 2, 0]), np.array([2, 0, 1])  # coordinates in the cyclic order of a cross product
 
 
 @lru_cache(maxsize=32)
 def _joint_terms(arm: Arm) -> Array:
-    """Constants (n, 3, 16) A | B | C of the joints: a 4 x 4 frame in the one before is A + B sin q + C cos q."""
+    """Constants (n, 16, 3) A | B | C of the joints: a 4 x 4 frame in the one before is A + B sin q + C cos q."""
     cross = np.zeros((arm.joints, 3, 3))
     x, y, z = arm.axis.T
     cross[:, 0, 1], cross[:, 0, 2], cross[:, 1, 2] = -z, y, -x
     cross[:, 1, 0], cross[:, 2, 0], cross[:, 2, 1] = z, -y, x
     square = cross @ cross  # Rodrigues: R = I + sin q K + (1 - cos q) K^2
-    terms = np.zeros((arm.joints, 3, 4, 4))
-    for term, rotation in zip(np.swapaxes(terms, 0, 1), (np.eye(3) + square, cross, -square), strict=True):
-        term[:, :3, :3] = arm.offset[:, :3, :3] @ rotation
-    terms[:, 0, :, 3] = arm.offset[:, :, 3]
-    return terms.reshape(arm.joints, 3, 16)
+    terms = np.zeros((arm.joints, 4, 4, 3))
+    for i, rotation in enumerate((np.eye(3) + square, cross, -square)):
+        terms[:, :3, :3, i] = arm.offset[:, :3, :3] @ rotation
+    terms[..., 3, 0] = arm.offset[:, :, 3]
+    return terms.reshape(arm.joints, 16, 3)
 
 
-def _poses(arm: Arm, q: Array, rows: Array) -> Array:
-    """Compute ``rows`` (r, 4) of the frames of joints and TCP, (n + 1, B, r, 4), at B postures ``q`` (..., n).
+def _poses(arm: Arm, q: Array, rows: slice) -> Array:
+    """Compute r ``rows`` of the frames of joints and TCP, (n + 1, r, 4, B), at B postures ``q`` (..., n).
 
-    Joints come first, so that each product runs over all postures, in few calls.
+    Postures come last, so that each of the few products runs over all of them.
     """
     angles = q.reshape(-1, arm.joints).T
-    waves = np.empty((*angles.shape, 3))
-    waves[..., 0] = 1.0
-    np.sin(angles, out=waves[..., 1])
-    np.cos(angles, out=waves[..., 2])
-    steps = (waves @ _joint_terms(arm)).reshape(*angles.shape, 4, 4)
-    poses = np.empty((arm.joints + 1, angles.shape[1], *rows.shape))
-    for step, pose in zip(steps, poses, strict=False):
-        rows = np.matmul(rows, step, out=pose)
-    np.matmul(rows, arm.tip, out=poses[-1])
+    waves = np.empty((arm.joints, 3, angles.shape[1]))
+    waves[:, 0] = 1.0
+    np.sin(angles, out=waves[:, 1])
+    np.cos(angles, out=waves[:, 2])
+    steps = (_joint_terms(arm) @ waves).reshape(arm.joints, 4, 4, -1)
+    first = steps[0, rows]
+    poses = np.empty((arm.joints + 1, *first.shape))
+    poses[0] = first
+    for i in range(1, arm.joints):
+        np.einsum("rjb,jkb->rkb", poses[i - 1], steps[i], out=poses[i])
+    np.einsum("rjb,jk->rkb", poses[-2], arm.tip, out=poses[-1])
     return poses
 
 
 def frames(arm: Arm, q: Array) -> Frames:
     """Compute all frames for joint positions ``q`` (..., n) [rad]."""
     n, lead = arm.joints, q.shape[:-1]
-    poses = _poses(arm, q, _ALL_ROWS)
-    axes = (poses[:n, ..., :3].reshape(n, -1, 3) @ arm.axis[:, :, None]).reshape(n, -1, 3)
-    joints = poses[:n].transpose(1, 0, 2, 3).reshape(*lead, n, 3, 4)
-    tcp = poses[n].reshape(*lead, 3, 4)
-    axis = axes.transpose(1, 0, 2).reshape(*lead, n, 3)
+    poses = _poses(arm, q, slice(0, 3))
+    axes = (arm.axis[:, None, None] @ poses[:n, :, :3])[:, :, 0]
+    joints = poses[:n].transpose(3, 0, 1, 2).reshape(*lead, n, 3, 4)
+    tcp = poses[n].transpose(2, 0, 1).reshape(*lead, 3, 4)
+    axis = axes.transpose(2, 0, 1).reshape(*lead, n, 3)
     return Frames(joints[..., :3], joints[..., 3], axis, tcp[..., :3], tcp[..., 3])
 
 
 def heights(arm: Arm, q: Array) -> Array:
     """Heights (..., n + 1) [m] of the joint frames and the TCP at ``q`` (..., n) [rad]: the z of `frames`."""
-    return _poses(arm, q, _LAST_ROW)[..., 0, 3].T.reshape(*q.shape[:-1], arm.joints + 1)
+    return _poses(arm, q, slice(2, 3))[:, 0, 3].T.reshape(*q.shape[:-1], arm.joints + 1)
 
 
 def tcp_position(arm: Arm, q: Array) -> Array:
