@@ -1,4 +1,5 @@
 import dataclasses
+import sys
 
 import numpy as np
 import onnxruntime as ort
@@ -80,6 +81,16 @@ def test_threads_do_not_change_what_the_agents_do():
     again = [ReachTask(ARM, BroadRanges(arm=ARM), 8, SMALL.task, seed=k) for k in range(2)]
     one, two = (Learner(tasks, SMALL.ppo, seed=0, threads=k).iterate() for k, tasks in ((1, arms), (2, again)))
     assert (one.reward, one.error_mm) == (two.reward, two.error_mm)
+
+
+def test_crews_leave_python_s_switching_as_they_found_it():
+    before, seen = sys.getswitchinterval(), []
+    task = ReachTask(ARM, BroadRanges(arm=ARM), 4, SMALL.task, seed=0)
+    learner, step = Learner([task], SMALL.ppo, seed=0), task.step
+    task.step = lambda action: seen.append(sys.getswitchinterval()) or step(action)
+    learner.iterate()
+    assert max(seen) < before
+    assert sys.getswitchinterval() == before
 
 
 class InterruptedTrainingError(Exception):

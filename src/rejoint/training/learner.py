@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import pickle
+import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -24,6 +26,10 @@ from rejoint.training.task import ReachTask
 
 SUCCESS_DISTANCE = 0.010
 """[m] a target counts as reached below this distance at its end; Park et al. 2024, section IV-A."""
+
+SWITCH_INTERVAL = 1e-4
+"""[s] after which a crew that waits for Python's lock gets it (chosen: about what Python does between two physics
+steps; with its default of 5 ms a crew whose step is done waits for all that the other one computes)"""
 
 _CHECKPOINT_FORMAT = 3
 
@@ -74,7 +80,8 @@ class Learner:
         start, s = time.perf_counter(), self.settings
         self.actor.ceiling = _ceiling(s, self.iteration)
         rate = _learning_rate(s, self.iteration)
-        with ThreadPoolExecutor(self.threads, initializer=partial(torch.set_num_threads, 1)) as workers:
+        workers = ThreadPoolExecutor(self.threads, initializer=partial(torch.set_num_threads, 1))
+        with workers, _switching(SWITCH_INTERVAL):
             rollout = join(list(workers.map(lambda crew: crew.roll(self.actor, self.critic, s.rollout), self.crews)))
         torch.set_num_threads(self.threads)
         losses = self.ppo.learn(rollout, rate, iteration=self.iteration)
@@ -129,6 +136,17 @@ class Learner:
             value_loss=losses.value,
             wall_s=wall_s + (last.wall_s if last else 0.0),
         )
+
+
+@contextmanager
+def _switching(interval: float) -> Iterator[None]:
+    """Let threads take turns at Python's lock after ``interval`` [s], and as before afterwards."""
+    before = sys.getswitchinterval()
+    sys.setswitchinterval(interval)
+    try:
+        yield
+    finally:
+        sys.setswitchinterval(before)
 
 
 def _learning_rate(settings: PpoSettings, iteration: int) -> float:
