@@ -85,18 +85,20 @@ def solve_position(
         f = frames(arm, q)
         j = position_jacobian(f)
         e = target - f.tcp_position
-        residual = np.linalg.norm(e, axis=-1)
         if rotation is not None:
             turn = rotation_error(f.tcp_rotation, rotation)
-            axes = np.swapaxes(f.axis, -1, -2)
-            j, e = np.concatenate([j, axes], axis=-2), np.concatenate([e, turn], axis=-1)
+            j, e = np.concatenate([j, np.swapaxes(f.axis, -1, -2)], axis=-2), np.concatenate([e, turn], axis=-1)
         converged = np.abs(e).max(axis=-1) < tolerance
         if converged.all() or iteration == iterations:
             break
-        step = dls(j, e, np.minimum(DAMPING, np.linalg.norm(e, axis=-1) + 1e-4))
+        damping = np.minimum(DAMPING, np.sqrt((e**2).sum(axis=-1)) + 1e-4)
         if rotation is None:
             pull = rest_gain * (arm.rest - q)
-            step = step + pull - dls(j, (j @ pull[..., None])[..., 0], 1e-6)
+            drift = (j @ pull[..., None])[..., 0]
+            towards, back = dls(j, np.stack([e, drift]), np.stack([damping, np.full_like(damping, 1e-6)]))
+            step = towards + pull - back
+        else:
+            step = dls(j, e, damping)
         step = np.where(converged[..., None], 0.0, clip_norm(step, max_step))
-        q = np.clip(q + step, arm.lower, arm.upper)
-    return Solution(q=q, error=residual, converged=converged)
+        q = np.minimum(np.maximum(q + step, arm.lower), arm.upper)
+    return Solution(q=q, error=np.linalg.norm(e[..., :3], axis=-1), converged=converged)

@@ -97,10 +97,7 @@ def tcp_pose(arm: Arm, q: Array) -> Array:
 
 def position_jacobian(f: Frames) -> Array:
     """d(TCP position)/dq (..., 3, n) [m/rad] from already computed frames."""
-    axis, lever = f.axis.T, (f.tcp_position[..., None, :] - f.position).T
-    # axis x lever, written out with coordinates first: np.cross costs several times as much
-    product = axis[_NEXT] * lever[_AFTER] - axis[_AFTER] * lever[_NEXT]
-    return np.swapaxes(product.T, -1, -2)
+    return np.swapaxes(_cross(f.axis, f.tcp_position[..., None, :] - f.position), -1, -2)
 
 
 def jacobian(arm: Arm, q: Array) -> Array:
@@ -113,9 +110,13 @@ def gravity_torque(arm: Arm, q: Array) -> Array:
     """Torque (..., n) [N m] with which the motors hold the arm against gravity at ``q`` (..., n)."""
     f = frames(arm, q)
     com = f.position + np.einsum("...nij,nj->...ni", f.rotation, arm.com)
-    torque = np.zeros(q.shape)
-    for i in range(arm.joints):
-        weight = arm.mass[i:, None] * GRAVITY
-        moment = np.cross(com[..., i:, :] - f.position[..., i : i + 1, :], weight).sum(axis=-2)
-        torque[..., i] = -(f.axis[..., i, :] * moment).sum(axis=-1)
-    return torque
+    # Of all that hangs on each joint: mass, and mass times lever.
+    mass = np.cumsum(arm.mass[::-1])[::-1, None]
+    first_moment = np.cumsum((arm.mass[:, None] * com)[..., ::-1, :], axis=-2)[..., ::-1, :] - mass * f.position
+    return -(_cross(f.axis, first_moment) @ GRAVITY)
+
+
+def _cross(a: Array, b: Array) -> Array:
+    """Vector products (..., 3), with coordinates first inside: `numpy.cross` costs several times as much."""
+    x, y = a.T, b.T
+    return (x[_NEXT] * y[_AFTER] - x[_AFTER] * y[_NEXT]).T
