@@ -31,7 +31,7 @@ def random_situations(rng, count, time=0.0):
 
 
 def test_sizes_are_those_of_the_recipe_and_of_the_paper():
-    assert layout_size("residual", 6) == 50
+    assert layout_size("residual", 6) == 75
     assert layout_size("equation-16", 6) == 28
 
 
@@ -44,19 +44,22 @@ def test_residual_observation_worked_by_hand():
     where = columns("residual")
     first, second = ARM.rest.copy(), ARM.rest.copy()
     second[1] += 0.01
+    acted = np.array([[0.1, 0.2, 0.3, 0.4, 0.5, 0.6]])
     target = tcp_position(ARM, second) + np.array([0.003, -0.004, 0.012])  # 13 mm away
     sent = second + np.array([0.1, -0.2, 0.0, 0.0, 0.05, 0.0])
     observer = Observer(ARM, 1)
     begin = situation([first], [target], [sent], time=1.0)
     observer.reset(begin, np.array([True]))
     observer.observe(begin)
-    observer.acted(np.array([[0.1, 0.2, 0.3, 0.4, 0.5, 0.6]]))
-    seen = observer.observe(situation([second], [target], [sent], time=1.025, since=0.3))[0]
+    observer.acted(-acted)
+    observer.observe(situation([first - 0.002], [target], [sent], time=1.02, since=0.275))
+    observer.acted(acted)
+    seen = observer.observe(situation([second], [target], [sent], time=1.045, since=0.3))[0]
     f = frames(ARM, second)
     step = dls(position_jacobian(f), target - f.tcp_position)
     expected = {
         "drive": [0.4, -0.8, 0.0, 0.0, 0.2, 0.0],
-        "velocity": [0.0, 0.5 * 0.01 / 0.025, 0.0, 0.0, 0.0, 0.0],
+        "velocity": [0.04, 0.04 + 0.2, 0.04, 0.04, 0.04, 0.04, *[-0.05] * 6, *[0.0] * 6],
         "step": 5.0 * step,
         "step.near": np.tanh(step / np.radians(1.0)),
         "step.fine": np.tanh(step / np.radians(0.2)),
@@ -65,7 +68,8 @@ def test_residual_observation_worked_by_hand():
         "direction": np.array([0.003, -0.004, 0.012]) / 0.016,
         "distance": [(np.log(0.0133) + 5.0) / 2.0],
         "waited": [-0.2],
-        "action": [0.1, 0.2, 0.3, 0.4, 0.5, 0.6],
+        "period": [20.0 * (0.3 * 0.025 + 0.7 * (0.3 * 0.020 + 0.7 * 0.035)) - 0.7],
+        "action": [*acted[0], *-acted[0], *np.zeros(6)],
     }
     assert set(expected) == set(where)
     for name, values in expected.items():
@@ -140,10 +144,10 @@ def test_a_repeated_answer_keeps_the_velocity():
     start = situation([ARM.rest], target, [ARM.rest], time=0.0)
     observer.reset(start, np.array([True]))
     moved = situation([ARM.rest + 0.01], target, [ARM.rest], time=0.02)
-    velocity = columns("residual")["velocity"]
-    first = observer.observe(moved)[0, velocity]
-    np.testing.assert_allclose(first, 0.25, rtol=1e-5)
-    np.testing.assert_array_equal(observer.observe(moved)[0, velocity], first)
+    where = columns("residual")
+    first = observer.observe(moved)[0]
+    np.testing.assert_allclose(first[where["velocity"]], 6 * [0.25] + 12 * [0.0], rtol=1e-5)
+    np.testing.assert_array_equal(observer.observe(moved)[0], first)
 
 
 def test_reset_forgets_only_the_arms_named():
@@ -156,8 +160,8 @@ def test_reset_forgets_only_the_arms_named():
     seen, where = observer.observe(now), columns("residual")
     assert (seen[0, where["action"]] == 0.0).all()
     assert (seen[0, where["velocity"]] == 0.0).all()
-    assert (seen[1, where["action"]] == 0.5).all()
-    assert (seen[1, where["velocity"]] > 0.2).all()
+    np.testing.assert_array_equal(seen[1, where["action"]], 6 * [0.5] + 12 * [0.0])
+    assert (seen[1, where["velocity"]][:6] > 0.2).all()
 
 
 def test_the_homing_motion_leaves_the_tool_in_place_to_first_order():

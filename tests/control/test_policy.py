@@ -30,7 +30,7 @@ from rejoint.control.robot import JointState
 from rejoint.errors import ContractError, FileError
 
 ARM = mycobot280()
-SIZE = 50
+SIZE = 75
 WEIGHT = np.random.default_rng(0).normal(0.0, 0.3, (6, SIZE)).astype(np.float32)
 
 

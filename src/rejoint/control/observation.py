@@ -1,13 +1,14 @@
 """What a learned policy sees, computed once for training, emulation and the real arm.
 
-Three layouts exist. ``residual`` (7n + 8 numbers) is ours: how far the servos lag behind the command,
-the damped least-squares step at three magnifications, so that 0.1 mm is as visible as 10 cm, and
-nothing that a worn encoder cannot deliver. ``equation-16`` (4 + 3n + 6 numbers) is the state of
-Park et al. 2024 without theta_target, which gives their stated size of 28 for six joints; its Delta
-theta is read as command minus position there, and as the last action in ``equation-16-action``.
+Three layouts exist. ``residual`` (11n + 9 numbers) is ours: how far the servos lag behind the command,
+the damped least-squares step at three magnifications, so that 0.1 mm is as visible as 10 cm, what was
+done and what came of it in the last three cycles, and nothing that a worn encoder cannot deliver.
+``equation-16`` (4 + 3n + 6 numbers) is the state of Park et al. 2024 without theta_target, which gives
+their stated size of 28 for six joints; its Delta theta is read as command minus position there, and as
+the last action in ``equation-16-action``.
 
 All of it comes from measured (delayed, quantised) joint positions; nothing is differentiated but
-two successive measurements.
+successive measurements.
 """
 
 from __future__ import annotations
@@ -39,8 +40,14 @@ SUCCESS_DISTANCE = 0.005
 POINT_SCALE = 5.0
 """[1/m] factor on the points and the distance of equation 16 (chosen: brings them to about one)."""
 
+HISTORY = 3
+"""Control cycles whose velocities and actions are seen: no fewer than commands are under way (chosen: with one,
+policies take a tenth longer to come and stay within 2 mm on worn arms that they have not met)."""
+
 _RIDGE = DAMPING**2 * np.eye(3)
 _LONGEST_WAIT = 2.0  # [s] chosen: later than that the arm should have settled
+_MIDDLE_PERIOD, _LONGEST_PERIOD = 0.035, 0.1  # [s] of the rates trained for; of the numbers that are believed
+_SMOOTHING = 0.3  # share of the newest period in their running mean (chosen: the wire's jitter is as large)
 _ONE_DEGREE, _FIFTH_OF_A_DEGREE = float(np.radians(1.0)), float(np.radians(0.2))
 
 
@@ -74,11 +81,14 @@ class Reading(NamedTuple):
 
     position: Array
     velocity: Array
+    """(B, HISTORY, n) newest first"""
     drive: Array
     view: View
     target: Array
     since_target: Array
+    period: Array
     action: Array
+    """(B, HISTORY, n) newest first"""
 
 
 def look(arm: Arm, position: Array, target: Array) -> View:
@@ -103,7 +113,7 @@ def layout_slots(layout: Layout, joints: int) -> tuple[Slot, ...]:
     if layout == "residual":
         rows = (
             ("drive", n, "4 (s - x) [1/rad]"),
-            ("velocity", n, "0.5 dx/dt [s/rad], difference of the last two measurements"),
+            ("velocity", HISTORY * n, "0.5 dx/dt [s/rad], differences of successive measurements, newest first"),
             ("step", n, "5 dls(e) [1/rad]"),
             ("step.near", n, "tanh(dls(e) / 1 deg)"),
             ("step.fine", n, "tanh(dls(e) / 0.2 deg)"),
@@ -112,7 +122,8 @@ def layout_slots(layout: Layout, joints: int) -> tuple[Slot, ...]:
             ("direction", 3, "e / (|e| + 3 mm)"),
             ("distance", 1, "(ln(|e| / 1 m + 0.0003) + 5) / 2"),
             ("waited", 1, "min(time since the target was set, 2 s) - 0.5"),
-            ("action", n, "last action"),
+            ("period", 1, "20 p - 0.7 [1/s], p the running mean of the control period"),
+            ("action", HISTORY * n, "last actions, newest first"),
         )  # fmt: skip
     elif layout in ("equation-16", "equation-16-action"):
         rows = (
@@ -139,7 +150,7 @@ def layout_size(layout: Layout, joints: int) -> int:
 
 
 class Observer:
-    """Turns situations of B arms into observations; remembers the last measurement and action.
+    """Turns situations of B arms into observations; remembers the last measurements and actions.
 
     `observe` must be called once per control cycle, `acted` after the policy has decided. `view`
     holds the geometry of the last observation, which the command law needs again.
@@ -149,9 +160,9 @@ class Observer:
         n = arm.joints
         self.arm, self.count, self.layout = arm, count, layout
         self.size = layout_size(layout, n)
-        self._position, self._velocity = np.zeros((count, n)), np.zeros((count, n))
-        self._time = np.full(count, np.nan)
-        self._action = np.zeros((count, n))
+        self._position, self._time = np.zeros((count, n)), np.full(count, np.nan)
+        self._period = np.full(count, _MIDDLE_PERIOD)
+        self._velocity, self._action = np.zeros((2, count, HISTORY, n))
         self.view = View(*(np.zeros((count, *tail)) for tail in ((3,), (3,), (), (n,), (n,))))
 
     def reset(self, situation: Situation, where: Mask) -> None:
@@ -160,6 +171,10 @@ class Observer:
         self._time[where] = situation.state.time[where]
         self._velocity[where] = 0.0
         self._action[where] = 0.0
+
+    def forget(self, where: Mask) -> None:
+        """Drop what was learned about the wire of the arms in ``where`` (B,), exchanged for others."""
+        self._period[where] = _MIDDLE_PERIOD
 
     def observe(self, situation: Situation, rows: Rows = ALL) -> Observation:
         """Return the observation (B, size) of all arms, or of some ``rows`` only."""
@@ -179,57 +194,65 @@ class Observer:
             view,
             situation.target[rows],
             np.minimum(situation.since_target[rows], _LONGEST_WAIT),
+            self._period[rows],
             self._action[rows],
         )
         out = np.empty((len(position), self.size), dtype=np.float32)
         if self.layout == "residual":
             _residual(out, reading)
         else:
-            change = 4.0 * reading.drive if self.layout == "equation-16" else reading.action
+            change = 4.0 * reading.drive if self.layout == "equation-16" else reading.action[:, 0]
             _equation_16(out, reading, change, self.arm)
         return np.minimum(np.maximum(out, -LIMIT, out=out), LIMIT, out=out)
 
     def acted(self, action: Array) -> None:
         """Remember the action (B, n) that was decided on this observation."""
-        self._action[...] = action
+        self._action[:, 1:] = self._action[:, :-1]
+        self._action[:, 0] = action
 
     def state(self) -> dict[str, Array]:
         """Everything that a checkpoint must keep, as live arrays."""
-        own = {"position": self._position, "velocity": self._velocity, "time": self._time, "action": self._action}
-        return own | {f"view.{name}": value for name, value in self.view._asdict().items()}
+        names = ("position", "velocity", "time", "period", "action")
+        return {name: getattr(self, f"_{name}") for name in names} | {
+            f"view.{name}": value for name, value in self.view._asdict().items()
+        }
 
     def _differentiate(self, time: Array, position: Array, rows: Rows) -> None:
-        elapsed = time - self._time[rows]
-        moved = position - self._position[rows]
-        # A repeated answer (no time has passed) says nothing new: the last velocity stands.
-        fresh = (elapsed > 0)[:, None]
-        velocity = np.divide(moved, elapsed[:, None], out=self._velocity[rows].copy(), where=fresh)
-        self._velocity[rows] = velocity
+        elapsed, past, period = time - self._time[rows], self._velocity[rows], self._period[rows]
+        # A repeated answer (no time has passed) says nothing new: the last velocities stand.
+        fresh = elapsed > 0
+        velocity = np.empty_like(past)
+        velocity[:, 1:] = past[:, :-1]
+        np.divide(position - self._position[rows], elapsed[:, None], out=velocity[:, 0], where=fresh[:, None])
+        self._velocity[rows] = np.where(fresh[:, None, None], velocity, past)
+        change = np.minimum(elapsed, _LONGEST_PERIOD) - period
+        self._period[rows] = np.where(fresh, period + _SMOOTHING * change, period)
         self._position[rows] = position
         self._time[rows] = time
 
 
 def _residual(out: Observation, reading: Reading) -> None:
-    """Fill ``out`` (B, 7n + 8) as `layout_slots` says."""
-    view, n = reading.view, reading.position.shape[1]
+    """Fill ``out`` (B, 11n + 9) as `layout_slots` says."""
+    view, (count, n) = reading.view, reading.position.shape
     distance = view.distance[:, None]
     parts = [
-        reading.drive, reading.velocity, view.step, view.step, view.step, reading.position, view.error,
-        view.error / (distance + 0.003), np.log(distance + 0.0003) + 5.0, reading.since_target[:, None] - 0.5,
-        reading.action,
+        reading.drive, reading.velocity.reshape(count, -1), view.step, view.step, view.step, reading.position,
+        view.error, view.error / (distance + 0.003), np.log(distance + 0.0003) + 5.0,
+        reading.since_target[:, None] - 0.5, reading.period[:, None] - _MIDDLE_PERIOD,
+        reading.action.reshape(count, -1),
     ]  # fmt: skip
     numbers = np.concatenate(parts, axis=1)
     numbers *= _residual_factors(n)
-    near = numbers[:, 3 * n : 5 * n]
+    near = numbers[:, (2 + HISTORY) * n : (4 + HISTORY) * n]
     np.tanh(near, out=near)
     out[...] = numbers
 
 
 @cache
 def _residual_factors(n: int) -> Array:
-    """Factors (7n + 8,) on the parts of the observation of n joints."""
-    joints = [4.0, 0.5, 5.0, 1.0 / _ONE_DEGREE, 1.0 / _FIFTH_OF_A_DEGREE, 1.0]
-    return np.repeat([*joints, 20.0, 1.0, 0.5, 1.0, 1.0], [*[n] * len(joints), 3, 3, 1, 1, n])
+    """Factors (11n + 9,) on the parts of the observation of n joints."""
+    factors = [4.0, 0.5, 5.0, 1.0 / _ONE_DEGREE, 1.0 / _FIFTH_OF_A_DEGREE, 1.0, 20.0, 1.0, 0.5, 1.0, 20.0, 1.0]
+    return np.repeat(factors, [n, HISTORY * n, n, n, n, n, 3, 3, 1, 1, 1, HISTORY * n])
 
 
 def _equation_16(out: Observation, reading: Reading, change: Array, arm: Arm) -> None:
@@ -239,7 +262,7 @@ def _equation_16(out: Observation, reading: Reading, change: Array, arm: Arm) ->
     columns[0] = reading.since_target
     out[:, 1 : n + 1] = change
     out[:, n + 1 : 2 * n + 1] = reading.position
-    out[:, 2 * n + 1 : 3 * n + 1] = 0.5 * reading.velocity
+    out[:, 2 * n + 1 : 3 * n + 1] = 0.5 * reading.velocity[:, 0]
     m = 3 * n + 1
     out[:, m : m + 3] = POINT_SCALE * reading.target
     out[:, m + 3 : m + 6] = POINT_SCALE * view.tcp

@@ -35,9 +35,6 @@ from rejoint.twin.reference import approach
 SUBSTEPS = 6
 """Physics steps in a control cycle: 3 ms each at the shortest period, 9 ms at the longest."""
 
-TOGETHER = 8
-"""Control cycles between two at which targets time out (chosen: a fifteenth of a hold)."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class TaskSettings:
@@ -123,9 +120,7 @@ class ReachTask:
         self._new_arms(everyone)
         self._new_targets(everyone)
         if staggered:  # so that a batch holds all phases of a motion and not the same one everywhere
-            # Some at once: inverse kinematics of one new target costs as much as of ten.
-            phases = -(-self.settings.hold_steps // TOGETHER)
-            self._step[:] = TOGETHER * self._rng.integers(0, phases, self.agents)
+            self._step[:] = self._rng.integers(0, self.settings.hold_steps, self.agents)
             self._count[:] = self._rng.integers(0, self.settings.targets, self.agents)
         distance = np.linalg.norm(self._target - self._tcp, axis=-1)
         return self.observer.observe(self._situation()), self._truth(distance, np.zeros(self.agents))
@@ -255,6 +250,7 @@ class ReachTask:
         self._coulomb[where], self._stiction[where] = draw.twin.coulomb, draw.stiction
         self._time[where], self._count[where] = 0.0, 0
         self._fixed[where] = fixed_truth(self.arm, draw)
+        self.observer.forget(where)
         self.commander.forget(self._situation(), where)
 
     def _start_postures(self, draw: Draw) -> Array:
