@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rejoint.arms import gravity_torque, mycobot280, so101, solve_position
-from rejoint.arms.size import heaviest_load, length_size, torque_size, weightless
+from rejoint.arms.size import heaviest_load, length_size, moves_tool, torque_size, weightless
 
 ARM = mycobot280()
 
@@ -41,3 +41,8 @@ def test_a_finer_grid_finds_what_random_targets_need(arm):
 def test_bases_and_wrist_rolls_carry_no_weight():
     np.testing.assert_array_equal(weightless(ARM), [True, False, False, False, True, True])
     np.testing.assert_array_equal(weightless(so101()), [True, False, False, False, True])
+
+
+@pytest.mark.parametrize("arm", [ARM, so101()], ids=lambda arm: arm.name)
+def test_the_last_joint_of_an_arm_only_turns_its_tool(arm):
+    np.testing.assert_array_equal(moves_tool(arm), np.arange(arm.joints) < arm.joints - 1)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from rejoint.arms.arm import Arm, Array
 from rejoint.arms.inverse import solve_position
-from rejoint.arms.kinematics import gravity_torque
+from rejoint.arms.kinematics import frames, gravity_torque, position_jacobian
 from rejoint.arms.mycobot280 import mycobot280
 from rejoint.arms.workspace import reach
 
@@ -23,14 +23,24 @@ friction of worn gears; bases and wrist rolls have 0 to 0.3 %, the first wrist o
 or an SO-101 10 % and more, measured)"""
 
 
+LEAST_LEVER = 0.02
+"""A joint that moves the TCP nowhere by more than this share of the reach per radian only turns the tool (chosen: the
+last joint of a myCobot or a UR5e has 0, that of an SO-101 0.017, the joints before them 0.087 and more, measured)"""
+
+
 @lru_cache(maxsize=32)
 def heaviest_load(arm: Arm, per_edge: int = 2) -> Array:
     """Largest gravity torque (n,) [N m] of each joint over a grid of targets, ``per_edge`` along each edge."""
-    axes = [np.linspace(low, high, per_edge) for low, high in zip(arm.targets.lower, arm.targets.upper, strict=True)]
-    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    load: Array = np.abs(gravity_torque(arm, solve_position(arm, grid, arm.rest).q)).max(axis=0)
+    load: Array = np.abs(gravity_torque(arm, _postures(arm, per_edge))).max(axis=0)
     load.setflags(write=False)
     return load
+
+
+def _postures(arm: Arm, per_edge: int) -> Array:
+    """Postures (per_edge^3, n) [rad] that a grid of targets needs."""
+    axes = [np.linspace(low, high, per_edge) for low, high in zip(arm.targets.lower, arm.targets.upper, strict=True)]
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    return solve_position(arm, grid, arm.rest).q
 
 
 @lru_cache(maxsize=32)
@@ -38,6 +48,15 @@ def weightless(arm: Arm) -> NDArray[np.bool_]:
     """Tell which joints (n,) carry no weight anywhere in the region of targets, and so rest on no flank of a gear."""
     load = heaviest_load(arm)
     mask: NDArray[np.bool_] = load < WEIGHTLESS * load.max()
+    mask.setflags(write=False)
+    return mask
+
+
+@lru_cache(maxsize=32)
+def moves_tool(arm: Arm) -> NDArray[np.bool_]:
+    """Tell which joints (n,) move the TCP somewhere in the region of targets; the others only turn the tool."""
+    lever = np.linalg.norm(position_jacobian(frames(arm, _postures(arm, 2))), axis=-2).max(axis=0)
+    mask: NDArray[np.bool_] = lever > LEAST_LEVER * reach(arm)
     mask.setflags(write=False)
     return mask
 

@@ -21,10 +21,10 @@ from typing import Literal
 import numpy as np
 
 from rejoint.arms import Arm, Array, clip_norm, solve_position
-from rejoint.arms.size import weightless
+from rejoint.arms.size import moves_tool, weightless
 from rejoint.control.controller import Situation
 from rejoint.control.feedforward import FeedforwardController, FeedforwardGains
-from rejoint.control.law import GAIN, STEP_LIMIT, between, limit_lead, limit_position
+from rejoint.control.law import GAIN, STEP_LIMIT, between, fade, limit_lead, limit_position
 from rejoint.control.observation import View
 from rejoint.control.robot import Mask
 from rejoint.errors import InputError
@@ -41,7 +41,7 @@ class CommandLaw:
     stiffness: tuple[float, ...] = ()
     """[N m/rad] of the servos, as far as it is known when the policy is trained; needed by the anchor ``goal``"""
     learning: FeedforwardGains = field(default_factory=FeedforwardGains)
-    """what the controller under the anchor ``goal`` learns by itself, but for the fade, which is left to the policy"""
+    """what the controller under the anchor ``goal`` learns by itself"""
     step_gain: float = GAIN
     """fraction of the damped least-squares step taken each cycle"""
     step_limit: float = float(STEP_LIMIT)
@@ -97,8 +97,8 @@ class CommandLaw:
         wanted = anchor + self.step_gain * clip_norm(view.step, self.step_limit)
         wanted = wanted + self.authority(view.step) * np.clip(action, -1.0, 1.0)
         if self.rest_gain:
-            fade = self.rest_gain * np.minimum(view.distance / self.rest_distance, 1.0)
-            wanted = wanted + fade[:, None] * clip_norm(view.homing, self.step_limit)
+            pull = self.rest_gain * np.minimum(view.distance / self.rest_distance, 1.0)
+            wanted = wanted + pull[:, None] * clip_norm(view.homing, self.step_limit)
         lower, upper = working_envelope(arm, self.envelope_margin)
         wanted = np.minimum(np.maximum(wanted, lower), upper)
         return limit_position(arm, limit_lead(wanted, position, self.lead_limit))
@@ -130,9 +130,8 @@ class Commander:
         law = self.law
         if self._base is None:
             return law.command(self._arm, view, situation.state.position, situation.sent, action)
-        extra = law.authority(view.step) * between(action, -1.0, 1.0)
-        # The step does not fade near the target: what keeps the arm from hunting there is the policy.
-        step = clip_norm(view.step, law.step_limit)
+        extra = law.authority(view.step) * moves_tool(self._arm) * between(action, -1.0, 1.0)
+        step = fade(view.error, law.learning.fade) * clip_norm(view.step, law.step_limit)
         if law.patience > 0.0:
             calm = np.where(weightless(self._arm), law.calm(situation.since_target, view.step), 1.0)
             step, extra = calm * step, calm * extra
