@@ -15,10 +15,11 @@ def residual_reward(distance: Array, speed: Array, action: Array) -> Array:
     """Reward (N,) that keeps paying for accuracy down to a tenth of a millimetre.
 
     Three exponentials of different width give a slope at every distance (N,) [m]; the speed (N,) of the TCP
-    costs only near the target, the action (N, n) a little everywhere. Chosen by simulation.
+    costs only near the target, the action (N, n) a little everywhere. Chosen by simulation: with speed at 0.5
+    instead of 0.2, policies take a twentieth longer to come and stay within 2 mm.
     """
     attraction = 0.4 * np.exp(-distance / 0.010) + 0.5 * np.exp(-distance / 0.003) + 0.4 * np.exp(-distance / 0.001)
-    haste = 0.5 * np.minimum(speed, 1.0) * np.exp(-distance / 0.020)
+    haste = 0.2 * np.minimum(speed, 1.0) * np.exp(-distance / 0.020)
     effort = 0.02 * np.minimum(action**2, 2.0).sum(axis=-1)
     return -10.0 * np.minimum(distance, 0.1) + attraction - haste - effort
 
