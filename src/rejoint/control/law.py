@@ -50,7 +50,7 @@ def fade(error: Array, distance: float) -> Array:
     over the target. Steps that fade near the target make the jumps rare and small, and unlike a
     dead zone they leave no lasting error.
     """
-    size = np.linalg.norm(error, axis=-1, keepdims=True)
+    size = np.sqrt((error**2).sum(axis=-1, keepdims=True))
     return size / (size + distance)
 
 

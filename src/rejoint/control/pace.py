@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from rejoint.arms import Array
+from rejoint.control.law import between
 from rejoint.control.robot import Mask
 
 NOMINAL_PERIOD = 0.025
@@ -29,7 +30,7 @@ class Pace:
         if len(self.last) != len(time):
             elapsed = np.full(len(time), NOMINAL_PERIOD)
         else:
-            elapsed = np.clip(time - self.last, 0.0, LONGEST_PERIOD)
+            elapsed = between(time - self.last, 0.0, LONGEST_PERIOD)
         self.last = time.copy()
         return elapsed
 
