@@ -64,6 +64,7 @@ class Reason(IntFlag):
 TRIPS = Reason.NOT_FINITE | Reason.STALE | Reason.OUT_OF_RANGE | Reason.TEMPERATURE | Reason.SERVO_FAULT
 """Reasons that end the motion."""
 _TRIP_BITS = np.uint16(TRIPS.value)
+_LIMIT_BITS = np.array([Reason.LEAD, Reason.POSITION, Reason.STEP, Reason.FLOOR], dtype=np.uint16)  # as applied
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -164,10 +165,9 @@ def guard(limits: GuardLimits, command: Array, sent: Array, state: JointState, p
     changed = allowed != wanted
     if not changed.any():
         return Guarded(allowed, trips)
-    reasons = (
-        _flag(near != wanted, Reason.LEAD) + _flag(legal != near, Reason.POSITION)
-        + _flag(stepped != legal, Reason.STEP) + _flag(lifted[:, None], Reason.FLOOR)
-    )  # fmt: skip
+    stages = np.stack([wanted, near, legal, stepped])
+    limited = (stages[1:] != stages[:-1]).any(axis=-1)
+    reasons: Reasons = _LIMIT_BITS @ np.concatenate([limited, lifted[None]])
     return Guarded(allowed, trips + reasons * changed.any(axis=-1))
 
 
