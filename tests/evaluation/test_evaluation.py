@@ -68,6 +68,7 @@ def test_variants_differ_in_what_they_say():
     assert robots["play-in-loop"].plant._joints["play_in_loop"].all()
     assert not robots["worn"].plant._joints["play_in_loop"].any()
     assert robots["slow-wire"]._channel.period == (0.045, 0.055)
+    assert robots["any-wire"]._channel.period == (0.020, 0.050)
     assert robots["long-latency"]._channel.latency == (0.030, 0.050)
     assert (robots["healthy"].plant.torque_limit > 1.0).all()
     mass = robots["payload"].plant._batch.expand("body_mass")[:, -1] - ARM.mass[-1]

@@ -45,6 +45,7 @@ VARIANTS = (
     Variant(name="play-in-loop", meaning="worn arms whose encoders sit behind the gears' play", profile="play-in-loop"),
     Variant(name="long-latency", meaning="worn arms, commands arrive after 30 to 50 ms", latency=(0.030, 0.050)),
     Variant(name="slow-wire", meaning="worn arms at a control period of 45 to 55 ms", period=(0.045, 0.055)),
+    Variant(name="any-wire", meaning="worn arms, every control cycle takes 20 to 50 ms", period=(0.020, 0.050)),
     Variant(name="payload", meaning="worn arms with up to 250 g at the tool", payload=0.250),
     Variant(name="healthy", meaning="healthy arms", profile="healthy"),
 )
