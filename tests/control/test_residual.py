@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from rejoint.arms import frames, gravity_torque, mycobot280, position_jacobian, solve_position, tcp_position
+from rejoint.arms.size import heaviest_load
 from rejoint.control.controller import Situation
 from rejoint.control.observation import look
 from rejoint.control.residual import Commander, CommandLaw, working_envelope
@@ -126,3 +127,19 @@ def test_only_those_joints_calm_down_and_only_where_the_law_says_so() -> None:
     light = [0, 4, 5]  # base and wrist rolls; shoulder, elbow and wrist bend carry weight
     np.testing.assert_allclose(difference[1, light], -0.75 * LAW.authority_floor * MOVES[light], atol=1e-12)
     np.testing.assert_allclose(difference[1, 1:4], 0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize(("distance", "near"), [(0.0003, 1.0 / 1.01), (0.003, 0.5), (0.09, 1.0 / 901.0)])
+def test_near_the_target_the_heaviest_joint_is_spared(distance: float, near: float) -> None:
+    rest = np.tile(ARM.rest, (2, 1))
+    target = tcp_position(ARM, rest) + np.array([0.6, 0.0, 0.8]) * distance
+    moved = {}
+    for law in (LAW, replace(LAW, burden=3.0)):
+        commander = Commander(ARM, law)
+        commander.reset(situation(rest, target), EVERY)
+        first, second = (command(commander, situation(rest, target, t), np.zeros((2, 6))) for t in (0.0, 0.02))
+        moved[law.burden] = (second - first)[0]
+    share = heaviest_load(ARM) / heaviest_load(ARM)[1]  # the shoulder's is the largest
+    expected = moved[0.0] * (1.0 - near * (1.0 - 1.0 / (1.0 + 3.0 * share)))
+    np.testing.assert_allclose(moved[3.0], expected, rtol=1e-6, atol=1e-12)
+    assert abs(moved[0.0][1]) > 1e-6

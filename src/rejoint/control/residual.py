@@ -21,7 +21,7 @@ from typing import Literal
 import numpy as np
 
 from rejoint.arms import Arm, Array, clip_norm, solve_position
-from rejoint.arms.size import moves_tool, weightless
+from rejoint.arms.size import heaviest_load, moves_tool, weightless
 from rejoint.control.controller import Situation
 from rejoint.control.feedforward import FeedforwardController, FeedforwardGains
 from rejoint.control.law import GAIN, STEP_LIMIT, between, fade, limit_lead, limit_position
@@ -60,6 +60,12 @@ class CommandLaw:
     rest_distance: float = 0.01
     """[m] TCP distance below which that pull fades, so that it does not disturb a settled arm"""
 
+    burden: float = 0.0
+    """by which the anchor ``goal`` spares joints that carry weight, near the target: the one with the largest load is
+    moved 1 + burden times less there. Load rubs: such a joint breaks loose late, jumps over the target and does
+    so for ever, where lighter ones can do its work"""
+    burden_distance: float = 0.003
+    """[m] TCP distance at which half of that holds (chosen: what such a jump covers)"""
     patience: float = 0.0
     """[s] since the target was set after which the anchor ``goal`` corrects joints that carry no weight by ever less,
     as a power of the time; 0: never. In the play of its gear such a joint answers late and coasts on, and what ends
@@ -110,6 +116,8 @@ class Commander:
     def __init__(self, arm: Arm, law: CommandLaw) -> None:
         self._arm, self.law = arm, law
         self._base: FeedforwardController | None = None
+        load = heaviest_load(arm)
+        self._spared = 1.0 - 1.0 / (1.0 + law.burden * load / max(load.max(), 1e-9))
         if law.anchor == "goal":
             if len(law.stiffness) != arm.joints:
                 raise InputError(f"the law needs the stiffness of {arm.joints} servos, got {list(law.stiffness)}")
@@ -132,6 +140,8 @@ class Commander:
             return law.command(self._arm, view, situation.state.position, situation.sent, action)
         extra = law.authority(view.step) * moves_tool(self._arm) * between(action, -1.0, 1.0)
         step = fade(view.error, law.learning.fade) * clip_norm(view.step, law.step_limit)
+        near = 1.0 / (1.0 + (view.distance / law.burden_distance) ** 2)
+        step = step * (1.0 - near[:, None] * self._spared)
         if law.patience > 0.0:
             calm = np.where(weightless(self._arm), law.calm(situation.since_target, view.step), 1.0)
             step, extra = calm * step, calm * extra

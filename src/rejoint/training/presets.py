@@ -59,9 +59,15 @@ class Preset:
 
 FADE = 0.0005
 """[m] distance at which the steps of the law under our policy have faded to half (chosen: the feed-forward controller's
-own fade leaves too little; without any, one hold in twelve settles above 1 mm at a control period of 50 ms)"""
+own leaves too little to it, with none arms hunt at a control period of 50 ms)"""
 
-DEFAULT = Preset(name="default", task=TaskSettings(law=CommandLaw(anchor="goal", learning=FeedforwardGains(fade=FADE))))
+BURDEN = 3.0
+"""How far the law under our policy spares joints with weight (chosen: with it fewer holds settle above 1 mm)"""
+
+DEFAULT = Preset(
+    name="default",
+    task=TaskSettings(law=CommandLaw(anchor="goal", learning=FeedforwardGains(fade=FADE), burden=BURDEN)),
+)
 
 PAPER = Preset(
     name="paper",
