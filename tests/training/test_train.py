@@ -166,12 +166,13 @@ def test_the_density_of_actions_is_that_of_the_noise():
     torch.manual_seed(0)
     actor = Actor(5, 3, (8,), -0.7)
     observation = torch.randn(1, 5)
-    draws = [actor.sample(observation, torch.Generator().manual_seed(seed))[0] for seed in range(4000)]
-    actions = torch.stack(draws).detach()
+    draws = [actor.sample(observation, torch.Generator().manual_seed(seed)) for seed in range(4000)]
+    actions, densities = (torch.cat(parts).detach() for parts in zip(*draws, strict=True))
     with torch.no_grad():
         normal = torch.distributions.Normal(actor.net(observation), actor.log_std.exp())
         told = actor.act({"observations": observation, "taken_actions": actions}, role="policy")[1]["log_prob"]
         assert torch.allclose(told[:, 0], normal.log_prob(actions).sum(dim=-1), atol=1e-5)
+        assert torch.allclose(told[:, 0], densities, atol=1e-5)
     np.testing.assert_allclose(actions.std(dim=0).numpy(), np.exp(-0.7), rtol=0.05)
 
 
@@ -188,7 +189,7 @@ def test_the_critic_sees_the_truth():
 def rollout(cycles, agents, **tensors) -> Rollout:
     """A rollout of zeros but for what is given."""
     shape = (cycles, agents)
-    zeros = {name: torch.zeros(shape) for name in ("value", "final_value", "reward", "distance")}
+    zeros = {name: torch.zeros(shape) for name in ("log_density", "value", "final_value", "reward", "distance")}
     zeros |= {name: torch.zeros(shape, dtype=torch.bool) for name in ("terminated", "truncated")}
     zeros |= {name: torch.zeros((*shape, 2)) for name in ("observation", "truth", "action")}
     zeros |= {name: torch.zeros((1, agents, 2)) for name in ("next_observation", "next_truth")}
@@ -270,6 +271,9 @@ def test_a_rollout_holds_what_was_seen_done_and_got():
     np.testing.assert_array_equal(rolled.observation[1:], [transition.observation for transition in seen[:-1]])
     np.testing.assert_array_equal(rolled.action, actions)
     np.testing.assert_allclose(rolled.reward, [transition.reward for transition in seen], rtol=1e-6)
+    with torch.no_grad():
+        told = learner.actor.act({"observations": rolled.observation, "taken_actions": rolled.action})[1]["log_prob"]
+    np.testing.assert_allclose(rolled.log_density, told[..., 0], atol=1e-4)
 
 
 def test_learning_rate_falls_linearly_to_its_last_value():

@@ -27,13 +27,14 @@ class Crew:
     @torch.no_grad()
     def roll(self, actor: Actor, critic: Critic, cycles: int) -> Rollout:
         """Act for some control cycles."""
-        observations, truths, actions, transitions = [], [], [], []
+        observations, truths, actions, densities, transitions = [], [], [], [], []
         for _ in range(cycles):
-            action = actor.sample(self._observation, self._exploration)
+            action, density = actor.sample(self._observation, self._exploration)
             transition = self.task.step(action.numpy())
             observations.append(self._observation)
             truths.append(self._truth)
             actions.append(action)
+            densities.append(density)
             transitions.append(transition)
             self._observation, self._truth = map(torch.from_numpy, (transition.observation, transition.truth))
         observation, truth, action = torch.stack(observations), torch.stack(truths), torch.stack(actions)
@@ -41,6 +42,7 @@ class Crew:
             observation=observation,
             truth=truth,
             action=action,
+            log_density=torch.stack(densities),
             value=critic.value(observation, truth),
             final_value=_final_values(critic, transitions),
             next_observation=self._observation[None],

@@ -50,20 +50,27 @@ class Actor(Model):  # type: ignore[misc]
     def act(self, inputs: dict[str, Tensor], *, role: str = "") -> tuple[Tensor, dict[str, Any]]:
         """Mean action (..., n) and logarithm (..., 1) of the density of the actions taken, as skrl asks for them."""
         mean, outputs = self.compute(inputs, role)
-        log_std = outputs["log_std"]
-        apart = (inputs["taken_actions"] - mean) * (-log_std).exp()
-        constant = log_std.sum() + 0.5 * mean.shape[-1] * np.log(2.0 * np.pi)
-        return mean, {"log_prob": -0.5 * (apart**2).sum(dim=-1, keepdim=True) - constant}
+        apart = (inputs["taken_actions"] - mean) * (-outputs["log_std"]).exp()
+        return mean, {"log_prob": self._log_density(apart)[..., None]}
 
     def distribution(self, *, role: str = "") -> torch.distributions.Normal:  # noqa: ARG002
         """Distribution of the noise alone; skrl reports its width."""
         log_std = self.log_std.detach()
         return torch.distributions.Normal(torch.zeros_like(log_std), log_std.exp())
 
-    def sample(self, observation: Tensor, random: torch.Generator) -> Tensor:
-        """Draw actions (N, n) for observations (N, size); several threads may do so at the same time."""
+    def sample(self, observation: Tensor, random: torch.Generator) -> tuple[Tensor, Tensor]:
+        """Draw actions (N, n) for observations (N, size), with the logarithms (N,) of their densities.
+
+        Several threads may do so at the same time.
+        """
         mean: Tensor = self.net(observation)
-        return mean + self.log_std.exp() * torch.randn(mean.shape, generator=random)
+        apart = torch.randn(mean.shape, generator=random)
+        return mean + self.log_std.exp() * apart, self._log_density(apart)
+
+    def _log_density(self, apart: Tensor) -> Tensor:
+        """Logarithms (...) of the densities of actions ``apart`` (..., n) standard deviations from the mean."""
+        constant = self.log_std.sum() + 0.5 * apart.shape[-1] * np.log(2.0 * np.pi)
+        return -0.5 * (apart**2).sum(dim=-1) - constant
 
 
 class Critic(DeterministicMixin, Model):  # type: ignore[misc]

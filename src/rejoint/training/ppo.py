@@ -28,6 +28,8 @@ class Rollout:
     observation: Tensor
     truth: Tensor
     action: Tensor
+    log_density: Tensor
+    """logarithm of the density of the action when it was taken"""
     value: Tensor
     final_value: Tensor
     """value of the state in which a target timed out, before the next one appeared; 0 elsewhere"""
@@ -92,7 +94,7 @@ class Ppo(PPO):  # type: ignore[misc]
         """Improve both networks by one rollout, whose ``iteration``-th update this is."""
         columns = {
             "observations": rollout.observation, "states": rollout.truth, "actions": rollout.action,
-            "log_prob": self._densities(rollout), "values": rollout.value[..., None],
+            "log_prob": rollout.log_density[..., None], "values": rollout.value[..., None],
             "rewards": self._rewards(rollout)[..., None],
             "terminated": rollout.terminated[..., None], "truncated": rollout.truncated[..., None],
         }  # fmt: skip
@@ -108,13 +110,6 @@ class Ppo(PPO):  # type: ignore[misc]
         tracked = {name: float(np.mean(values)) for name, values in self.tracking_data.items()}
         self.tracking_data.clear()
         return Losses(tracked["Loss / Policy loss"], tracked["Loss / Value loss"])
-
-    @torch.no_grad()
-    def _densities(self, rollout: Rollout) -> Tensor:
-        """Logarithms (T, N, 1) of the densities of the actions when they were taken."""
-        taken = {"observations": rollout.observation, "taken_actions": rollout.action}
-        densities: Tensor = self.policy.act(taken, role="policy")[1]["log_prob"]
-        return densities
 
     def _rewards(self, rollout: Rollout) -> Tensor:
         """Rewards (T, N); a time-out is no failure: it goes on with the value of the state that it cut off."""
