@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from rejoint.arms import Arm, Array, collides, frames, gravity_torque, tcp_position
 from rejoint.control.controller import Situation
 from rejoint.control.guard import GuardLimits, guard
-from rejoint.control.observation import Layout, Observation, Observer
+from rejoint.control.observation import ALL, Layout, Observation, Observer, Rows
 from rejoint.control.residual import Commander, CommandLaw
 from rejoint.control.robot import JointState, Mask
 from rejoint.training.play import Play
@@ -221,8 +221,8 @@ class ReachTask:
         rows = np.flatnonzero(ended)
         observation, truth = final.copy(), final_truth.copy()
         observation[rows] = self.observer.observe(self._situation(), rows)
-        distance = np.linalg.norm(self._target - self._tcp, axis=-1)
-        truth[rows] = self._truth(distance, np.zeros(self.agents))[rows]
+        distance = np.linalg.norm(self._target[rows] - self._tcp[rows], axis=-1)
+        truth[rows] = self._truth(distance, np.zeros(len(rows)), rows)
         return observation, truth
 
     def _new_targets(self, where: Mask) -> None:
@@ -273,9 +273,9 @@ class ReachTask:
     def _quantised(self, position: Array) -> Array:
         return np.round(position / self.arm.encoder_step) * self.arm.encoder_step
 
-    def _truth(self, distance: Array, speed: Array) -> Observation:
-        """Return what only the critic sees (N, truth)."""
-        truth = self._fixed.copy()
-        lag = self._reference - self.twins.qpos
-        moving_truth(truth, distance, speed, self.twins.qvel, lag, self._period)
+    def _truth(self, distance: Array, speed: Array, rows: Rows = ALL) -> Observation:
+        """Return what only the critic sees (N, truth) of all agents, or of some ``rows`` only."""
+        truth = self._fixed[rows].copy()
+        lag = self._reference[rows] - self.twins.qpos[rows]
+        moving_truth(truth, distance, speed, self.twins.qvel[rows], lag, self._period[rows])
         return truth
