@@ -28,7 +28,7 @@ class Frames(NamedTuple):
     """(..., 3) [m]"""
 
 
-_NEXT, _AFTER = np.array([1, 2, 0]), np.array([2, 0, 1])  # coordinates in the cyclic order of a cross product
+_CYCLE = np.array([1, 2, 0, 1])  # coordinates in the order of a vector product: each with the one before it
 
 
 @lru_cache(maxsize=32)
@@ -118,5 +118,5 @@ def gravity_torque(arm: Arm, q: Array) -> Array:
 
 def _cross(a: Array, b: Array) -> Array:
     """Vector products (..., 3), with coordinates first inside: `numpy.cross` costs several times as much."""
-    x, y = a.T, b.T
-    return (x[_NEXT] * y[_AFTER] - x[_AFTER] * y[_NEXT]).T
+    x, y = a.T[_CYCLE], b.T[_CYCLE]
+    return (x[:-1] * y[1:] - x[1:] * y[:-1]).T

@@ -103,7 +103,6 @@ class FeedforwardController:
         }  # fmt: skip
 
     def _observe_speed(self, position: Array, elapsed: Array) -> None:
-        news = elapsed > 0.0
-        difference = (position - self._position) / np.where(news, elapsed, 1.0)
-        self._speed = np.where(news, _SMOOTHING * difference + (1.0 - _SMOOTHING) * self._speed, self._speed)
+        newest = np.divide(position - self._position, elapsed, out=self._speed.copy(), where=elapsed > 0.0)
+        self._speed = _SMOOTHING * newest + (1.0 - _SMOOTHING) * self._speed
         self._position = position
