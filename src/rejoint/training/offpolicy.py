@@ -56,7 +56,7 @@ class OffPolicySettings:
 
     algorithm: Algorithm
     preset: Preset = DEFAULT
-    cycles: int = 2560
+    cycles: int = DEFAULT.ppo.rollout * DEFAULT.ppo.iterations
     """control cycles, PPO's number; with ``gradient_steps`` they take as long as its training does (measured)"""
     gradient_steps: int = 2
     """after every control cycle"""

@@ -19,7 +19,7 @@ class PpoSettings:
 
     rollout: int = 32
     """control cycles between two updates"""
-    iterations: int = 80
+    iterations: int = 120
     """updates"""
     epochs: int = 5
     mini_batches: int = 8
