@@ -25,7 +25,7 @@ from benchmarks import logs as sources
 from rejoint.arms import Arm, load_arm
 from rejoint.exclusions import find_exclusions, table_height
 from rejoint.runs import RunLog
-from rejoint.twin.fit import Fit, Problem, fit
+from rejoint.twin.fit import SCALES, Fit, Problem, fit
 from rejoint.twin.fromlogs import FITTED, LogSettings, fit_motions, identify_logs, independent
 from rejoint.twin.judge import NO_TWIN, TIMESTEP, Candidate, Errors, judge
 from rejoint.twin.model import friction_solref, twin_spec
@@ -158,7 +158,7 @@ def sysid(arm: Arm, logs: Sequence[RunLog], seconds: float = 80.0) -> None:
     problem = Problem(Replay(arm, seen, windows, TIMESTEP, 1, 1.0), structure.prior, frozen)
     start = time.process_time()
     rough = np.where(problem.frozen, mean, rough_fit(problem))
-    ours = unpack(fit(problem, rough, 8).vector, arm.joints)
+    ours = unpack(fit(problem, rough, 8, SCALES).vector, arm.joints)
     ours_s = time.process_time() - start
     sequences, params = sysid_problem(tool, arm, problem, unpack(mean, arm.joints))
     start = time.process_time()

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from motion_logs import ARM, STEP, TRUTH, chirp, pressing, record, wandering
+from motion_logs import ARM, PERIOD, STEP, TRUTH, chirp, pressing, record, wandering
 
 from rejoint.arms import tcp_position
 from rejoint.errors import InputError
@@ -12,9 +12,9 @@ from rejoint.twin.file import read_twin, write_twin
 from rejoint.twin.fit import Problem
 from rejoint.twin.fromlogs import FITTED, HEALTHY, LogSettings, hold_out, identify_logs
 from rejoint.twin.judge import NO_TWIN
-from rejoint.twin.parameters import pack, vector_names
+from rejoint.twin.parameters import pack, unpack, vector_names
 from rejoint.twin.replay import Replay, cut
-from rejoint.twin.structure import find_acceleration, simplest
+from rejoint.twin.structure import EARLIER, find_acceleration, simplest
 from rejoint.twin.table import Table
 from rejoint.twin.unknown import unknown_prior
 
@@ -114,7 +114,6 @@ def test_what_is_known_of_the_servos_holds_where_the_logs_do_not_tell():
     assert pytest.approx(38.963, abs=1e-3) == ARM.servo_acceleration  # 254 * 100 counts of a 4096th turn
     time, moving = wandering(0, 8.0)
     still = [record(f"still{k}", time, np.tile(moving[k : k + 1], (len(time), 1))) for k in (0, 200)]
-    simple = simplest(unknown_prior(ARM), 1.25)
     for logs, found in ((still, {39.0: 39.0, np.inf: np.inf}), ([record("moving", time, moving)], {39.0: np.inf})):
         windows = cut(logs, 8.0)
 
@@ -122,10 +121,38 @@ def test_what_is_known_of_the_servos_holds_where_the_logs_do_not_tell():
             replay = Replay(ARM, logs, windows, STEP, 1, structure.stiction, acceleration=structure.acceleration)
             return Problem(replay, structure.prior, structure.frozen)
 
-        start = np.where(np.isinf(pack(TRUTH)), simple.prior.mean, pack(TRUTH))
-        start = np.clip(start, simple.prior.lower, simple.prior.upper)
         for known, expected in found.items():
-            assert find_acceleration(problem, simple, start, known).acceleration == expected
+            simple = simplest(unknown_prior(ARM), 1.25, known)
+            truth = replace(TRUTH, delay=TRUTH.delay - (EARLIER if known < np.inf else 0.0))
+            start = np.clip(pack(truth), simple.prior.lower, simple.prior.upper)
+            assert find_acceleration(problem, simple, start).acceleration == expected
+
+
+def test_a_joint_moves_alike_when_its_torques_and_inertia_are_scaled(logs):
+    replay = Replay(ARM, logs, cut(logs[:1], 8.0), STEP, 1, 1.25)
+    structure = simplest(unknown_prior(ARM), 1.25)
+    problem = Problem(replay, structure.prior, structure.frozen)
+    truth = np.clip(pack(TRUTH), structure.prior.lower, structure.prior.upper)
+    for factor, vector in zip((0.8, 1.5), problem.rescaled(truth, (0.8, 1.5)), strict=True):
+        twin = unpack(vector, ARM.joints)
+        for name in ("stiffness", "damping", "coulomb"):
+            np.testing.assert_allclose(getattr(twin, name), factor * getattr(TRUTH, name))
+        inertia = problem.link_inertia + np.stack([twin.armature, TRUTH.armature])
+        np.testing.assert_allclose(inertia[0], factor * inertia[1])
+        rest = [p.offset - problem.gravity / p.stiffness for p in (twin, TRUTH)]
+        np.testing.assert_allclose(rest[0], rest[1], atol=1e-12)
+    rms = np.sqrt(np.mean(problem.residuals(problem.rescaled(truth, (1.5,)))[0] ** 2, axis=0))
+    stiffer = truth + np.log(1.5) * (np.arange(len(truth)) < ARM.joints)
+    alone = np.sqrt(np.mean(problem.residuals(stiffer[None])[0] ** 2, axis=0))
+    assert (rms < 0.25 * alone).all()
+
+
+def test_rows_within_the_memory_count_as_one(logs):
+    replay = Replay(ARM, logs, cut(logs[:1], 8.0), STEP, 1, 1.25)
+    noise = np.random.default_rng(0).standard_normal((len(np.concatenate(replay.measured())), ARM.joints))
+    weights = [Problem(replay, unknown_prior(ARM), memory=m).weights(noise) for m in (0.0, 3.0)]
+    assert (weights[0].correlation < 2.0).all()
+    np.testing.assert_allclose(weights[1].correlation, 3.0 / PERIOD)
 
 
 def test_threads_do_not_change_what_is_found(logs):

@@ -40,7 +40,7 @@ def test_friction_holds_below_its_limit(arm):
     before = batch.qpos.copy()
     batch.step(200)
     creep_deg_per_s = np.degrees(np.abs(batch.qpos - before)).max() / (200 * 0.005)
-    assert creep_deg_per_s < 0.01
+    assert creep_deg_per_s < 2e-4  # 0.02 deg in the longest log of two minutes
 
 
 def test_friction_lets_go_above_its_limit(arm):

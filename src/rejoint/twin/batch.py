@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array
 from rejoint.errors import InputError
-from rejoint.twin.model import TIMESTEP, friction_solref, model_fields, stribeck_friction, twin_model
+from rejoint.twin.model import FRICTION_SOFTNESS, TIMESTEP, friction_solref, model_fields, stribeck_friction, twin_model
 from rejoint.twin.parameters import TwinParameters, nominal_parameters
 from rejoint.twin.table import TIP, Table, table_fields, table_pose
 
@@ -78,6 +78,7 @@ class TwinBatch:
         for name, value in model_fields(parameters, self._timestep[chosen], np.asarray(gravity_scale)):
             self._batch.expand(name)[chosen] = value
         self._batch.set_const(chosen.astype(np.int32))
+        self._batch.expand("dof_invweight0")[chosen] *= FRICTION_SOFTNESS
 
     def put_tables(self, tables: Sequence[Table]) -> None:
         """Put each simulation of a batch made with ``table`` on its table; after `write`, whose masses it needs."""

@@ -9,10 +9,11 @@ Contacts and joint stops are left out, since the guard keeps commands away from 
 under the tip, to replay logs of an arm that has touched its own (`rejoint.twin.table`).
 
 Three settings matter. Dry friction must hold: with MuJoCo's default solver settings a joint creeps about
-1 deg/s near the friction limit (measured), with these below 0.01 deg/s. The constraint Jacobian stays
-dense, since the sparse Cholesky factorisation of MuJoCo 4.0.0 has a known fault. And where dry friction is the
-only constraint the solver is projected Gauss-Seidel: a step of a moving arm costs 30 % less than with Newton's
-method, and after 60 steps the joints agree to 1e-4 deg (measured).
+1 deg/s near the friction limit, with its hardest ones up to 0.01, which is half a degree in a log of a minute
+(measured), with those here below 1e-4 deg/s. The constraint Jacobian stays dense, since the sparse Cholesky
+factorisation of MuJoCo 4.0.0 has a known fault. And the solver is projected Gauss-Seidel: a step of a moving arm
+costs 30 % less than with Newton's method, which moreover stops too early on friction this hard: joints that should
+rest slide by degrees (measured).
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ import numpy as np
 from rejoint.arms import Arm, Array
 from rejoint.arms.kinematics import GRAVITY
 from rejoint.errors import InputError
-from rejoint.twin.parameters import TwinParameters
+from rejoint.twin.parameters import TwinParameters, nominal_parameters
 from rejoint.twin.table import add_table
 
 TIMESTEP = 0.005
@@ -33,6 +34,9 @@ TIMESTEP = 0.005
 
 FRICTION_IMPEDANCE = (0.9999, 0.9999, 0.001, 0.5, 2.0)
 """solimp of the friction constraints (MuJoCo, modelling, solver parameters): nearly rigid"""
+FRICTION_SOFTNESS = 0.01
+"""On top of it, factor on MuJoCo's estimate of what a torque accelerates (``dof_invweight0``), to which the softness of
+friction constraints, and of no others here, is proportional (chosen: below it nothing changes)"""
 
 TCP_SITE = "tcp"
 
@@ -73,7 +77,20 @@ def twin_model(
         else:
             getattr(model, name)[:] = value
     mujoco.mj_setConst(model, mujoco.MjData(model))
+    model.dof_invweight0 *= FRICTION_SOFTNESS
     return model
+
+
+def link_inertia(arm: Arm, q: Array) -> Array:
+    """(n,) [kg m^2] inertia of all links behind each joint about its axis at a posture (n,) [rad], without motors."""
+    nominal = nominal_parameters(arm)
+    model = twin_model(arm, nominal)
+    data = mujoco.MjData(model)
+    data.qpos[:] = q
+    mujoco.mj_forward(model, data)
+    matrix = np.zeros((arm.joints, arm.joints))
+    mujoco.mj_fullM(model, data, matrix)
+    return np.asarray(np.diag(matrix) - nominal.armature)
 
 
 def model_fields(parameters: TwinParameters, timestep: Array, gravity_scale: Array) -> Iterator[tuple[str, Array]]:
@@ -111,7 +128,7 @@ def twin_spec(arm: Arm, table: bool = False) -> mujoco.MjSpec:
     option = spec.option
     option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     option.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
-    option.solver = mujoco.mjtSolver.mjSOL_NEWTON if table else mujoco.mjtSolver.mjSOL_PGS
+    option.solver = mujoco.mjtSolver.mjSOL_PGS
     disable = mujoco.mjtDisableBit
     option.disableflags |= (
         disable.mjDSBL_CONTACT | disable.mjDSBL_LIMIT | disable.mjDSBL_EQUALITY | disable.mjDSBL_SENSOR

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Array
-from rejoint.twin.fit import Problem, fit, line_up, loss, search
+from rejoint.twin.fit import SCALES, Problem, fit, line_up, loss, search
 from rejoint.twin.parameters import ARM_PARAMETERS, JOINT_PARAMETERS, PARAMETERS, Prior
 from rejoint.twin.replay import Window
 
@@ -89,9 +89,9 @@ class Found:
     """each structure tried with its relative loss: 1 for the simplest"""
 
 
-def simplest(belief: Prior, stiction: float) -> Structure:
-    """Give the structure without limits."""
-    return Structure(prior=_without_limits(belief, LIMITS), frozen=LIMITS, stiction=stiction)
+def simplest(belief: Prior, stiction: float, acceleration: float = np.inf) -> Structure:
+    """Give the structure without limits, but for what is known of the reference's ``acceleration`` [rad/s^2]."""
+    return Structure(prior=_without_limits(belief, LIMITS), frozen=LIMITS, stiction=stiction, acceleration=acceleration)
 
 
 def rough_fit(problem: Problem) -> Array:
@@ -101,7 +101,7 @@ def rough_fit(problem: Problem) -> Array:
     hardly fix.
     """
     belief, measured = problem.prior, problem.measured
-    x = fit(problem, belief.mean, ROUGH).vector
+    x = fit(problem, fit(problem, belief.mean, SHORT).vector, SHORT, SCALES).vector
     no_twin = loss(np.concatenate(problem.replay.commands()) - measured).sum(axis=0)
     if _ratio(_losses(problem, x), no_twin) < NEAR:
         return x
@@ -110,7 +110,7 @@ def rough_fit(problem: Problem) -> Array:
     starts = np.where(problem.frozen, belief.mean, drawn)
     starts[0] = x
     y = search(problem, np.clip(starts, belief.lower, belief.upper), rng, rounds=2)
-    return fit(problem, y, ROUGH).vector
+    return fit(problem, y, ROUGH, SCALES).vector
 
 
 def expressible(problem: Problem, x: Array) -> list[Window]:
@@ -124,31 +124,32 @@ def expressible(problem: Problem, x: Array) -> list[Window]:
     return [w for w, own in zip(problem.replay.windows, by_window, strict=True) if own <= limit]
 
 
-def find_acceleration(
-    make: Callable[[Structure], Problem], simple: Structure, start: Array, known: float = np.inf
-) -> Structure:
+def find_acceleration(make: Callable[[Structure], Problem], simple: Structure, start: Array) -> Structure:
     """Limit the reference's acceleration where that explains the fastest windows, from ``start`` (k,).
 
     ``make`` turns a structure into a problem of these windows. Each limit is judged by its own fit: without one,
-    delay and inertia stand for it. What is ``known`` [rad/s^2] of the servos holds where these windows do not tell.
+    delay and inertia stand for it. The acceleration of ``simple``, with which ``start`` was found, is what is known
+    of the servos: it holds where these windows do not tell.
     """
+    known = simple.acceleration
 
-    def fitted(acceleration: float, earlier: float) -> tuple[Problem, Array]:
+    def fitted(acceleration: float) -> tuple[Problem, Array]:
         problem = make(replace(simple, acceleration=acceleration))
         y = start.copy()
-        y[_places(problem, "delay")] -= earlier
+        y[_places(problem, "delay")] += EARLIER * (float(known < np.inf) - float(acceleration < np.inf))
         return problem, fit(problem, y, SHORT).vector
 
-    without = _losses(*fitted(np.inf, 0.0))
+    unlimited = replace(simple, acceleration=np.inf)
+    without = _losses(*fitted(np.inf))
     for best in ACCELERATIONS if known == np.inf else (known, *ACCELERATIONS[1:]):
-        problem, y = fitted(best, EARLIER)
+        problem, y = fitted(best)
         ratio = _ratio(_losses(problem, y), without)
         if ratio < 1.0 - LIMIT_GAIN:
             break
         if best == known and ratio < 1.0 / (1.0 - LIMIT_GAIN):
-            return replace(simple, acceleration=known)
+            return simple
     else:
-        return simple
+        return unlimited
     around, factor = _by_delay(problem, y), 2.0
     ratios = {best: _ratio(_lowest(problem, around), without)}
     while factor > FINEST:
@@ -185,7 +186,7 @@ def find_structure(
     ``make`` turns a structure into a problem that takes as many threads; the result does not depend on ``threads``.
     """
     problem = make(structure, threads)
-    x = fit(problem, start, FURTHER).vector
+    x = fit(problem, start, FURTHER, SCALES).vector
     first = best = _losses(problem, x)
     tried = [(f"stiction {structure.stiction:g}, acceleration {structure.acceleration:.3g}", 1.0)]
     for limit in LIMITS:
@@ -225,7 +226,7 @@ def _climb(
         # A joint that sticks more at rest has less friction in motion for the same hysteresis.
         guess = x.copy()
         guess[_places(problem, "coulomb")] -= np.log(stiction / structure.stiction)
-        y = fit(problem, guess, FURTHER).vector
+        y = fit(problem, guess, FURTHER, SCALES).vector
         losses = _losses(problem, y)
         tried.append((f"stiction {stiction:g}", _ratio(losses, start)))
         if _ratio(losses, best) >= 1.0 - STICTION_GAIN:
