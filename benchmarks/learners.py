@@ -10,7 +10,7 @@ from rejoint.training.train import TrainingOptions, know_stiffness, make_learner
 ROLLOUT = DEFAULT.ppo.rollout
 
 
-def begin(agents: int = 512) -> Learner:
+def begin(agents: int = DEFAULT.ppo.agents) -> Learner:
     """Start a training on two threads and do its first update."""
     torch.set_float32_matmul_precision("medium")  # as `rejoint train` does
     arm = mycobot280()

@@ -332,7 +332,7 @@ def test_the_paper_s_preset_has_the_paper_s_table_3():
     assert ppo.rollout * ppo.iterations == 5000
     assert len(ppo.actor_layers) == len(ppo.critic_layers) == 3
     assert (task.hold_steps, task.ends_on_success, task.law.anchor) == (250, True, "measured")
-    assert TrainingOptions().agents == 512
+    assert ppo.agents == 512
 
 
 def test_a_policy_of_the_paper_s_preset_can_be_deployed(tmp_path):

@@ -47,7 +47,7 @@ from rejoint.twin.twin import Twin
 Algorithm = Literal["sac", "td3", "ddpg"]
 ALGORITHMS: tuple[Algorithm, ...] = ("sac", "td3", "ddpg")
 
-_REPORT_EVERY = 32  # control cycles, as PPO's rollouts
+_REPORT_EVERY = 32  # control cycles
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,8 +56,8 @@ class OffPolicySettings:
 
     algorithm: Algorithm
     preset: Preset = DEFAULT
-    cycles: int = DEFAULT.ppo.rollout * DEFAULT.ppo.iterations
-    """control cycles, PPO's number; with ``gradient_steps`` they take as long as its training does (measured)"""
+    cycles: int = DEFAULT.ppo.transitions // 512
+    """control cycles, for PPO's number of transitions"""
     gradient_steps: int = 2
     """after every control cycle"""
     batch: int = 1024

@@ -42,7 +42,8 @@ class TrainingOptions:
 
     preset: str | Preset = "default"
     seed: int = 0
-    agents: int = 512
+    agents: int | None = None
+    """the preset's own number by default"""
     threads: int = 2
     """of simulation and learning; with another number of them sums are taken in another order, and the policy
     differs in its last digits"""
@@ -57,11 +58,11 @@ class TrainingOptions:
 
     @property
     def recipe(self) -> Preset:
-        """The preset with the number of iterations asked for."""
+        """The preset with the numbers of agents and iterations asked for."""
         preset = self.preset if isinstance(self.preset, Preset) else load_preset(self.preset)
-        return (
-            preset if self.iterations is None else replace(preset, ppo=replace(preset.ppo, iterations=self.iterations))
-        )
+        agents = preset.ppo.agents if self.agents is None else self.agents
+        iterations = preset.ppo.iterations if self.iterations is None else self.iterations
+        return replace(preset, ppo=replace(preset.ppo, agents=agents, iterations=iterations))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -101,7 +102,7 @@ def train(
     checkpoint, curves = folder.training / "checkpoint.pt", folder.training / "curves.parquet"
     torch.set_float32_matmul_precision("medium")  # products in bfloat16, where the processor has it, sums in float32
     learner = make_learner(arm, twin, recipe, options)
-    identity = _identity(arm, twin, recipe, options)
+    identity = _identity(arm, twin, recipe, options.seed)
     if options.resume and checkpoint.exists():
         learner.load(checkpoint, identity)
     total = recipe.ppo.iterations
@@ -149,8 +150,8 @@ def write_curves(path: Path, curve: Sequence[CurvePoint]) -> None:
 
 def make_learner(arm: Arm, twin: Twin | None, recipe: Preset, options: TrainingOptions) -> Learner:
     """Set up what a training works on, at its beginning."""
-    ranges, crews = training_ranges(arm, twin, recipe), min(CREWS, options.agents)
-    sizes = [len(part) for part in np.array_split(np.arange(options.agents), crews)]
+    ranges, crews = training_ranges(arm, twin, recipe), min(CREWS, recipe.ppo.agents)
+    sizes = [len(part) for part in np.array_split(np.arange(recipe.ppo.agents), crews)]
     tasks = [
         ReachTask(
             arm, ranges, size, recipe.task, seed=crews * options.seed + k, threads=max(options.threads // crews, 1)
@@ -174,14 +175,13 @@ def know_stiffness(recipe: Preset, arm: Arm, twin: Twin | None) -> Preset:
     return replace(recipe, task=replace(recipe.task, law=law))
 
 
-def _identity(arm: Arm, twin: Twin | None, recipe: Preset, options: TrainingOptions) -> dict[str, Any]:
+def _identity(arm: Arm, twin: Twin | None, recipe: Preset, seed: int) -> dict[str, Any]:
     """Name what a checkpoint must agree in to be continued."""
     return {
         "arm": arm_digest(arm),
         "twin": "" if twin is None else twin.digest(),
         "recipe": asdict(recipe),
-        "seed": options.seed,
-        "agents": options.agents,
+        "seed": seed,
         "software": __version__,
     }
 
