@@ -40,7 +40,7 @@ def dls(jacobian: Array, error: Array, damping: float | Array = DAMPING) -> Arra
 
 def clip_norm(step: Array, limit: float) -> Array:
     """Scale whole vectors (..., n) down so that no element exceeds ``limit`` in size."""
-    largest = np.abs(step).max(axis=-1, keepdims=True)
+    largest = np.maximum.reduce(np.abs(step), axis=-1, keepdims=True)
     return step * np.minimum(1.0, limit / np.maximum(largest, 1e-12))
 
 

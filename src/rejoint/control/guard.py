@@ -166,9 +166,9 @@ def guard(limits: GuardLimits, command: Array, sent: Array, state: JointState, p
     if not changed.any():
         return Guarded(allowed, trips)
     stages = np.stack([wanted, near, legal, stepped])
-    limited = (stages[1:] != stages[:-1]).any(axis=-1)
+    limited = np.logical_or.reduce(stages[1:] != stages[:-1], axis=-1)
     reasons: Reasons = _LIMIT_BITS @ np.concatenate([limited, lifted[None]])
-    return Guarded(allowed, trips + reasons * changed.any(axis=-1))
+    return Guarded(allowed, trips + reasons * np.logical_or.reduce(changed, axis=-1))
 
 
 def reason_names(reasons: int) -> tuple[str, ...]:
@@ -218,7 +218,7 @@ def _keep_above_floor(limits: GuardLimits, command: Array, sent: Array) -> tuple
 
     A point that is already too low may not sink further, so every motion that lifts it is free.
     """
-    low: Mask = np.asarray((_clearances(limits, command) < 0.0).any(axis=-1))
+    low: Mask = np.logical_or.reduce(_clearances(limits, command) < 0.0, axis=-1)
     if not low.any():
         return command, low
     index = np.flatnonzero(low)

@@ -81,7 +81,7 @@ class CommandLaw:
 
     def authority(self, step: Array) -> Array:
         """Largest correction (B, 1) [rad] at the damped least-squares steps ``step`` (B, n) [rad]."""
-        largest = np.abs(step).max(axis=-1, keepdims=True)
+        largest = np.maximum.reduce(np.abs(step), axis=-1, keepdims=True)
         return np.minimum(self.authority_floor + self.authority_slope * largest, self.authority_limit)
 
     def calm(self, since_target: Array, step: Array) -> Array:
