@@ -1,10 +1,11 @@
 """Identification on the logs of an SO-101, and its speed beside MuJoCo's own tools.
 
-    python -m benchmarks.identification LOGS [folds] [one] [halves] [sysid] [rollout]
+    python -m benchmarks.identification LOGS [folds] [one] [halves] [wall] [sysid] [rollout]
 
 LOGS is a folder of SAGE motions (github.com/isaac-sim2real/sage, output/real/so101/custom). Without names
 everything is run. `make bench` runs the last two, on real logs where it is given some, else on those of an
-emulated arm. Times are processor seconds of the whole process, so they hardly depend on other load.
+emulated arm. Times are processor seconds of the whole process, so they hardly depend on other load; but for those of
+`wall`, which wants two idle cores.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import io
+import itertools
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -81,6 +83,21 @@ def folds(arm: Arm, logs: Sequence[RunLog]) -> None:
           f"joints {deg.mean():.3f} deg (median {np.median(deg):.3f})")  # fmt: skip
     for k, errors in enumerate(whole):
         print(f"fold {k}: {mm_deg(errors)}")
+
+
+def wall(arm: Arm, logs: Sequence[RunLog]) -> None:
+    """How long one waits for a fit on two cores, stage by stage, without the judgement."""
+    stages = [("exclusions", time.perf_counter())]
+
+    def note(stage: str, _fraction: float) -> None:
+        if stages[-1][0] != stage:
+            stages.append((stage, time.perf_counter()))
+
+    identify_logs(arm, logs, LogSettings(threads=2, hold_out=tuple(log.label for log in logs[::FOLDS])), note)
+    judged = [name for name, _ in stages].index("held-out motions")
+    for (name, start), (_, end) in itertools.pairwise(stages[: judged + 1]):
+        print(f"{name:40} {end - start:5.1f} s")
+    print(f"{'together':40} {stages[judged][1] - stages[0][1]:5.1f} s")
 
 
 def one(arm: Arm, logs: Sequence[RunLog]) -> None:
@@ -274,7 +291,7 @@ def rollout(arm: Arm, logs: Sequence[RunLog]) -> None:
     print(f"mujoco.rollout:      {sims * replay.steps * TIMESTEP / taken:6.0f} s/s (simulation alone)")
 
 
-SECTIONS = {"folds": folds, "one": one, "halves": halves, "sysid": sysid, "rollout": rollout}
+SECTIONS = {"folds": folds, "one": one, "halves": halves, "wall": wall, "sysid": sysid, "rollout": rollout}
 
 
 def bench(given: Path | None) -> None:
