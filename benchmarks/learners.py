@@ -13,7 +13,7 @@ ROLLOUT = DEFAULT.ppo.rollout
 def begin(agents: int = DEFAULT.ppo.agents) -> Learner:
     """Start a training on two threads and do its first update."""
     torch.set_float32_matmul_precision("medium")  # as `rejoint train` does
-    arm = mycobot280()
-    learner = make_learner(arm, None, know_stiffness(DEFAULT, arm, None), TrainingOptions(agents=agents, threads=2))
+    arm, options = mycobot280(), TrainingOptions(agents=agents, threads=2)
+    learner = make_learner(arm, None, know_stiffness(options.recipe, arm, None), options)
     learner.iterate()
     return learner
