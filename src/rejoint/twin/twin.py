@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from dataclasses import astuple, dataclass, field
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -161,11 +162,7 @@ class Twin:
         spread by ``least_spread`` on top; the others keep their prior range. A delay below zero is that of a recorder
         that reads after it stamps; no arm answers before it is told, so drawn ones are not below zero.
         """
-        scale = np.where(self.identified, widen, 1.0)
-        covariance = self.covariance * np.outer(scale, scale)
-        covariance = covariance + np.diag(np.where(vector_is_log(len(self.joint_names)), least_spread**2, 0.0))
-        values, vectors = np.linalg.eigh(covariance)
-        root = vectors * np.sqrt(np.maximum(values, 0.0))
+        root = _root(self, widen, least_spread)
         drawn = pack(self.parameters) + rng.standard_normal((count, len(self.names))) @ root.T
         lower = np.where(np.array(self.names) == "delay", np.maximum(self.lower, 0.0), self.lower)
         return unpack(np.clip(drawn, lower, self.upper), len(self.joint_names))
@@ -191,6 +188,20 @@ class Twin:
         if self.table is not None:
             h.update(np.array(astuple(self.table), dtype="<f8").tobytes())
         return h.hexdigest()[:16]
+
+
+@lru_cache(maxsize=8)
+def _root(twin: Twin, widen: float, least_spread: float) -> Array:
+    """Matrix (k, k) whose product with its transpose is the covariance that `Twin.sample` draws from.
+
+    Kept, since a training draws a few twins in almost every control cycle.
+    """
+    scale = np.where(twin.identified, widen, 1.0)
+    covariance = twin.covariance * np.outer(scale, scale)
+    covariance = covariance + np.diag(np.where(vector_is_log(len(twin.joint_names)), least_spread**2, 0.0))
+    values, vectors = np.linalg.eigh(covariance)
+    root: Array = vectors * np.sqrt(np.maximum(values, 0.0))
+    return root
 
 
 def _share_a_scale(one: str, other: str, correlation: float) -> bool:
