@@ -12,6 +12,7 @@ from rejoint.arms import (
     gravity_torque,
     heights,
     jacobian,
+    link_inertia,
     mycobot280,
     position_jacobian,
     so101,
@@ -21,6 +22,8 @@ from rejoint.arms import (
 from rejoint.arms.arm import dh_chain
 from rejoint.arms.mycobot280 import DH_TABLE, PAPER_ANGLE_SHIFT, PAPER_DH_TABLE
 from rejoint.errors import InputError
+from rejoint.twin.model import twin_model
+from rejoint.twin.parameters import nominal_parameters
 
 ARM = mycobot280()
 
@@ -126,3 +129,13 @@ def test_heights_are_those_of_the_frames(arm: Arm) -> None:
     expected = np.concatenate([f.position[..., 2], f.tcp_position[..., 2:]], axis=-1)
     np.testing.assert_allclose(heights(arm, q), expected, rtol=0.0, atol=1e-14)
     np.testing.assert_allclose(heights(arm, q[0, 0]), expected[0, 0], rtol=0.0, atol=1e-14)
+
+
+def test_link_inertia_is_the_mass_matrix_of_mujoco():
+    model = twin_model(ARM, nominal_parameters(ARM))
+    data, matrix = mujoco.MjData(model), np.zeros((ARM.joints, ARM.joints))
+    data.qpos[:] = np.random.default_rng(7).uniform(-1.0, 1.0, ARM.joints)
+    mujoco.mj_forward(model, data)
+    mujoco.mj_fullM(model, data, matrix)
+    expected = np.diag(matrix) - model.dof_armature
+    np.testing.assert_allclose(link_inertia(ARM, data.qpos), expected, rtol=1e-9, atol=1e-12)

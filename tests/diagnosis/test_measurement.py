@@ -5,9 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from rejoint.arms import gravity_torque, mycobot280
+from rejoint.arms import gravity_torque, link_inertia, mycobot280
 from rejoint.diagnosis import EXCITATION_LABEL, ExcitationLog, attach_segments, measure, plan_excitation
-from rejoint.diagnosis.measurement import link_inertia
 from rejoint.errors import InputError
 from rejoint.runs import RunLog, read_log, write_log
 

@@ -4,7 +4,16 @@ from rejoint.arms.arm import Arm, Array, Box
 from rejoint.arms.collision import collides, segment_distance
 from rejoint.arms.draft import Loaded
 from rejoint.arms.inverse import Solution, clip_norm, dls, solve_position
-from rejoint.arms.kinematics import frames, gravity_torque, heights, jacobian, position_jacobian, tcp_pose, tcp_position
+from rejoint.arms.kinematics import (
+    frames,
+    gravity_torque,
+    heights,
+    jacobian,
+    link_inertia,
+    position_jacobian,
+    tcp_pose,
+    tcp_position,
+)
 from rejoint.arms.loading import CATALOGUE, load_arm, read_arm
 from rejoint.arms.mycobot280 import mycobot280
 from rejoint.arms.so101 import so101
@@ -12,6 +21,6 @@ from rejoint.arms.tomlfile import write_arm_toml
 
 __all__ = [
     "CATALOGUE", "Arm", "Array", "Box", "Loaded", "Solution", "clip_norm", "collides", "dls", "frames",
-    "gravity_torque", "heights", "jacobian", "load_arm", "mycobot280", "position_jacobian", "read_arm",
+    "gravity_torque", "heights", "jacobian", "link_inertia", "load_arm", "mycobot280", "position_jacobian", "read_arm",
     "segment_distance", "so101", "solve_position", "tcp_pose", "tcp_position", "write_arm_toml",
 ]  # fmt: skip

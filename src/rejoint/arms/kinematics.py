@@ -116,6 +116,17 @@ def gravity_torque(arm: Arm, q: Array) -> Array:
     return -(_cross(f.axis, first_moment) @ GRAVITY)
 
 
+def link_inertia(arm: Arm, q: Array) -> Array:
+    """Moments of inertia (n,) [kg m^2] of all that hangs on each joint, about its axis, at posture ``q`` (n,) [rad]."""
+    f = frames(arm, q)
+    com = f.position + np.einsum("nij,nj->ni", f.rotation, arm.com)
+    inertia = f.rotation @ arm.inertia @ np.swapaxes(f.rotation, -1, -2)
+    own = np.einsum("ji,kil,jl->jk", f.axis, inertia, f.axis)
+    lever = np.cross(f.axis[:, None, :], com[None, :, :] - f.position[:, None, :])
+    about = own + arm.mass * (lever**2).sum(axis=-1)
+    return np.triu(about).sum(axis=1)
+
+
 def _cross(a: Array, b: Array) -> Array:
     """Vector products (..., 3), with coordinates first inside: `numpy.cross` costs several times as much."""
     x, y = a.T[_CYCLE], b.T[_CYCLE]

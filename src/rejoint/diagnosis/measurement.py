@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rejoint.arms import Arm, Array, frames
+from rejoint.arms import Arm, link_inertia
 from rejoint.diagnosis import metrics
 from rejoint.diagnosis.dynamics import Law, arm_delay, fit_dynamics, torque_given
 from rejoint.diagnosis.regression import Estimate, Fit, product, reciprocal
@@ -178,17 +178,6 @@ def _inertia_ratio(dynamics: Fit) -> Estimate:
 
 def _within(value: float, share: float) -> Estimate:
     return Estimate(value, value * (1 - share), value * (1 + share))
-
-
-def link_inertia(arm: Arm, q: Array) -> Array:
-    """Moments of inertia (n,) [kg m^2] of all that hangs on each joint, about its axis, at posture ``q`` (n,) [rad]."""
-    f = frames(arm, q)
-    com = f.position + np.einsum("nij,nj->ni", f.rotation, arm.com)
-    inertia = f.rotation @ arm.inertia @ np.swapaxes(f.rotation, -1, -2)
-    own = np.einsum("ji,kil,jl->jk", f.axis, inertia, f.axis)
-    lever = np.cross(f.axis[:, None, :], com[None, :, :] - f.position[:, None, :])
-    about = own + arm.mass * (lever**2).sum(axis=-1)
-    return np.triu(about).sum(axis=1)
 
 
 def _damping_ratio(dynamics: Fit) -> Estimate | None:

@@ -47,6 +47,8 @@ from rejoint.twin.twin import Twin
 Algorithm = Literal["sac", "td3", "ddpg"]
 ALGORITHMS: tuple[Algorithm, ...] = ("sac", "td3", "ddpg")
 
+AGENTS = 512
+"""that act at the same time"""
 _REPORT_EVERY = 32  # control cycles
 
 
@@ -56,7 +58,7 @@ class OffPolicySettings:
 
     algorithm: Algorithm
     preset: Preset = DEFAULT
-    cycles: int = DEFAULT.ppo.transitions // 512
+    cycles: int = DEFAULT.ppo.transitions // AGENTS
     """control cycles, for PPO's number of transitions"""
     gradient_steps: int = 2
     """after every control cycle"""
@@ -70,7 +72,7 @@ class OffPolicySettings:
     noise: tuple[float, float] = (0.3, 0.05)
     """standard deviation of the exploration noise of TD3 and DDPG, at the start and at the end"""
     seed: int = 0
-    agents: int = 512
+    agents: int = AGENTS
     threads: int = 2
 
 

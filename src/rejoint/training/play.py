@@ -15,17 +15,15 @@ the closing speed, until it is small (Nordin and Gutman 2002 review such models)
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False, disallow-untyped-decorators=False
 from __future__ import annotations
 
-import mujoco
 import numpy as np
 from numba import njit
 
-from rejoint.arms import Arm, Array
+from rejoint.arms import Arm, Array, link_inertia
 from rejoint.arms.size import weightless
 from rejoint.control.robot import Mask
 from rejoint.training.ranges import Draw
 from rejoint.twin.batch import TwinBatch
-from rejoint.twin.model import STRIBECK_SPEED, twin_model
-from rejoint.twin.parameters import nominal_parameters
+from rejoint.twin.model import STRIBECK_SPEED
 
 RESTITUTION = 0.5
 """Part of the closing speed with which motor and joint part again when they meet (chosen: steel teeth, some grease)."""
@@ -42,7 +40,7 @@ class Play:
     def __init__(self, arm: Arm, agents: int) -> None:
         shape = (agents, arm.joints)
         self._light = weightless(arm)
-        self._link = _link_inertia(arm)
+        self._link = link_inertia(arm, arm.rest)
         self._half, self._ahead, self._speed = np.zeros(shape), np.zeros(shape), np.zeros(shape)
         self._touch = np.ones(shape)  # 1 and -1: at the flanks, 0 between them
         self._stiction, self._grease = np.ones(shape), np.zeros((agents, 1))
@@ -79,16 +77,6 @@ class Play:
             "half": self._half, "ahead": self._ahead, "speed": self._speed, "touch": self._touch,
             "stiction": self._stiction, "grease": self._grease, "motor": self._motor,
         }  # fmt: skip
-
-
-def _link_inertia(arm: Arm) -> Array:
-    """Moment of inertia (n,) [kg m^2] that each joint turns in the rest posture, without its motor."""
-    model = twin_model(arm, nominal_parameters(arm))
-    data, mass = mujoco.MjData(model), np.zeros((arm.joints, arm.joints))
-    data.qpos[:] = arm.rest
-    mujoco.mj_forward(model, data)
-    mujoco.mj_fullM(model, data, mass)
-    return np.diag(mass) - model.dof_armature
 
 
 @njit(cache=True, nogil=True)

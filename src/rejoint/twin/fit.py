@@ -20,8 +20,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from rejoint.arms import Array, gravity_torque
-from rejoint.twin.model import link_inertia
+from rejoint.arms import Array, gravity_torque, link_inertia
 from rejoint.twin.parameters import ARM_PARAMETERS, JOINT_PARAMETERS, Prior, unpack
 from rejoint.twin.replay import Replay
 

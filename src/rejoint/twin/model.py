@@ -26,7 +26,7 @@ import numpy as np
 from rejoint.arms import Arm, Array
 from rejoint.arms.kinematics import GRAVITY
 from rejoint.errors import InputError
-from rejoint.twin.parameters import TwinParameters, nominal_parameters
+from rejoint.twin.parameters import TwinParameters
 from rejoint.twin.table import add_table
 
 TIMESTEP = 0.005
@@ -79,18 +79,6 @@ def twin_model(
     mujoco.mj_setConst(model, mujoco.MjData(model))
     model.dof_invweight0 *= FRICTION_SOFTNESS
     return model
-
-
-def link_inertia(arm: Arm, q: Array) -> Array:
-    """(n,) [kg m^2] inertia of all links behind each joint about its axis at a posture (n,) [rad], without motors."""
-    nominal = nominal_parameters(arm)
-    model = twin_model(arm, nominal)
-    data = mujoco.MjData(model)
-    data.qpos[:] = q
-    mujoco.mj_forward(model, data)
-    matrix = np.zeros((arm.joints, arm.joints))
-    mujoco.mj_fullM(model, data, matrix)
-    return np.asarray(np.diag(matrix) - nominal.armature)
 
 
 def model_fields(parameters: TwinParameters, timestep: Array, gravity_scale: Array) -> Iterator[tuple[str, Array]]:

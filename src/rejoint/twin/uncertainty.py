@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from scipy.special import stdtrit
 
 from rejoint.arms import Array
-from rejoint.twin.fit import STIFFNESS, Fit, Problem, influence, loss
+from rejoint.twin.fit import SCALES, STIFFNESS, Fit, Problem, influence, loss
 from rejoint.twin.parameters import JOINT_PARAMETERS, Prior
 
 CLUSTER = 3.0
@@ -38,7 +38,7 @@ LEAST_SHARE = 0.01
 """Least share of the curvature that is left of a direction along which the loss does not grow (chosen)"""
 NORMAL95 = 1.96
 """Normal quantile of a two-sided 95 % interval"""
-SCALE_STEP = float(np.log(1.41))
+SCALE_STEP = float(np.log(SCALES[-2]))
 """Step of the ladder `rejoint.twin.fit.SCALES`, taken as half a 95 % interval: fits to disjoint halves of a real arm's
 motions stop as far apart, and only 4 of 5 intervals agree without it (measured)"""
 
