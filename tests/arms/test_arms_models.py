@@ -23,8 +23,7 @@ from rejoint.arms.modelfile import read_tree
 
 def packaged(package: str, path: str) -> Path:
     found = find_spec(package)
-    if found is None or not found.submodule_search_locations:
-        pytest.skip(f"the package {package} is not installed")
+    assert found is not None, f"the extra dev brings {package}"
     return Path(found.submodule_search_locations[0]) / path
 
 

@@ -17,8 +17,7 @@ from rejoint.twin.parameters import nominal_parameters
 
 def ur5e() -> Arm:
     found = find_spec("airo_models")
-    if found is None or found.origin is None:
-        pytest.skip("airo-models is not installed")
+    assert found is not None, "the extra dev brings airo-models"
     return load_arm(str(Path(found.origin).parent / "arms/ur5e/ur5e.urdf"))
 
 

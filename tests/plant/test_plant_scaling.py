@@ -36,8 +36,7 @@ def resized(arm: Arm, length: float, mass: float) -> Arm:
 
 def ur5e() -> Arm:
     found = find_spec("airo_models")
-    if found is None or found.origin is None:
-        pytest.skip("airo-models is not installed")
+    assert found is not None, "the extra dev brings airo-models"
     return load_arm(str(Path(found.origin).parent / "arms/ur5e/ur5e.urdf"))
 
 
