@@ -18,8 +18,7 @@ class PpoSettings:
     """Settings of proximal policy optimisation (Schulman et al. 2017, arXiv:1707.06347)."""
 
     agents: int = 1024
-    """arms that act at the same time (chosen: with 512 and rollouts of twice the length policies are no better and a
-    transition costs a sixth more)"""
+    """arms that act at the same time (chosen: with 512 and rollouts of twice the length policies are no better)"""
     rollout: int = 16
     """control cycles between two updates"""
     iterations: int = 120
