@@ -222,3 +222,19 @@ def test_unknown_names_list_the_alternatives(tmp_path):
         make_controller("policy", ARM, policy=tmp_path / "nothing.onnx")
     with pytest.raises(InputError, match="stiffness must be positive"):
         make_controller("feedforward", ARM, stiffness=np.array([1.0, 1.0, 0.0, 1.0, 1.0, 1.0]))
+
+
+def test_a_goal_solved_ahead_is_taken_once_and_for_that_target_alone():
+    start, other = REST + 0.4, TARGETS[:, 1]
+    where = np.array([True, True, False])
+    here, ahead = (solve_position(ARM, TARGETS[:, 0], q).q for q in (REST, start))
+    assert (np.abs(here - ahead) > 1e-3).any(axis=1).all()
+    controller = FeedforwardController(ARM, 6.0)
+    controller.foresee(TARGETS[:, 0], start, where)
+    controller.reset(situation(REST), ALL)
+    np.testing.assert_allclose(controller.memory()["goal"], np.where(where[:, None], ahead, here), atol=1e-12)
+    controller.reset(situation(REST), ALL)
+    np.testing.assert_allclose(controller.memory()["goal"], here, atol=1e-12)
+    controller.foresee(TARGETS[:, 0], start, where)
+    controller.reset(situation(REST, target=other), ALL)
+    np.testing.assert_allclose(controller.memory()["goal"], solve_position(ARM, other, REST).q, atol=1e-12)

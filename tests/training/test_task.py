@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
 
-from rejoint.arms import mycobot280, tcp_position
+from rejoint.arms import mycobot280, solve_position, tcp_position
+from rejoint.control import goal
 from rejoint.control.controller import Situation
 from rejoint.control.guard import GuardLimits, guard
 from rejoint.control.observation import layout_slots
@@ -135,6 +136,43 @@ def test_targets_end_as_time_outs_and_arms_are_exchanged_after_three():
         assert (transition.truncated | ~changed).all()
         exchanged += changed
     assert (exchanged == 2).all()  # 30 cycles are two episodes of 15, wherever an agent began
+
+
+def test_what_is_prepared_is_what_agents_are_given(monkeypatch):
+    task = make(agents=40, settings=TaskSettings(hold_steps=20, targets=2, law=GOAL))
+    task.reset()
+    searched = []
+    solve = solve_position
+    monkeypatch.setattr(goal, "solve_position", lambda *args: searched.append(len(args[1])) or solve(*args))
+    task.prepare(8)
+    due, target = task._foreseen.copy(), task._next_target.copy()
+    leaving = due & (task._count == 1)
+    assert 5 <= due.sum() <= 35
+    assert leaving.any()
+    assert (~leaving & due).any()
+    goals = task.commander._base._goal._ahead.copy()
+    ended = np.zeros(40, dtype=bool)
+    for _ in range(8):
+        transition = task.step(np.zeros((40, 6)))
+        ended |= transition.truncated
+        now = transition.truncated & leaving
+        newcomers = task._newcomers.rows(task._newcomer[now])
+        np.testing.assert_array_equal(task._sent[now], newcomers.command)
+        np.testing.assert_array_equal(task.twins._batch.expanded("dof_damping")[now], newcomers.draw.twin.damping)
+    np.testing.assert_array_equal(ended, due)
+    np.testing.assert_array_equal(task._target[due], target[due])
+    np.testing.assert_array_equal(task.commander.memory()["goal"][due], goals[due])
+    np.testing.assert_allclose(tcp_position(ARM, goals[due]), target[due], atol=1e-5)
+    assert searched == [due.sum()]
+    assert not task._foreseen.any()
+
+
+def test_nothing_is_prepared_where_success_ends_a_target():
+    task = ReachTask(ARM, PaperRanges(arm=ARM, joint_noise=0.0), 8, PAPER.task, seed=0)
+    task.reset()
+    before = task.state()["random"]
+    task.prepare(1000)
+    assert task.state()["random"] == before
 
 
 def test_a_joint_at_rest_sticks_where_a_moving_one_slides():

@@ -68,6 +68,10 @@ class FeedforwardController:
         self._correction[where] -= idle
         self._raised[where] = goal + gravity_torque(self._arm, goal) / self._stiffness
 
+    def foresee(self, target: Array, start: Array, where: Mask) -> None:
+        """Solve ahead for the ``target`` (B, 3) of the next `reset` of the arms in ``where``, from ``start`` (B, n)."""
+        self._goal.foresee(target, start, where)
+
     def command(self, situation: Situation) -> Array:
         """Return the raised goal postures plus the correction, (B, n) [rad]."""
         seen = dls_step(self._arm, situation.state.position, situation.target)

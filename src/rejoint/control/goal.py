@@ -16,6 +16,17 @@ class Goal:
         self._arm = arm
         self.position: Array = np.zeros((0, arm.joints))
         """(B, n) [rad]"""
+        self._foreseen: Array = np.zeros((0, 3))  # (B, 3) targets solved ahead, NaN where there is none
+        self._ahead: Array = np.zeros((0, arm.joints))  # (B, n) their goal postures
+
+    def foresee(self, target: Array, start: Array, where: Mask) -> None:
+        """Solve ahead for the ``target`` (B, 3) [m] that each arm in ``where`` (B,) will be given next.
+
+        The search begins at ``start`` (B, n) [rad]; `reset` to that very target then takes what was found.
+        """
+        self._foreseen = np.where(where[:, None], target, np.nan)
+        self._ahead = start.copy()
+        self._ahead[where] = solve_position(self._arm, target[where], start[where]).q
 
     def reset(self, situation: Situation, where: Mask) -> None:
         """Solve for the targets of the arms in ``where`` (B,), searching from their last commands.
@@ -24,4 +35,9 @@ class Goal:
         """
         if len(self.position) != len(situation.sent):
             self.position = situation.sent.copy()
-        self.position[where] = solve_position(self._arm, situation.target[where], situation.sent[where]).q
+        if len(self._foreseen) == len(where):
+            known = where & (self._foreseen == situation.target).all(axis=1)
+            self.position[known], self._foreseen[known] = self._ahead[known], np.nan
+            where = where & ~known
+        if where.any():
+            self.position[where] = solve_position(self._arm, situation.target[where], situation.sent[where]).q

@@ -128,6 +128,11 @@ class Commander:
         if self._base is not None:
             self._base.reset(situation, where)
 
+    def foresee(self, target: Array, start: Array, where: Mask) -> None:
+        """Solve ahead for the ``target`` (B, 3) of the next `reset` of the arms in ``where``, from ``start`` (B, n)."""
+        if self._base is not None:
+            self._base.foresee(target, start, where)
+
     def forget(self, situation: Situation, where: Mask) -> None:
         """Start afresh with other arms in ``where`` (B,)."""
         if self._base is not None:

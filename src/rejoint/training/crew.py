@@ -27,6 +27,7 @@ class Crew:
     @torch.no_grad()
     def roll(self, actor: Actor, critic: Critic, cycles: int) -> Rollout:
         """Act for some control cycles."""
+        self.task.prepare(cycles)
         observations, truths, actions, densities, transitions = [], [], [], [], []
         for _ in range(cycles):
             action, density = actor.sample(self._observation, self._exploration)

@@ -14,6 +14,7 @@ from dataclasses import dataclass, fields, replace
 from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array
 from rejoint.arms.size import length_size, torque_size
@@ -55,6 +56,10 @@ class Draw:
     """(N, n) [rad] free motion of the gears inside the servo loop"""
     grease: Array
     """(N,) damping of a joint inside that play by that of its motor"""
+
+    def rows(self, index: NDArray[np.integer]) -> Draw:
+        """Return some of the arms."""
+        return Draw(**{field.name: getattr(self, field.name)[index] for field in fields(self)})
 
 
 class Ranges(Protocol):

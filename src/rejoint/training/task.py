@@ -17,14 +17,15 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rejoint.arms import Arm, Array, collides, frames, gravity_torque, tcp_position
+from rejoint.arms import Arm, Array, collides, frames, tcp_position
 from rejoint.control.controller import Situation
 from rejoint.control.guard import GuardLimits, guard
 from rejoint.control.observation import ALL, Layout, Observation, Observer, Rows
 from rejoint.control.residual import Commander, CommandLaw
 from rejoint.control.robot import JointState, Mask
+from rejoint.training.newcomers import Newcomers, draw_newcomers
 from rejoint.training.play import Play
-from rejoint.training.ranges import Draw, Ranges
+from rejoint.training.ranges import Ranges
 from rejoint.training.reward import SUCCESS_DISTANCE, paper_reward, residual_reward
 from rejoint.training.truth import fixed_truth, moving_truth, truth_size
 from rejoint.training.wire import Wire
@@ -110,7 +111,9 @@ class ReachTask:
         self._measured, self._sent = np.zeros((agents, n)), np.zeros((agents, n))
         self._coulomb, self._stiction = np.zeros((agents, n)), np.ones((agents, n))
         self._reference, self._tcp = np.zeros((agents, n)), np.zeros((agents, 3))
-        self._target = np.zeros((agents, 3))
+        self._target, self._next_target = np.zeros((2, agents, 3))
+        self._foreseen, self._newcomer = np.zeros(agents, dtype=bool), np.zeros(agents, dtype=np.int64)
+        self._newcomers: Newcomers | None = None
         self._step, self._count = np.zeros(agents, dtype=np.int64), np.zeros(agents, dtype=np.int64)
         self._fixed = np.zeros((agents, truth_size(n)), dtype=np.float32)
 
@@ -124,6 +127,24 @@ class ReachTask:
             self._count[:] = self._rng.integers(0, self.settings.targets, self.agents)
         distance = np.linalg.norm(self._target - self._tcp, axis=-1)
         return self.observer.observe(self._situation()), self._truth(distance, np.zeros(self.agents))
+
+    def prepare(self, cycles: int) -> None:
+        """Draw the targets and arms of all agents whose targets time out within so many cycles.
+
+        `step` does it for an agent when its target ends; together, inverse kinematics of a hundred arms cost as much
+        as of one. They are searched from the commands of now, which is where an arm is when its target ends as well.
+        """
+        if self.settings.ends_on_success or self.settings.collisions:
+            return  # nobody knows when
+        due = self._step + cycles >= self.settings.hold_steps
+        leaving = due & (self._count + 1 >= self.settings.targets)
+        self._newcomers = self._draw_newcomers(int(leaving.sum()))
+        self._newcomer[leaving] = np.arange(leaving.sum())
+        self._next_target[due] = self.arm.targets.sample(self._rng, (int(due.sum()),))
+        self._foreseen = due
+        sent = self._sent.copy()
+        sent[leaving] = self._newcomers.command
+        self.commander.foresee(self._next_target, sent, due)
 
     def step(self, action: NDArray[np.floating]) -> Transition:
         """Run one control cycle with actions (N, n)."""
@@ -157,7 +178,8 @@ class ReachTask:
         return {"random": self._rng.bit_generator.state, **arrays}
 
     def load_state(self, state: dict[str, Any]) -> None:
-        """Continue from what `state` returned, bit for bit."""
+        """Continue from what `state` returned, bit for bit, if nothing was prepared then that was not used up."""
+        self._foreseen[:] = False
         self._rng.bit_generator.state = state["random"]
         for name, value in self._arrays().items():
             value[...] = state[name]
@@ -226,17 +248,31 @@ class ReachTask:
         return observation, truth
 
     def _new_targets(self, where: Mask) -> None:
-        self._target[where] = self.arm.targets.sample(self._rng, (int(where.sum()),))
+        unforeseen = where & ~self._foreseen
+        self._next_target[unforeseen] = self.arm.targets.sample(self._rng, (int(unforeseen.sum()),))
+        self._target[where] = self._next_target[where]
+        self._foreseen[where] = False
         self._since[where] = 0.0
         self._step[where] = 0
         self.observer.reset(self._situation(), where)
         self.commander.reset(self._situation(), where)
 
     def _new_arms(self, where: Mask) -> None:
-        """Draw other arms, standing at a posture near rest."""
-        draw = self.ranges.draw(self._rng, int(where.sum()))
-        position = self._start_postures(draw)
-        command = position + self._start_lead(draw, position)
+        """Exchange arms for others, standing at a posture near rest."""
+        foreseen, unforeseen = where & self._foreseen, where & ~self._foreseen
+        if foreseen.any() and self._newcomers is not None:
+            self._seat(foreseen, self._newcomers.rows(self._newcomer[foreseen]))
+        if unforeseen.any():
+            self._seat(unforeseen, self._draw_newcomers(int(unforeseen.sum())))
+
+    def _draw_newcomers(self, count: int) -> Newcomers:
+        s = self.settings
+        lead_limit = s.law.lead_limit if s.start_sag else 0.0
+        return draw_newcomers(self.ranges, self._limits, self._rng, count, spread=s.start_spread, lead_limit=lead_limit)
+
+    def _seat(self, where: Mask, newcomers: Newcomers) -> None:
+        """Put ``newcomers`` (m,) in the places of the arms in ``where`` (N,)."""
+        draw, position, command = newcomers
         self.twins.write(draw.twin, where, gravity_scale=draw.gravity_scale)
         self.twins.restart(position, ids=where)
         self.wire.command_delay[where], self.wire.readback_delay[where] = draw.command_delay, draw.readback_delay
@@ -252,23 +288,6 @@ class ReachTask:
         self._fixed[where] = fixed_truth(self.arm, draw)
         self.observer.forget(where)
         self.commander.forget(self._situation(), where)
-
-    def _start_postures(self, draw: Draw) -> Array:
-        """Postures (m, n) [rad] around rest, inside the guard's limits and above the floor."""
-        shape = (len(draw.period), self.arm.joints)
-        position = self.arm.rest + self._rng.normal(0.0, self.settings.start_spread, shape)
-        position = np.clip(position, self._limits.lower, self._limits.upper)
-        low = tcp_position(self.arm, position)[:, 2] < 3.0 * self.arm.floor
-        return np.where(low[:, None], self.arm.rest, position)
-
-    def _start_lead(self, draw: Draw, position: Array) -> Array:
-        """Lead (m, n) [rad] of the first command: none up to all of what holds the arm in place."""
-        if not self.settings.start_sag:
-            return np.zeros_like(position)
-        torque = draw.gravity_scale[:, None] * gravity_torque(self.arm, position)
-        held = torque / draw.twin.stiffness - draw.twin.offset
-        lead = np.clip(held, -self.settings.law.lead_limit, self.settings.law.lead_limit)
-        return lead * self._rng.uniform(0.0, 1.0, (len(position), 1))
 
     def _quantised(self, position: Array) -> Array:
         return np.round(position / self.arm.encoder_step) * self.arm.encoder_step
