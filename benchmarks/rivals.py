@@ -1,7 +1,8 @@
-"""Training beside Stable-Baselines3's PPO: the same model, networks, mini-batches and epochs, in the same run.
+"""Training beside Stable-Baselines3's PPO on the same model and networks, in the same run.
 
-Twice: on our own task, and on a lean one written for a single arm with MuJoCo's own functions, which does less (no
-randomisation, delays, guard, or friction that follows the speed) and is as fast as such an environment gets.
+On two tasks: our own, and a lean one written for a single arm with MuJoCo's own functions, which does less (no
+randomisation, delays, guard, or friction that follows the speed) and is as fast as such an environment gets. On each
+with two settings: our mini-batches and epochs, and its own as it comes.
 """
 
 import time
@@ -109,8 +110,13 @@ def same_task(agents: int):
     return Agents()
 
 
-def stable_baselines3(environments):
-    """Start Stable-Baselines3's PPO and do its first update."""
+OURS = {"batch_size": TRANSITIONS // DEFAULT.ppo.mini_batches, "n_epochs": DEFAULT.ppo.epochs}
+ITS_OWN = {}
+"""Settings of its learning: what is not given is its default, mini-batches of 64 and ten epochs."""
+
+
+def stable_baselines3(environments, learning):
+    """Start Stable-Baselines3's PPO with settings of its ``learning`` and do its first update."""
     import torch
     from stable_baselines3 import PPO
 
@@ -119,8 +125,7 @@ def stable_baselines3(environments):
         "MlpPolicy",
         environments,
         n_steps=TRANSITIONS // environments.num_envs,
-        batch_size=TRANSITIONS // s.mini_batches,
-        n_epochs=s.epochs,
+        **learning,
         policy_kwargs={
             "net_arch": {"pi": list(s.actor_layers), "vf": list(s.critic_layers)},
             "activation_fn": torch.nn.ELU,
@@ -137,11 +142,15 @@ def main() -> None:
     except ImportError as missing:
         print(f"left out: {missing}; `pip install stable-baselines3` brings it")
         return
+    tasks = {
+        "the same task, 16 arms in one call": lambda: same_task(ENVIRONMENTS),
+        "a lean task, 16 environments": lambda: DummyVecEnv([partial(environment, k) for k in range(ENVIRONMENTS)]),
+    }
+    settings = {"our mini-batches and epochs": OURS, "its own": ITS_OWN}
     rivals = {
-        "the same task, 16 arms in one call": stable_baselines3(same_task(ENVIRONMENTS)),
-        "a lean task, 16 environments": stable_baselines3(
-            DummyVecEnv([partial(environment, seed) for seed in range(ENVIRONMENTS)])
-        ),
+        f"{task}, {name}": stable_baselines3(make(), learning)
+        for name, learning in settings.items()
+        for task, make in tasks.items()
     }
     ours, mine, theirs = begin(), [], {name: [] for name in rivals}
     for _ in range(ROUNDS):  # in turns, so that other load hits all alike
