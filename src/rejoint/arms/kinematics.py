@@ -66,11 +66,17 @@ def _poses(arm: Arm, q: Array, rows: slice) -> Array:
     return poses
 
 
+def _axes(arm: Arm, poses: Array) -> Array:
+    """Directions (n, 3, B) of the joint axes from the first three rows of the frames."""
+    axes: Array = (arm.axis[:, None, None] @ poses[:-1, :, :3])[:, :, 0]
+    return axes
+
+
 def frames(arm: Arm, q: Array) -> Frames:
     """Compute all frames for joint positions ``q`` (..., n) [rad]."""
     n, lead = arm.joints, q.shape[:-1]
     poses = _poses(arm, q, slice(0, 3))
-    axes = (arm.axis[:, None, None] @ poses[:n, :, :3])[:, :, 0]
+    axes = _axes(arm, poses)
     joints = poses[:n].transpose(3, 0, 1, 2).reshape(*lead, n, 3, 4)
     tcp = poses[n].transpose(2, 0, 1).reshape(*lead, 3, 4)
     axis = axes.transpose(2, 0, 1).reshape(*lead, n, 3)
@@ -93,6 +99,16 @@ def tcp_pose(arm: Arm, q: Array) -> Array:
     pose = np.zeros((*q.shape[:-1], 4, 4))
     pose[..., :3, :3], pose[..., :3, 3], pose[..., 3, 3] = f.tcp_rotation, f.tcp_position, 1.0
     return pose
+
+
+def position_kinematics(arm: Arm, q: Array) -> tuple[Array, Array]:
+    """TCP position (..., 3) [m] and its derivative (..., 3, n) [m/rad] at joint positions ``q`` (..., n) [rad]."""
+    n, lead = arm.joints, q.shape[:-1]
+    poses = _poses(arm, q, slice(0, 3))
+    tcp = poses[n, :, 3]
+    axis, lever = _axes(arm, poses)[:, _CYCLE], (tcp - poses[:n, :, 3])[:, _CYCLE]
+    columns = axis[:, :-1] * lever[:, 1:] - axis[:, 1:] * lever[:, :-1]
+    return tcp.T.reshape(*lead, 3), columns.transpose(2, 1, 0).reshape(*lead, 3, n)
 
 
 def position_jacobian(f: Frames) -> Array:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from rejoint.arms.arm import Arm, Array
 from rejoint.arms.inverse import solve_position
-from rejoint.arms.kinematics import frames, gravity_torque, position_jacobian
+from rejoint.arms.kinematics import gravity_torque, position_kinematics
 from rejoint.arms.mycobot280 import mycobot280
 from rejoint.arms.workspace import reach
 
@@ -55,7 +55,7 @@ def weightless(arm: Arm) -> NDArray[np.bool_]:
 @lru_cache(maxsize=32)
 def moves_tool(arm: Arm) -> NDArray[np.bool_]:
     """Tell which joints (n,) move the TCP somewhere in the region of targets; the others only turn the tool."""
-    lever = np.linalg.norm(position_jacobian(frames(arm, _postures(arm, 2))), axis=-2).max(axis=0)
+    lever = np.linalg.norm(position_kinematics(arm, _postures(arm, 2))[1], axis=-2).max(axis=0)
     mask: NDArray[np.bool_] = lever > LEAST_LEVER * reach(arm)
     mask.setflags(write=False)
     return mask

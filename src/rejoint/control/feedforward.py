@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rejoint.arms import Arm, Array, frames, gravity_torque, position_jacobian
+from rejoint.arms import Arm, Array, gravity_torque, position_kinematics
 from rejoint.arms.size import torque_size
 from rejoint.control.controller import Situation
 from rejoint.control.goal import Goal
@@ -64,7 +64,7 @@ class FeedforwardController:
         self._goal.reset(situation, where)
         goal = self._goal.position[where]
         # What was learned in the null space moves no tool, but adds up from target to target until the arm folds.
-        idle = null_space(position_jacobian(frames(self._arm, goal)), self._correction[where])
+        idle = null_space(position_kinematics(self._arm, goal)[1], self._correction[where])
         self._correction[where] -= idle
         self._raised[where] = goal + gravity_torque(self._arm, goal) / self._stiffness
 

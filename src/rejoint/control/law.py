@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rejoint.arms import Arm, Array, clip_norm, dls, frames, position_jacobian
+from rejoint.arms import Arm, Array, clip_norm, dls, position_kinematics
 
 GAIN = 0.1
 """Fraction of the step that is added to the command per control cycle (chosen: 0.2 already oscillates on worn arms)."""
@@ -37,9 +37,8 @@ class DlsStep(NamedTuple):
 
 def dls_step(arm: Arm, measured: Array, target: Array) -> DlsStep:
     """Step from joint positions ``measured`` (..., n) [rad] towards ``target`` (..., 3) [m]."""
-    f = frames(arm, measured)
-    jacobian = position_jacobian(f)
-    error = target - f.tcp_position
+    tcp, jacobian = position_kinematics(arm, measured)
+    error = target - tcp
     return DlsStep(clip_norm(dls(jacobian, error), STEP_LIMIT), error, jacobian)
 
 

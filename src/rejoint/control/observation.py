@@ -20,7 +20,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rejoint.arms import Arm, Array, collides, frames, position_jacobian
+from rejoint.arms import Arm, Array, collides, frames, position_kinematics
 from rejoint.arms.inverse import DAMPING
 from rejoint.control.controller import Situation
 from rejoint.control.robot import Mask
@@ -93,17 +93,16 @@ class Reading(NamedTuple):
 
 def look(arm: Arm, position: Array, target: Array) -> View:
     """View the targets (B, 3) [m] from the joint positions (B, n) [rad]; kinematics are computed once."""
-    f = frames(arm, position)
-    jacobian = position_jacobian(f)
+    tcp, jacobian = position_kinematics(arm, position)
     transpose = np.swapaxes(jacobian, -1, -2)
-    error = target - f.tcp_position
+    error = target - tcp
     away = arm.rest - position
     wanted = np.empty((*error.shape, 2))
     wanted[..., 0] = error
     np.matmul(jacobian, away[..., None], out=wanted[..., 1:])
     both = transpose @ np.linalg.solve(jacobian @ transpose + _RIDGE, wanted)
     distance = np.sqrt(np.einsum("...i,...i->...", error, error))
-    return View(f.tcp_position, error, distance, both[..., 0], away - both[..., 1])
+    return View(tcp, error, distance, both[..., 0], away - both[..., 1])
 
 
 def layout_slots(layout: Layout, joints: int) -> tuple[Slot, ...]:

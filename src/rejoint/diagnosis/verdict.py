@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rejoint.arms import Arm, Array, frames, gravity_torque, position_jacobian
+from rejoint.arms import Arm, Array, gravity_torque, position_kinematics
 from rejoint.arms.size import length_size
 from rejoint.diagnosis.healthy import OVERSHOOT_ALLOWED, HealthyReference
 from rejoint.diagnosis.measurement import JointMetrics, Measurement
@@ -129,7 +129,7 @@ def find(
 ) -> tuple[Finding, ...]:
     """Name everything that is wrong, the worst at the tool first."""
     q, commands = postures.position, postures.command
-    levers = np.linalg.norm(position_jacobian(frames(arm, q)), axis=-2)
+    levers = np.linalg.norm(position_kinematics(arm, q)[1], axis=-2)
     loads, errors = np.abs(gravity_torque(arm, q)), np.abs(commands - q)
     common = _common_lag(measurement, healthy)
     found: list[Finding] = []

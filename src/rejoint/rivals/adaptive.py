@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rejoint.arms import Arm, Array, frames, gravity_torque, position_jacobian
+from rejoint.arms import Arm, Array, gravity_torque, position_kinematics
 from rejoint.arms.size import torque_size
 from rejoint.control.controller import Situation
 from rejoint.control.feedforward import NOMINAL_STIFFNESS
@@ -76,7 +76,7 @@ class AdaptiveController:
             self._estimate[0] = self._gains.prior
         self._goal.reset(situation, where)
         goal = self._goal.position[where]
-        lever = position_jacobian(frames(self._arm, goal))[..., 2, :]
+        lever = position_kinematics(self._arm, goal)[1][..., 2, :]
         self._regressor[0][where] = gravity_torque(self._arm, goal) / self._stiffness
         self._regressor[1][where] = _UNIT_MASS * _STANDARD_GRAVITY * lever / self._stiffness
         self._regressor[2][where] = 1.0

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rejoint.arms import Arm, Array, frames, gravity_torque, position_jacobian
+from rejoint.arms import Arm, Array, gravity_torque, position_kinematics
 from rejoint.control.controller import Situation
 from rejoint.control.goal import Goal
 from rejoint.control.law import limit_lead, limit_position
@@ -79,7 +79,7 @@ class MpcController:
             self._begin(situation)
         self._goal.reset(situation, where)
         goal = self._goal.position[where]
-        self._jacobian[where] = position_jacobian(frames(self._arm, goal))
+        self._jacobian[where] = position_kinematics(self._arm, goal)[1]
         self._holding[where] = goal + gravity_torque(self._arm, goal) / self._twin.stiffness[where]
         self._holding[where] -= self._twin.offset[where]
         self._plan[where] = (self._holding - self._offset)[where, None]

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rejoint.arms import Arm, Array, clip_norm, frames, gravity_torque, position_jacobian
+from rejoint.arms import Arm, Array, clip_norm, gravity_torque, position_kinematics
 from rejoint.arms.size import torque_size
 from rejoint.control.controller import Situation
 from rejoint.control.feedforward import NOMINAL_STIFFNESS
@@ -85,7 +85,7 @@ class ScheduledController:
         self._goal.reset(situation, where)
         goal = self._goal.position[where]
         # What was learned in the null space moves no tool, but adds up from target to target until the arm folds.
-        idle = null_space(position_jacobian(frames(self._arm, goal)), self._integral[where])
+        idle = null_space(position_kinematics(self._arm, goal)[1], self._integral[where])
         carry = np.broadcast_to(gains.carry, (len(sent), 1))[where]
         share = np.broadcast_to(gains.feedforward, (len(sent), 1))[where]
         self._integral[where] = carry * (self._integral[where] - idle)
