@@ -58,8 +58,8 @@ class OffPolicySettings:
 
     algorithm: Algorithm
     preset: Preset = DEFAULT
-    cycles: int = DEFAULT.ppo.transitions // AGENTS
-    """control cycles, for PPO's number of transitions"""
+    cycles: int = 3840
+    """control cycles: two million transitions (chosen: such a training takes two to three times as long as PPO's)"""
     gradient_steps: int = 2
     """after every control cycle"""
     batch: int = 1024
