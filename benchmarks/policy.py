@@ -13,8 +13,8 @@ from rejoint.evaluation.family import Family, find_variant
 from rejoint.evaluation.trials import TrialSettings, try_controller
 from rejoint.training.train import TrainingOptions, train
 
-ITERATIONS = 80
-"""Half of the default preset's and a little more (chosen: what half a minute allows on two idle cores)"""
+ITERATIONS = 75
+"""Half of the default preset's (chosen: what half a minute allows on two idle cores)"""
 ARMS, TARGETS = 20, 3
 MEAN, TAIL = 0.5e-3, 1.0e-3
 """[m] settled encoder error on worn arms: mean and 95th percentile"""
