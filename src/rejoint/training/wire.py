@@ -38,21 +38,23 @@ class Wire:
 
     def send(self, command: Array, time: Array) -> None:
         """Send ``command`` (N, n) [rad] at ``time`` (N,) [s]."""
-        self._commands[:, 1:] = self._commands[:, :-1].copy()
-        self._sent[:, 1:] = self._sent[:, :-1].copy()
+        self._commands[:, 1:] = self._commands[:, :-1]  # NumPy copies first where memory overlaps
+        self._sent[:, 1:] = self._sent[:, :-1]
         self._commands[:, 0], self._sent[:, 0] = command, time
 
     def in_force(self, time: Array) -> Array:
         """Commands (N, s, n) [rad] that the servos know at ``time`` (N, s) [s]."""
         arrival = self._sent + self.command_delay[:, None]
-        pending = (arrival[:, None, :] > time[:, :, None]).sum(axis=-1)
-        return self._commands[self._agent[:, None], np.minimum(pending, DEPTH - 1)]
+        pending = np.zeros(time.shape, dtype=np.intp)
+        for one in arrival.T[:-1]:  # the oldest is in force where no other is
+            pending += one[:, None] > time
+        return self._commands[self._agent[:, None], pending]
 
     def record(self, time: Array, position: Array) -> None:
         """Record positions (N, substeps, n) [rad] that were passed at ``time`` (N, substeps) [s]."""
         new = time.shape[1]
-        self._positions[:, :-new] = self._positions[:, new:].copy()
-        self._times[:, :-new] = self._times[:, new:].copy()
+        self._positions[:, :-new] = self._positions[:, new:]
+        self._times[:, :-new] = self._times[:, new:]
         self._positions[:, -new:], self._times[:, -new:] = position, time
 
     def read(self, time: Array) -> Array:
