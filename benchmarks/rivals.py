@@ -20,7 +20,9 @@ from rejoint.training.train import know_stiffness
 from rejoint.twin.model import TCP_SITE, twin_model
 from rejoint.twin.parameters import nominal_parameters
 
-ENVIRONMENTS, TRANSITIONS, ROUNDS = 16, 2048, 3
+ENVIRONMENTS, ROUNDS = 16, 3
+TRANSITIONS = 104 * ENVIRONMENTS
+"""in a rollout (chosen: about two thousand that both sizes of mini-batches divide)"""
 OBSERVATION = 50
 
 
