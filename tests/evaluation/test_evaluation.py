@@ -42,7 +42,7 @@ def outcome(settled_mm: np.ndarray, stay: np.ndarray | None = None, cycle: float
         approach=np.zeros((arms, targets)), lead=quiet, swing=quiet, saturation=quiet,
         limited=np.zeros((arms, targets)), tripped=np.zeros(arms), crossed=np.ones((arms, 2)),
         crossing_error=np.full((arms, 2), 0.009), crossing_true=np.full((arms, 2), 0.012),
-        crossing_time=np.full((arms, 2), cycle / 2),
+        crossing_time=np.full((arms, 2), cycle / 10),  # of ten targets
     )  # fmt: skip
 
 

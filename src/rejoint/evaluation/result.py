@@ -45,7 +45,7 @@ class Row:
     success: Estimate | None
     """share of the targets reached in the protocol of Park et al. 2024; None where it was not run"""
     cycle_time: Estimate | None
-    """[s] for all targets of that protocol"""
+    """[s] for ten targets of that protocol"""
     crossing_error: Estimate | None
     """[m]"""
 
@@ -64,7 +64,7 @@ class Pair:
     stay_ratio: tuple[Estimate, ...]
     """median ratio of the times to stay within each distance, below 1 where the controller is faster"""
     cycle_time: Estimate | None
-    """[s] mean difference for all targets of the crossing protocol"""
+    """[s] mean difference for ten targets of the crossing protocol"""
 
 
 @dataclass(frozen=True, kw_only=True)

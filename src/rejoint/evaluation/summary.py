@@ -66,7 +66,7 @@ def make_row(variant: str, controller: str, outcomes: Sequence[Outcome], protoco
     stay = _joined(outcomes, "stay")
     known = np.isfinite(settled)
     crossed = _joined(outcomes, "crossed")
-    times = np.concatenate([outcome.crossing_time.sum(axis=1) for outcome in outcomes])
+    times = np.concatenate([_ten_targets(outcome) for outcome in outcomes])
     some = bool(np.isfinite(crossed).any())
     crossing_arms = _arms(outcomes, "crossed")
     return Row(
@@ -102,8 +102,16 @@ def make_pair(variant: str, mine: tuple[str, Sequence[Outcome]], other: tuple[st
 
 
 def _cycle_times(both: Sequence[tuple[Outcome, Outcome]]) -> tuple[Array, Array]:
-    sums = [[one.crossing_time.sum(axis=1)[:, None] for one in pair] for pair in both]
-    return np.concatenate([first for first, _ in sums], axis=1), np.concatenate([second for _, second in sums], axis=1)
+    times = [[_ten_targets(one)[:, None] for one in pair] for pair in both]
+    return np.concatenate([first for first, _ in times], axis=1), np.concatenate(
+        [second for _, second in times], axis=1
+    )
+
+
+def _ten_targets(outcome: Outcome) -> Array:
+    """Time (A,) [s] for ten targets of the protocol of Park et al. 2024, however many there were."""
+    times: Array = 10.0 * outcome.crossing_time.mean(axis=1)
+    return times
 
 
 def _best(rows: Sequence[Row]) -> str:
