@@ -74,7 +74,10 @@ def collides(arm: Arm, f: Frames) -> NDArray[np.bool_]:
 
 
 def segment_distance(start: Array, end: Array, other_start: Array, other_end: Array) -> Array:
-    """Smallest distance (...) [m] between segments given by their ends (..., 3) [m]; a segment may be a point."""
+    """Smallest distance (...) [m] between segments given by their ends (..., 3) [m]; a segment may be a point.
+
+    Exact to a micrometre for segments of up to a metre.
+    """
     along, across, between = end - start, other_end - other_start, start - other_start
     a, e, b = _dot(along, along), _dot(across, across), _dot(along, across)
     c, f = _dot(along, between), _dot(across, between)
