@@ -15,7 +15,7 @@ def test_imports_point_one_way() -> None:
 
 
 def test_a_policy_runs_without_a_simulator() -> None:
-    blocked = ["torch", "skrl", "mujoco", "numba", "scipy", "matplotlib", "jinja2"]
+    blocked = ["torch", "skrl", "mujoco", "scipy", "matplotlib", "jinja2"]
     code = (
         f"import sys\nfor name in {blocked!r}: sys.modules[name] = None\n"
         "import rejoint.cli, rejoint.control.policy, rejoint.control.loop, rejoint.robots.mycobot, rejoint.robots\n"

@@ -216,7 +216,7 @@ def test_the_metadata_can_be_read_by_any_onnx_tool(policy):
 def test_driving_needs_neither_torch_nor_a_simulator():
     code = (
         "import sys, rejoint.control.policy as p; "
-        "assert not {'torch', 'skrl', 'mujoco', 'numba', 'onnx', 'scipy'} & set(sys.modules)"
+        "assert not {'torch', 'skrl', 'mujoco', 'onnx', 'scipy'} & set(sys.modules)"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
 

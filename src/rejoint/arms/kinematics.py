@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
+from functools import cache, lru_cache
+from types import ModuleType
 from typing import NamedTuple
 
 import numpy as np
@@ -49,34 +50,30 @@ def _joint_terms(arm: Arm) -> Array:
 def _poses(arm: Arm, q: Array, rows: slice) -> Array:
     """Compute r ``rows`` of the frames of joints and TCP, (n + 1, r, 4, B), at B postures ``q`` (..., n).
 
-    Postures come last, so that each of the few products runs over all of them.
+    Postures come last, so that the inner loops run over them.
     """
     angles = q.reshape(-1, arm.joints).T
-    waves = np.empty((arm.joints, 3, angles.shape[1]))
-    waves[:, 0] = 1.0
-    np.sin(angles, out=waves[:, 1])
-    np.cos(angles, out=waves[:, 2])
-    steps = (_joint_terms(arm) @ waves).reshape(arm.joints, 4, 4, -1)
-    first = steps[0, rows]
-    poses = np.empty((arm.joints + 1, *first.shape))
-    poses[0] = first
-    for i in range(1, arm.joints):
-        np.einsum("rjb,jkb->rkb", poses[i - 1], steps[i], out=poses[i])
-    np.einsum("rjb,jk->rkb", poses[-2], arm.tip, out=poses[-1])
+    waves = np.empty((2, *angles.shape))
+    np.sin(angles, out=waves[0])
+    np.cos(angles, out=waves[1])
+    poses = np.empty((arm.joints + 1, rows.stop - rows.start, 4, angles.shape[1]))
+    _compiled().fill_poses(_joint_terms(arm), arm.tip, waves[0], waves[1], rows.start, poses)
     return poses
 
 
-def _axes(arm: Arm, poses: Array) -> Array:
-    """Directions (n, 3, B) of the joint axes from the first three rows of the frames."""
-    axes: Array = (arm.axis[:, None, None] @ poses[:-1, :, :3])[:, :, 0]
-    return axes
+@cache
+def _compiled() -> ModuleType:
+    """Import the compiled loops when they are first needed: the command line helps without them in half the time."""
+    from rejoint.arms import compiled
+
+    return compiled
 
 
 def frames(arm: Arm, q: Array) -> Frames:
     """Compute all frames for joint positions ``q`` (..., n) [rad]."""
     n, lead = arm.joints, q.shape[:-1]
     poses = _poses(arm, q, slice(0, 3))
-    axes = _axes(arm, poses)
+    axes = (arm.axis[:, None, None] @ poses[:n, :, :3])[:, :, 0]
     joints = poses[:n].transpose(3, 0, 1, 2).reshape(*lead, n, 3, 4)
     tcp = poses[n].transpose(2, 0, 1).reshape(*lead, 3, 4)
     axis = axes.transpose(2, 0, 1).reshape(*lead, n, 3)
@@ -105,10 +102,9 @@ def position_kinematics(arm: Arm, q: Array) -> tuple[Array, Array]:
     """TCP position (..., 3) [m] and its derivative (..., 3, n) [m/rad] at joint positions ``q`` (..., n) [rad]."""
     n, lead = arm.joints, q.shape[:-1]
     poses = _poses(arm, q, slice(0, 3))
-    tcp = poses[n, :, 3]
-    axis, lever = _axes(arm, poses)[:, _CYCLE], (tcp - poses[:n, :, 3])[:, _CYCLE]
-    columns = axis[:, :-1] * lever[:, 1:] - axis[:, 1:] * lever[:, :-1]
-    return tcp.T.reshape(*lead, 3), columns.transpose(2, 1, 0).reshape(*lead, 3, n)
+    columns = np.empty((3, n, poses.shape[-1]))
+    _compiled().fill_columns(arm.axis, poses, columns)
+    return poses[n, :, 3].T.reshape(*lead, 3), columns.transpose(2, 0, 1).reshape(*lead, 3, n)
 
 
 def position_jacobian(f: Frames) -> Array:

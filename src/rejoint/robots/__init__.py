@@ -11,7 +11,7 @@ from rejoint.robots.address import EmulatedAddress, parse_address
 
 DEFAULT_ARM = "mycobot280"
 """Arm behind an address that does not say: the vendor's client speaks to no other."""
-SIMULATOR = ("mujoco", "numba")
+SIMULATOR = ("mujoco",)
 """Modules that emulated arms need."""
 _EMULATED_PERIOD = (0.020, 0.030)
 """[s] Park et al. 2024 name 20 ms; the wire adds up to half of it (chosen)"""
