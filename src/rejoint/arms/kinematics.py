@@ -63,7 +63,7 @@ def _poses(arm: Arm, q: Array, rows: slice) -> Array:
 
 @cache
 def _compiled() -> ModuleType:
-    """Import the compiled loops when they are first needed: the command line helps without them in half the time."""
+    """Import the compiled loops when they are first needed, so that `--help` does not wait for them."""
     from rejoint.arms import compiled
 
     return compiled
