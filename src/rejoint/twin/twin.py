@@ -194,7 +194,7 @@ class Twin:
 def _root(twin: Twin, widen: float, least_spread: float) -> Array:
     """Matrix (k, k) whose product with its transpose is the covariance that `Twin.sample` draws from.
 
-    Kept, since a training draws a few twins in almost every control cycle.
+    Kept, since a training draws from the same twin all the time.
     """
     scale = np.where(twin.identified, widen, 1.0)
     covariance = twin.covariance * np.outer(scale, scale)
