@@ -5,7 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rejoint.arms import Arm, frames, gravity_torque, mycobot280, position_jacobian, so101, solve_position, tcp_position
+from rejoint.arms import (
+    Arm,
+    frames,
+    gravity_torque,
+    mycobot280,
+    position_kinematics,
+    so101,
+    solve_position,
+    tcp_position,
+)
 from rejoint.arms.workspace import (
     AXIS_CLEARANCE,
     EDGES,
@@ -30,7 +39,7 @@ def derived(request: pytest.FixtureRequest) -> Arm:
 
 
 def manipulability(arm: Arm, q: np.ndarray) -> np.ndarray:
-    j = position_jacobian(frames(arm, q))
+    j = position_kinematics(arm, q)[1]
     return np.sqrt(np.linalg.det(j @ np.swapaxes(j, -1, -2)))
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from rejoint.arms import clip_norm, dls, frames, mycobot280, position_jacobian, solve_position, tcp_position
+from rejoint.arms import clip_norm, dls, mycobot280, position_kinematics, solve_position, tcp_position
 from rejoint.arms.inverse import rotation_error
 from rejoint.arms.kinematics import tcp_pose
 
@@ -11,7 +11,7 @@ ARM = mycobot280()
 
 def test_dls_equals_the_papers_form() -> None:
     q = np.random.default_rng(1).uniform(ARM.lower, ARM.upper, (30, 6))
-    j, e = position_jacobian(frames(ARM, q)), np.random.default_rng(2).normal(size=(30, 3))
+    j, e = position_kinematics(ARM, q)[1], np.random.default_rng(2).normal(size=(30, 3))
     paper = [np.linalg.solve(a.T @ a + 0.05**2 * np.eye(6), a.T @ b) for a, b in zip(j, e, strict=True)]
     np.testing.assert_allclose(dls(j, e), paper, rtol=1e-9)
 

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from rejoint.arms import gravity_torque, mycobot280, position_jacobian, solve_position, tcp_position
-from rejoint.arms.kinematics import frames
+from rejoint.arms import gravity_torque, mycobot280, position_kinematics, solve_position, tcp_position
 from rejoint.control.catalogue import BASELINES, CONTROLLERS, make_controller
 from rejoint.control.controller import Situation
 from rejoint.control.feedforward import FeedforwardController, FeedforwardGains
@@ -126,8 +125,8 @@ def test_integrator_by_hand():
     gains = IntegratorGains(rest_gain=0.0)
     sent = REST + 0.05
     command = IntegratorController(ARM, gains).command(situation(REST, sent=sent))
-    f = frames(ARM, REST)
-    jacobian, error = position_jacobian(f), TARGETS[:, 0] - f.tcp_position
+    tcp, jacobian = position_kinematics(ARM, REST)
+    error = TARGETS[:, 0] - tcp
     for b in range(3):
         j = jacobian[b]
         step = np.linalg.solve(j.T @ j + 0.05**2 * np.eye(6), j.T @ error[b])  # the n x n form of equation 11

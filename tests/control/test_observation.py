@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from rejoint.arms import dls, frames, mycobot280, position_jacobian, solve_position, tcp_position
+from rejoint.arms import dls, mycobot280, position_kinematics, solve_position, tcp_position
 from rejoint.control.controller import Situation
 from rejoint.control.observation import Observer, layout_size, layout_slots, look
 from rejoint.control.residual import CommandLaw, working_envelope
@@ -55,8 +55,8 @@ def test_residual_observation_worked_by_hand():
     observer.observe(situation([first - 0.002], [target], [sent], time=1.02, since=0.275))
     observer.acted(acted)
     seen = observer.observe(situation([second], [target], [sent], time=1.045, since=0.3))[0]
-    f = frames(ARM, second)
-    step = dls(position_jacobian(f), target - f.tcp_position)
+    tcp, jacobian = position_kinematics(ARM, second)
+    step = dls(jacobian, target - tcp)
     expected = {
         "drive": [0.4, -0.8, 0.0, 0.0, 0.2, 0.0],
         "velocity": [0.04, 0.04 + 0.2, 0.04, 0.04, 0.04, 0.04, *[-0.05] * 6, *[0.0] * 6],
@@ -168,7 +168,7 @@ def test_the_homing_motion_leaves_the_tool_in_place_to_first_order():
     rng = np.random.default_rng(5)
     position = ARM.rest + rng.normal(0.0, 0.3, (20, 6))
     view = look(ARM, position, tcp_position(ARM, position))
-    jacobian = position_jacobian(frames(ARM, position))
+    jacobian = position_kinematics(ARM, position)[1]
     drift = np.linalg.norm((jacobian @ view.homing[..., None])[..., 0], axis=-1)
     straight = np.linalg.norm((jacobian @ (ARM.rest - position)[..., None])[..., 0], axis=-1)
     assert (drift < 0.3 * straight).all()  # damping lets a little through

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rejoint.arms import frames, gravity_torque, mycobot280, position_jacobian, solve_position, tcp_position
+from rejoint.arms import gravity_torque, mycobot280, position_kinematics, solve_position, tcp_position
 from rejoint.arms.size import heaviest_load
 from rejoint.control.controller import Situation
 from rejoint.control.observation import look
@@ -64,7 +64,7 @@ def test_a_new_target_keeps_what_moves_the_tool_and_drops_the_rest() -> None:
     learned = command(commander, now, np.ones((2, 6))) - before
     commander.reset(now, EVERY)
     kept = command(commander, now, np.zeros((2, 6))) - before
-    jacobian = position_jacobian(frames(ARM, ARM.rest))
+    jacobian = position_kinematics(ARM, ARM.rest)[1]
     np.testing.assert_allclose(kept @ jacobian.T, learned @ jacobian.T, atol=1e-6)
     assert np.linalg.norm(kept) < np.linalg.norm(learned)
     least = np.linalg.pinv(jacobian) @ (jacobian @ learned[0])  # the smallest motion with the same effect

@@ -5,7 +5,7 @@ import pytest
 from motion_logs import ARM, TRUTH, pressing, record
 
 from rejoint.arms import gravity_torque, tcp_position
-from rejoint.arms.kinematics import frames, position_jacobian
+from rejoint.arms.kinematics import position_kinematics
 from rejoint.errors import InputError
 from rejoint.exclusions import find_exclusions
 from rejoint.twin.batch import TwinBatch
@@ -32,7 +32,7 @@ def test_a_pressed_tip_gives_by_force_over_stiffness(table):
     batch.rollout(np.tile(PUSH, (1, 1500, 1)))
     q = batch.qpos[0]
     motor = parameters.stiffness * (PUSH - q)
-    force = np.linalg.lstsq(position_jacobian(frames(ARM, q)).T, gravity_torque(ARM, q) - motor, rcond=None)[0]
+    force = np.linalg.lstsq(position_kinematics(ARM, q)[1].T, gravity_torque(ARM, q) - motor, rcond=None)[0]
     tip = tcp_position(ARM, q)
     assert force[2] > 3.0
     assert table.surface(tip) - tip[2] == pytest.approx(force[2] / table.stiffness, rel=0.02)

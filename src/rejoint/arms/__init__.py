@@ -10,7 +10,6 @@ from rejoint.arms.kinematics import (
     heights,
     jacobian,
     link_inertia,
-    position_jacobian,
     position_kinematics,
     tcp_pose,
     tcp_position,
@@ -22,7 +21,7 @@ from rejoint.arms.tomlfile import write_arm_toml
 
 __all__ = [
     "CATALOGUE", "Arm", "Array", "Box", "Loaded", "Solution", "clip_norm", "collides", "dls", "frames",
-    "gravity_torque", "heights", "jacobian", "link_inertia", "load_arm", "mycobot280", "position_jacobian",
+    "gravity_torque", "heights", "jacobian", "link_inertia", "load_arm", "mycobot280",
     "position_kinematics", "read_arm", "segment_distance", "so101", "solve_position", "tcp_pose", "tcp_position",
     "write_arm_toml",
 ]  # fmt: skip

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms.arm import Arm, Array
-from rejoint.arms.kinematics import frames, position_jacobian
+from rejoint.arms.kinematics import frames, position_kinematics
 
 DAMPING = 0.05
 """Damping factor lambda [m] of the paper (its section III-C), with positions in metres."""
@@ -82,10 +82,10 @@ def solve_position(
     shape = np.broadcast_shapes(target.shape[:-1], start.shape[:-1])
     q = np.clip(np.broadcast_to(start, (*shape, arm.joints)), arm.lower, arm.upper)
     for iteration in range(iterations + 1):
-        f = frames(arm, q)
-        j = position_jacobian(f)
-        e = target - f.tcp_position
+        tcp, j = position_kinematics(arm, q)
+        e = target - tcp
         if rotation is not None:
+            f = frames(arm, q)
             turn = rotation_error(f.tcp_rotation, rotation)
             j, e = np.concatenate([j, np.swapaxes(f.axis, -1, -2)], axis=-2), np.concatenate([e, turn], axis=-1)
         converged = np.abs(e).max(axis=-1) < tolerance

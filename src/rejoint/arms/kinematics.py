@@ -107,15 +107,9 @@ def position_kinematics(arm: Arm, q: Array) -> tuple[Array, Array]:
     return poses[n, :, 3].T.reshape(*lead, 3), columns.transpose(2, 0, 1).reshape(*lead, 3, n)
 
 
-def position_jacobian(f: Frames) -> Array:
-    """d(TCP position)/dq (..., 3, n) [m/rad] from already computed frames."""
-    return np.swapaxes(_cross(f.axis, f.tcp_position[..., None, :] - f.position), -1, -2)
-
-
 def jacobian(arm: Arm, q: Array) -> Array:
     """Geometric Jacobian (..., 6, n): linear velocity [m/rad] above angular velocity, base frame."""
-    f = frames(arm, q)
-    return np.concatenate([position_jacobian(f), np.swapaxes(f.axis, -1, -2)], axis=-2)
+    return np.concatenate([position_kinematics(arm, q)[1], np.swapaxes(frames(arm, q).axis, -1, -2)], axis=-2)
 
 
 def gravity_torque(arm: Arm, q: Array) -> Array:

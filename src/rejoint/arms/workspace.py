@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from rejoint.arms.arm import Arm, Array, Box
 from rejoint.arms.inertia import LINK_RADIUS_RATIO, link_ends
 from rejoint.arms.inverse import solve_position
-from rejoint.arms.kinematics import Frames, frames, gravity_torque, position_jacobian
+from rejoint.arms.kinematics import Frames, frames, gravity_torque, position_kinematics
 from rejoint.errors import InputError
 
 SAMPLES = 4096
@@ -166,13 +166,13 @@ def _survey(arm: Arm, seed: int) -> _Survey:
         high=high,
         postures=postures,
         moving=moving,
-        manipulability=float(_manipulability(f).max()),
+        manipulability=float(_manipulability(arm, postures).max()),
         torque=float(np.abs(gravity_torque(arm, postures)).max()),
     )
 
 
-def _manipulability(f: Frames) -> Array:
-    j = position_jacobian(f)
+def _manipulability(arm: Arm, q: Array) -> Array:
+    j = position_kinematics(arm, q)[1]
     return np.sqrt(np.maximum(np.linalg.det(j @ np.swapaxes(j, -1, -2)), 0.0))
 
 
@@ -185,7 +185,7 @@ def _score(survey: _Survey, q: Array) -> Array:
     distance = np.hypot(tcp[..., 0], tcp[..., 1])
     load = np.abs(gravity_torque(arm, q)).max(axis=-1)
     score = (
-        _manipulability(f) / max(survey.manipulability, 1e-12)
+        _manipulability(arm, q) / max(survey.manipulability, 1e-12)
         + 1.0 - (((q - middle) / half) ** 2).mean(axis=-1)
         + np.clip(elbow / (0.15 * survey.reach), 0.0, 1.0)
         + tcp[..., 0] / np.maximum(distance, 1e-9)
