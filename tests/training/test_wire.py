@@ -1,6 +1,7 @@
 import numpy as np
 
-from rejoint.training.wire import Wire
+from rejoint.training.wire import Wire, follow
+from rejoint.twin.reference import approach
 
 
 def test_commands_are_in_force_after_their_delay():
@@ -49,3 +50,12 @@ def test_clearing_one_agent_leaves_the_others():
     wire.clear(np.array([True, False]), np.array([[7.0]]), np.array([[8.0]]))
     np.testing.assert_array_equal(wire.in_force(np.full((2, 1), 0.02))[:, 0, 0], [7.0, 1.0])
     np.testing.assert_array_equal(wire.read(np.array([0.0, 0.02]))[:, 0], [8.0, 3.0])
+
+
+def test_servos_follow_step_by_step_as_the_twin_s_reference_does():
+    rng = np.random.default_rng(0)
+    start, goals, reach = rng.normal(size=(5, 3)), rng.normal(size=(5, 4, 3)), rng.uniform(0.0, 0.5, 5)
+    path, now = follow(start, goals, reach), start
+    for k in range(4):
+        now = approach(now, goals[:, k], reach[:, None])
+        np.testing.assert_array_equal(path[:, k], now)

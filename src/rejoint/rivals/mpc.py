@@ -20,7 +20,7 @@ from rejoint.control.goal import Goal
 from rejoint.control.law import limit_lead, limit_position
 from rejoint.control.pace import Pace
 from rejoint.control.robot import Mask
-from rejoint.training.wire import Wire
+from rejoint.training.wire import Wire, follow
 from rejoint.twin.batch import TwinBatch
 from rejoint.twin.parameters import TwinParameters
 from rejoint.twin.reference import approach
@@ -125,10 +125,11 @@ class MpcController:
         substep = np.maximum(elapsed, 1e-4) / _SHADOW_STEPS
         self._shadow.set_timestep(substep)
         goals = self._wire.in_force(self._time[:, None] + substep[:, None] * np.arange(_SHADOW_STEPS))
+        references = follow(self._reference, goals, self._twin.ramp_speed * substep)
         for k in range(_SHADOW_STEPS):
-            self._reference = approach(self._reference, goals[:, k], (self._twin.ramp_speed * substep)[:, None])
-            self._shadow.ctrl[:] = self._reference + self._offset
+            self._shadow.ctrl[:] = references[:, k] + self._offset
             self._shadow.step()
+        self._reference = references[:, -1].copy()
         missed = situation.state.position - self._shadow.qpos
         self._shadow.qpos[:] += settings.correction * missed
         self._shadow.qvel[:] += 0.5 * settings.correction**2 * missed / np.maximum(elapsed, 1e-3)[:, None]

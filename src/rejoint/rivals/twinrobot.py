@@ -13,10 +13,9 @@ from rejoint.control.robot import JointState, Mask
 from rejoint.training.play import Play
 from rejoint.training.ranges import Draw
 from rejoint.training.task import SUBSTEPS
-from rejoint.training.wire import Wire
+from rejoint.training.wire import Wire, follow
 from rejoint.twin.batch import TwinBatch
 from rejoint.twin.model import stribeck_friction
-from rejoint.twin.reference import approach
 
 
 class TwinRobot:
@@ -90,14 +89,14 @@ class TwinRobot:
         self.twins.set_timestep(substep)
         starts = self._time[:, None] + substep[:, None] * np.arange(SUBSTEPS)
         goals = self.wire.in_force(starts)
-        reach = (draw.twin.ramp_speed * substep)[:, None]
+        references = follow(self._reference, goals, draw.twin.ramp_speed * substep)
         passed = np.empty_like(goals)
         for k in range(SUBSTEPS):
-            self._reference = approach(self._reference, goals[:, k], reach)
-            self.twins.ctrl[:] = self._reference
+            self.twins.ctrl[:] = references[:, k]
             self.play.drive(self.twins, stribeck_friction(draw.twin.coulomb, draw.stiction, self.twins.qvel), substep)
             self.twins.step()
             passed[:, k] = self.twins.qpos
+        self._reference = references[:, -1].copy()
         self.wire.record(starts + substep[:, None], passed)
 
     def _quantised(self, position: Array) -> Array:

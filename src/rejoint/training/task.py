@@ -28,10 +28,9 @@ from rejoint.training.play import Play
 from rejoint.training.ranges import Ranges
 from rejoint.training.reward import SUCCESS_DISTANCE, paper_reward, residual_reward
 from rejoint.training.truth import fixed_truth, moving_truth, truth_size
-from rejoint.training.wire import Wire
+from rejoint.training.wire import Wire, follow
 from rejoint.twin.batch import TwinBatch
 from rejoint.twin.model import stribeck_friction
-from rejoint.twin.reference import approach
 
 SUBSTEPS = 6
 """Physics steps in a control cycle: 3 ms each at the shortest period, 9 ms at the longest."""
@@ -218,14 +217,14 @@ class ReachTask:
         self.twins.set_timestep(substep)
         starts = self._time[:, None] + substep[:, None] * np.arange(SUBSTEPS)
         goals = self.wire.in_force(starts)
-        reach = (self._ramp * substep)[:, None]
+        references = follow(self._reference, goals, self._ramp * substep)
         passed = np.empty_like(goals)
         for k in range(SUBSTEPS):
-            self._reference = approach(self._reference, goals[:, k], reach)
-            self.twins.ctrl[:] = self._reference
+            self.twins.ctrl[:] = references[:, k]
             self.play.drive(self.twins, stribeck_friction(self._coulomb, self._stiction, self.twins.qvel), substep)
             self.twins.step()
             passed[:, k] = self.twins.qpos
+        self._reference = references[:, -1].copy()
         self._time, self._since = self._time + self._period, self._since + self._period
         self.wire.record(starts + substep[:, None], passed)
         self._measured = self._quantised(self.wire.read(self._time))

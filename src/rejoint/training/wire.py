@@ -3,9 +3,11 @@
 Every agent has delays and a control period of its own. Times are those of each agent's own clock.
 """
 
+# mypy: disallow-untyped-defs=False, disallow-untyped-calls=False, disallow-untyped-decorators=False
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 
 from rejoint.arms import Array
 from rejoint.control.robot import Mask
@@ -26,7 +28,6 @@ class Wire:
         self._sent = np.full((agents, DEPTH), -np.inf)
         self._positions = np.zeros((agents, 2 * substeps + 1, joints))  # oldest first
         self._times = np.zeros((agents, 2 * substeps + 1))
-        self._agent = np.arange(agents)
 
     def clear(self, where: Mask, command: Array, position: Array) -> None:
         """Begin at time 0 in ``where`` (N,): ``command`` (m, n) has long been in force, ``position`` (m, n) stands."""
@@ -44,11 +45,7 @@ class Wire:
 
     def in_force(self, time: Array) -> Array:
         """Commands (N, s, n) [rad] that the servos know at ``time`` (N, s) [s]."""
-        arrival = self._sent + self.command_delay[:, None]
-        pending = np.zeros(time.shape, dtype=np.intp)
-        for one in arrival.T[:-1]:  # the oldest is in force where no other is
-            pending += one[:, None] > time
-        return self._commands[self._agent[:, None], pending]
+        return _in_force(self._sent, self.command_delay, self._commands, time)
 
     def record(self, time: Array, position: Array) -> None:
         """Record positions (N, substeps, n) [rad] that were passed at ``time`` (N, substeps) [s]."""
@@ -59,12 +56,7 @@ class Wire:
 
     def read(self, time: Array) -> Array:
         """Positions (N, n) [rad] that arrive at ``time`` (N,) [s], interpolated between substeps."""
-        then = time - self.readback_delay
-        later = np.clip((self._times <= then[:, None]).sum(axis=1), 1, self._times.shape[1] - 1)
-        t0, t1 = self._times[self._agent, later - 1], self._times[self._agent, later]
-        share = np.clip((then - t0) / (t1 - t0), 0.0, 1.0)[:, None]
-        p0, p1 = self._positions[self._agent, later - 1], self._positions[self._agent, later]
-        return p0 + share * (p1 - p0)
+        return _read(self._times, self._positions, time, self.readback_delay)
 
     def state(self) -> dict[str, Array]:
         """Everything that a checkpoint must keep, as live arrays."""
@@ -72,3 +64,51 @@ class Wire:
             "command_delay": self.command_delay, "readback_delay": self.readback_delay, "commands": self._commands,
             "sent": self._sent, "positions": self._positions, "times": self._times,
         }  # fmt: skip
+
+
+@njit(cache=True, nogil=True)
+def follow(reference, goals, reach):  # noqa: ANN001, ANN201
+    """Move references (N, n) [rad] towards the ``goals`` (N, s, n) of s steps; returns where they are after each.
+
+    In each of the s steps they move by at most ``reach`` (N,) [rad], as by `rejoint.twin.reference.approach`.
+    """
+    agents, steps, joints = goals.shape
+    path = np.empty(goals.shape)
+    for i in range(agents):
+        for j in range(joints):
+            now = reference[i, j]
+            for k in range(steps):
+                now += min(max(goals[i, k, j] - now, -reach[i]), reach[i])
+                path[i, k, j] = now
+    return path
+
+
+@njit(cache=True, nogil=True)
+def _in_force(sent, delay, commands, time):  # noqa: ANN001, ANN202
+    agents, instants = time.shape
+    joints = commands.shape[2]
+    known = np.empty((agents, instants, joints))
+    for i in range(agents):
+        for s in range(instants):
+            pending = 0
+            for d in range(DEPTH - 1):  # the oldest is in force where no other is
+                pending += sent[i, d] + delay[i] > time[i, s]
+            for j in range(joints):
+                known[i, s, j] = commands[i, pending, j]
+    return known
+
+
+@njit(cache=True, nogil=True)
+def _read(times, positions, time, delay):  # noqa: ANN001, ANN202
+    agents, instants, joints = positions.shape
+    seen = np.empty((agents, joints))
+    for i in range(agents):
+        then, later = time[i] - delay[i], 1
+        while later < instants - 1 and times[i, later] <= then:
+            later += 1
+        before, after = times[i, later - 1], times[i, later]
+        share = min(max((then - before) / (after - before), 0.0), 1.0)
+        for j in range(joints):
+            old = positions[i, later - 1, j]
+            seen[i, j] = old + share * (positions[i, later, j] - old)
+    return seen
