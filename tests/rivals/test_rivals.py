@@ -97,7 +97,6 @@ def test_twins_move_as_in_training(ranges):
     task._reference[:] = task._sent[:] = robot._reference
     task._measured[:], task._time[:] = robot.read().position, 0.0
     task._middle[:], task._period[:], task._ramp[:] = draw.period, draw.period, draw.twin.ramp_speed
-    task._coulomb[:], task._stiction[:] = draw.twin.coulomb, draw.stiction
     task.play.renew(draw, np.ones(6, dtype=bool))
     task.commander.forget(task._situation(), np.ones(6, dtype=bool))
     rng = np.random.default_rng(5)

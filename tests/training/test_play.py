@@ -47,7 +47,7 @@ def push(play: Play, lead: float, steps: int) -> tuple[np.ndarray, np.ndarray, B
     bench, leads, speeds = Bench(), [], []
     for _ in range(steps):
         bench.ctrl[:], bench.qvel[:] = bench.qpos + lead - 0.03, 0.0  # the offset of 0.03 rad counts as lead
-        play.drive(bench, np.full((1, 6), 0.2), np.full(1, MS))
+        play.drive(bench, np.full(1, MS))
         leads.append((bench.ctrl + 0.03 - bench.qpos)[0])
         speeds.append(bench.qvel[0].copy())
     return np.array(leads), np.array(speeds), bench
@@ -72,7 +72,7 @@ def test_where_they_meet_momentum_is_kept_and_half_of_the_closing_speed():
     bench.ctrl[:] = bench.qpos - 0.03  # no torque
     play._motor[..., 1:3] = 0.0  # no friction
     bench.qvel[:] = 0.1
-    play.drive(bench, np.zeros((1, 6)), np.full(1, MS))
+    play.drive(bench, np.full(1, MS))
     motor, joint = play._speed[0, 0], bench.qvel[0, 0]
     assert motor + joint == pytest.approx(0.5)
     assert joint - motor == pytest.approx(RESTITUTION * 0.3)

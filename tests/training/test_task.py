@@ -181,7 +181,7 @@ def test_a_joint_at_rest_sticks_where_a_moving_one_slides():
     task = make(agents=2, settings=settings, stiffness=(1.0, 1.0), joint_spread=(1.0, 1.0), **quiet)
     task.reset()
     # The servo of the base (7 N m/rad) pushes with 0.15 N m: between friction in motion and at rest.
-    task._coulomb[:], task._stiction[:] = 0.1, 2.0
+    task.play._motor[..., 2], task.play._stiction[:] = 0.1, 2.0
     task._target[:] = task._tcp  # nothing else asks for motion
     lead = np.zeros((2, 6))
     lead[:, 0] = 0.15 / 7.0

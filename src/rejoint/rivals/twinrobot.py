@@ -15,7 +15,6 @@ from rejoint.training.ranges import Draw
 from rejoint.training.task import SUBSTEPS
 from rejoint.training.wire import Wire, follow
 from rejoint.twin.batch import TwinBatch
-from rejoint.twin.model import stribeck_friction
 
 
 class TwinRobot:
@@ -93,7 +92,7 @@ class TwinRobot:
         passed = np.empty_like(goals)
         for k in range(SUBSTEPS):
             self.twins.ctrl[:] = references[:, k]
-            self.play.drive(self.twins, stribeck_friction(draw.twin.coulomb, draw.stiction, self.twins.qvel), substep)
+            self.play.drive(self.twins, substep)
             self.twins.step()
             passed[:, k] = self.twins.qpos
         self._reference = references[:, -1].copy()

@@ -23,7 +23,7 @@ from rejoint.arms.size import weightless
 from rejoint.control.robot import Mask
 from rejoint.training.ranges import Draw
 from rejoint.twin.batch import TwinBatch
-from rejoint.twin.model import STRIBECK_SPEED
+from rejoint.twin.model import STRIBECK_SPEED, stribeck_friction
 
 RESTITUTION = 0.5
 """Part of the closing speed with which motor and joint part again when they meet (chosen: steel teeth, some grease)."""
@@ -32,6 +32,7 @@ SOFT = 0.01
 """[rad/s] closing speed below which they stay in touch (chosen: an encoder count in 0.15 s)"""
 
 _MOTOR = ("stiffness", "damping", "coulomb", "armature", "torque_limit", "offset")
+_COULOMB = _MOTOR.index("coulomb")
 
 
 class Play:
@@ -54,12 +55,13 @@ class Play:
         self._stiction[where], self._grease[where] = draw.stiction, draw.grease[:, None]
         self._motor[where] = np.stack([getattr(draw.twin, name) for name in _MOTOR], axis=-1)
 
-    def drive(self, twins: TwinBatch, friction: Array, step: Array) -> None:
+    def drive(self, twins: TwinBatch, step: Array) -> None:
         """Prepare ``twins``, whose references are set, for one step of ``step`` (N,) [s].
 
-        Joints that are out of touch with their motors get no torque and none of the dry ``friction`` (N, n) [N m],
-        armature and damping; those that meet them get a common speed.
+        They get the dry friction of their speeds. Joints that are out of touch with their motors get no torque and none
+        of their friction, armature and damping; those that meet them get a common speed.
         """
+        friction = stribeck_friction(self._motor[..., _COULOMB], self._stiction, twins.qvel)
         if self._half.any():
             state = (self._half, self._ahead, self._speed, self._touch)
             _drive(*state, self._stiction, self._motor, self._link, twins.ctrl, twins.qpos, twins.qvel, step)
@@ -68,7 +70,7 @@ class Play:
                 armature=np.where(free, 0.0, self._motor[..., 3]),
                 damping=self._motor[..., 1] * np.where(free, self._grease, 1.0),
             )
-            friction = np.where(free, 0.0, friction)
+            friction[free] = 0.0
         twins.set_friction(friction)
 
     def state(self) -> dict[str, Array]:
@@ -81,6 +83,7 @@ class Play:
 
 @njit(cache=True, nogil=True)
 def _friction(coulomb, stiction, speed):  # noqa: ANN001, ANN202
+    """As `rejoint.twin.model.stribeck_friction`."""
     return coulomb * (1.0 + (stiction - 1.0) * np.exp(-((speed / STRIBECK_SPEED) ** 2)))
 
 

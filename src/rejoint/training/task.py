@@ -30,7 +30,6 @@ from rejoint.training.reward import SUCCESS_DISTANCE, paper_reward, residual_rew
 from rejoint.training.truth import fixed_truth, moving_truth, truth_size
 from rejoint.training.wire import Wire, follow
 from rejoint.twin.batch import TwinBatch
-from rejoint.twin.model import stribeck_friction
 
 SUBSTEPS = 6
 """Physics steps in a control cycle: 3 ms each at the shortest period, 9 ms at the longest."""
@@ -108,7 +107,6 @@ class ReachTask:
         self._time, self._since, self._period = np.zeros(agents), np.zeros(agents), np.zeros(agents)
         self._middle, self._ramp = np.zeros(agents), np.zeros(agents)
         self._measured, self._sent = np.zeros((agents, n)), np.zeros((agents, n))
-        self._coulomb, self._stiction = np.zeros((agents, n)), np.ones((agents, n))
         self._reference, self._tcp = np.zeros((agents, n)), np.zeros((agents, 3))
         self._target, self._next_target = np.zeros((2, agents, 3))
         self._foreseen, self._newcomer = np.zeros(agents, dtype=bool), np.zeros(agents, dtype=np.int64)
@@ -186,7 +184,7 @@ class ReachTask:
 
     def _arrays(self) -> dict[str, Array]:
         own = ("time", "since", "period", "middle", "ramp", "measured", "sent", "reference", "tcp", "target",
-               "step", "count", "fixed", "coulomb", "stiction")  # fmt: skip
+               "step", "count", "fixed")  # fmt: skip
         return {
             **{name: getattr(self, f"_{name}") for name in own},
             **{f"wire.{name}": value for name, value in self.wire.state().items()},
@@ -221,7 +219,7 @@ class ReachTask:
         passed = np.empty_like(goals)
         for k in range(SUBSTEPS):
             self.twins.ctrl[:] = references[:, k]
-            self.play.drive(self.twins, stribeck_friction(self._coulomb, self._stiction, self.twins.qvel), substep)
+            self.play.drive(self.twins, substep)
             self.twins.step()
             passed[:, k] = self.twins.qpos
         self._reference = references[:, -1].copy()
@@ -283,7 +281,6 @@ class ReachTask:
         self._tcp[where] = tcp_position(self.arm, position)
         self._middle[where] = self._period[where] = draw.period
         self._ramp[where] = draw.twin.ramp_speed
-        self._coulomb[where], self._stiction[where] = draw.twin.coulomb, draw.stiction
         self._time[where], self._count[where] = 0.0, 0
         self._fixed[where] = fixed_truth(self.arm, draw)
         self.observer.forget(where)
