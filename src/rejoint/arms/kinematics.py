@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from functools import cache, lru_cache
-from types import ModuleType
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
 from rejoint.arms.arm import Arm, Array
+from rejoint.late import Late
 
 GRAVITY = np.array([0.0, 0.0, -9.81])
 """[m/s^2] in the base frame; MuJoCo's default value, so that models agree."""
@@ -28,6 +28,8 @@ class Frames(NamedTuple):
     tcp_position: Array
     """(..., 3) [m]"""
 
+
+compiled = Late("rejoint.arms.compiled")
 
 _CYCLE = np.array([1, 2, 0, 1])  # coordinates in the order of a vector product: each with the one before it
 
@@ -57,16 +59,8 @@ def _poses(arm: Arm, q: Array, rows: slice) -> Array:
     np.sin(angles, out=waves[0])
     np.cos(angles, out=waves[1])
     poses = np.empty((arm.joints + 1, rows.stop - rows.start, 4, angles.shape[1]))
-    _compiled().fill_poses(_joint_terms(arm), arm.tip, waves[0], waves[1], rows.start, poses)
+    compiled.fill_poses(_joint_terms(arm), arm.tip, waves[0], waves[1], rows.start, poses)
     return poses
-
-
-@cache
-def _compiled() -> ModuleType:
-    """Import the compiled loops when they are first needed, so that `--help` does not wait for them."""
-    from rejoint.arms import compiled
-
-    return compiled
 
 
 def frames(arm: Arm, q: Array) -> Frames:
@@ -103,7 +97,7 @@ def position_kinematics(arm: Arm, q: Array) -> tuple[Array, Array]:
     n, lead = arm.joints, q.shape[:-1]
     poses = _poses(arm, q, slice(0, 3))
     columns = np.empty((3, n, poses.shape[-1]))
-    _compiled().fill_columns(arm.axis, poses, columns)
+    compiled.fill_columns(arm.axis, poses, columns)
     return poses[n, :, 3].T.reshape(*lead, 3), columns.transpose(2, 0, 1).reshape(*lead, 3, n)
 
 

@@ -17,10 +17,13 @@ from rejoint.arms.size import torque_size
 from rejoint.control.controller import Situation
 from rejoint.control.goal import Goal
 from rejoint.control.integrator import IntegratorGains
-from rejoint.control.law import between, dls_step, fade, limit_position, null_space
+from rejoint.control.law import dls_step, fade, limit_position, null_space
 from rejoint.control.pace import Pace
 from rejoint.control.robot import Mask
 from rejoint.errors import InputError
+from rejoint.late import Late
+
+compiled = Late("rejoint.control.compiled")
 
 NOMINAL_STIFFNESS = 6.0
 """[N m/rad] assumed of the servos of a worn arm of a myCobot's size where nothing is known (chosen: middle of the 3
@@ -75,20 +78,21 @@ class FeedforwardController:
     def command(self, situation: Situation) -> Array:
         """Return the raised goal postures plus the correction, (B, n) [rad]."""
         seen = dls_step(self._arm, situation.state.position, situation.target)
-        return self.correct(situation, fade(seen.error, self._gains.fade) * seen.step)
+        step = fade(seen.error, self._gains.fade) * seen.step
+        return self.correct(situation, step, np.zeros_like(step))
 
-    def correct(self, situation: Situation, step: Array, extra: Array | float = 0.0) -> Array:
+    def correct(self, situation: Situation, step: Array, extra: Array) -> Array:
         """Integrate ``step`` (B, n) [rad] where joints are not on their way and add ``extra`` (B, n) [rad] everywhere.
 
         Returns what `command` returns; call one of the two per cycle.
         """
-        elapsed = self._pace.tick(situation.state.time)[:, None]
-        self._observe_speed(situation.state.position, elapsed)
-        push = self._gains.rate * elapsed * step
-        on_its_way = (np.abs(self._speed) > self._gains.moving) & (self._speed * push > 0.0)
+        gains, elapsed = self._gains, self._pace.tick(situation.state.time)
+        position = np.ascontiguousarray(situation.state.position, dtype=float)
         # Bounded by itself, not by the measured position: on the way the command leads by the whole distance.
-        correction = self._correction + np.where(on_its_way, 0.0, push) + extra
-        self._correction = between(correction, -self._gains.learned_limit, self._gains.learned_limit)
+        compiled.integrate(
+            self._correction, self._speed, self._position, position, elapsed, step, extra,
+            gains.rate, gains.learned_limit, gains.moving, _SMOOTHING,
+        )  # fmt: skip
         return limit_position(self._arm, self._raised + self._correction)
 
     def forget(self, situation: Situation, where: Mask) -> None:
@@ -105,8 +109,3 @@ class FeedforwardController:
             "goal": self._goal.position, "raised": self._raised, "correction": self._correction, "speed": self._speed,
             "position": self._position, "time": self._pace.last,
         }  # fmt: skip
-
-    def _observe_speed(self, position: Array, elapsed: Array) -> None:
-        newest = np.divide(position - self._position, elapsed, out=self._speed.copy(), where=elapsed > 0.0)
-        self._speed = _SMOOTHING * newest + (1.0 - _SMOOTHING) * self._speed
-        self._position = position

@@ -25,6 +25,7 @@ from rejoint.arms.inverse import DAMPING
 from rejoint.control.controller import Situation
 from rejoint.control.robot import Mask
 from rejoint.errors import InputError
+from rejoint.late import Late
 
 Layout = Literal["residual", "equation-16", "equation-16-action"]
 Rows = slice | NDArray[np.intp]
@@ -43,6 +44,8 @@ POINT_SCALE = 5.0
 HISTORY = 3
 """Control cycles whose velocities and actions are seen: no fewer than commands are under way (chosen: with one,
 policies take a tenth longer to come and stay within 2 mm on worn arms that they have not met)."""
+
+compiled = Late("rejoint.control.compiled")
 
 _RIDGE = DAMPING**2 * np.eye(3)
 _LONGEST_WAIT = 2.0  # [s] chosen: later than that the arm should have settled
@@ -160,7 +163,7 @@ class Observer:
         self.arm, self.count, self.layout = arm, count, layout
         self.size = layout_size(layout, n)
         self._position, self._time = np.zeros((count, n)), np.full(count, np.nan)
-        self._period = np.full(count, _MIDDLE_PERIOD)
+        self._period, self._everyone = np.full(count, _MIDDLE_PERIOD), np.arange(count)
         self._velocity, self._action = np.zeros((2, count, HISTORY, n))
         self.view = View(*(np.zeros((count, *tail)) for tail in ((3,), (3,), (), (n,), (n,))))
 
@@ -217,17 +220,10 @@ class Observer:
         }
 
     def _differentiate(self, time: Array, position: Array, rows: Rows) -> None:
-        elapsed, past, period = time - self._time[rows], self._velocity[rows], self._period[rows]
-        # A repeated answer (no time has passed) says nothing new: the last velocities stand.
-        fresh = elapsed > 0
-        velocity = np.empty_like(past)
-        velocity[:, 1:] = past[:, :-1]
-        np.divide(position - self._position[rows], elapsed[:, None], out=velocity[:, 0], where=fresh[:, None])
-        self._velocity[rows] = np.where(fresh[:, None, None], velocity, past)
-        change = np.minimum(elapsed, _LONGEST_PERIOD) - period
-        self._period[rows] = np.where(fresh, period + _SMOOTHING * change, period)
-        self._position[rows] = position
-        self._time[rows] = time
+        chosen = self._everyone if isinstance(rows, slice) else rows
+        new = np.ascontiguousarray(time, dtype=float), np.ascontiguousarray(position, dtype=float)
+        known = self._time, self._position, self._velocity, self._period
+        compiled.differentiate(chosen, *new, *known, _LONGEST_PERIOD, _SMOOTHING)
 
 
 def _residual(out: Observation, reading: Reading) -> None:

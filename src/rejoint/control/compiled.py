@@ -1,0 +1,83 @@
+"""The loops of one control step, compiled: on six numbers, each call of NumPy costs more than what it computes.
+
+They give to the bit what NumPy gives element by element. All arrays are of contiguous float64 unless said otherwise, so
+that each is compiled once; arrays of another shape than expected end in an IndexError.
+"""
+
+# mypy: disallow-untyped-defs=False, disallow-untyped-calls=False, disallow-untyped-decorators=False
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+
+@njit(cache=True, nogil=True, boundscheck=True)
+def differentiate(rows, time, position, last_time, last_position, velocity, period, longest, smoothing):  # noqa: ANN001, ANN201
+    """Take over the measurements of the arms ``rows`` (m,): ``time`` (m,) [s] and ``position`` (m, n) [rad].
+
+    ``last_time`` (B,), ``last_position`` (B, n), ``velocity`` (B, h, n) with the newest first and the running mean
+    ``period`` (B,) are brought up to date. A repeated answer (no time has passed) says nothing new: velocities stand.
+    """
+    joints, kept = position.shape[1], velocity.shape[1]
+    for k in range(len(rows)):
+        i = rows[k]
+        elapsed = time[k] - last_time[i]
+        if elapsed > 0.0:
+            for h in range(kept - 1, 0, -1):
+                for j in range(joints):
+                    velocity[i, h, j] = velocity[i, h - 1, j]
+            for j in range(joints):
+                velocity[i, 0, j] = (position[k, j] - last_position[i, j]) / elapsed
+            period[i] += smoothing * (min(elapsed, longest) - period[i])
+        last_time[i] = time[k]
+        for j in range(joints):
+            last_position[i, j] = position[k, j]
+
+
+@njit(cache=True, nogil=True, boundscheck=True)
+def integrate(correction, speed, last, position, elapsed, step, extra, rate, limit, moving, smoothing):  # noqa: ANN001, ANN201
+    """Add ``rate * elapsed * step`` to ``correction`` where joints are not on their way, and ``extra`` everywhere.
+
+    All (B, n) but ``elapsed`` (B,); ``correction`` is kept within +-``limit``, and the estimate of the ``speed`` and
+    the ``last`` position are brought up to date.
+    """
+    arms, joints = correction.shape
+    for i in range(arms):
+        for j in range(joints):
+            newest = (position[i, j] - last[i, j]) / elapsed[i] if elapsed[i] > 0.0 else speed[i, j]
+            now = smoothing * newest + (1.0 - smoothing) * speed[i, j]
+            push = rate * elapsed[i] * step[i, j]
+            if abs(now) > moving and now * push > 0.0:
+                push = 0.0
+            speed[i, j], last[i, j] = now, position[i, j]
+            correction[i, j] = np.minimum(np.maximum(correction[i, j] + push + extra[i, j], -limit), limit)
+
+
+@njit(cache=True, nogil=True, boundscheck=True)
+def limit(stages, measured, last, reach, lead, lower, upper):  # noqa: ANN001, ANN201
+    """Fill ``stages`` (4, B, n), whose first is what is wanted, with what lead, position and step leave of it.
+
+    ``reach`` (1 or B, n) is the largest step from ``last`` (B, n), ``lead`` the largest distance from ``measured``.
+    """
+    _, arms, joints = stages.shape
+    for i in range(arms):
+        r = i % len(reach)
+        for j in range(joints):
+            near = min(max(stages[0, i, j], measured[i, j] - lead), measured[i, j] + lead)
+            legal = min(max(near, lower[j]), upper[j])
+            stages[1, i, j], stages[2, i, j] = near, legal
+            stages[3, i, j] = min(max(legal, last[i, j] - reach[r, j]), last[i, j] + reach[r, j])
+
+
+@njit(cache=True, nogil=True, boundscheck=True)
+def credible(command, sent, position, lowest, highest, age, oldest):  # noqa: ANN001, ANN201
+    """Tell whether all numbers (B, n) are finite, positions believed and states (B,) young, in the whole batch."""
+    arms, joints = command.shape
+    for i in range(arms):
+        if not age[i] <= oldest:  # NaN counts as old
+            return False
+        for j in range(joints):
+            seen = lowest[j] <= position[i, j] <= highest[j]
+            if not (seen and np.isfinite(command[i, j] + sent[i, j])):
+                return False
+    return True

@@ -1,0 +1,110 @@
+"""The compiled loops give, to the bit, what NumPy gives element by element."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rejoint.arms import mycobot280
+from rejoint.control import compiled
+from rejoint.control.controller import Situation
+from rejoint.control.guard import GuardLimits, guard
+from rejoint.control.observation import Observer
+from rejoint.control.robot import JointState
+from rejoint.errors import InputError
+
+ARM = mycobot280()
+LIMITS = GuardLimits.of(ARM)
+SEEDS = st.integers(0, 2**32 - 1)
+
+
+@settings(deadline=None)
+@given(SEEDS)
+def test_velocities_are_differences_newest_first_and_a_repeated_answer_changes_none(seed):
+    rng = np.random.default_rng(seed)
+    time, position = rng.normal(size=5), rng.normal(size=(5, 6))
+    velocity, period = rng.normal(size=(5, 3, 6)), rng.uniform(0.02, 0.05, 5)
+    rows = np.array([0, 2, 3])
+    now, there = time[rows] + rng.choice([0.0, 0.02, 0.3], 3), rng.normal(size=(3, 6))
+    elapsed = now - time[rows]
+    fresh = elapsed > 0.0
+    wanted, wanted_period = velocity.copy(), period.copy()
+    with np.errstate(divide="ignore", invalid="ignore"):
+        newest = (there - position[rows]) / elapsed[:, None]
+    moved = np.concatenate([newest[:, None], velocity[rows, :2]], axis=1)
+    wanted[rows] = np.where(fresh[:, None, None], moved, velocity[rows])
+    change = np.minimum(elapsed, 0.1) - period[rows]
+    wanted_period[rows] = np.where(fresh, period[rows] + 0.3 * change, period[rows])
+    compiled.differentiate(rows, now, there, time, position, velocity, period, 0.1, 0.3)
+    np.testing.assert_array_equal(velocity, wanted)
+    np.testing.assert_array_equal(period, wanted_period)
+    np.testing.assert_array_equal(time[rows], now)
+    np.testing.assert_array_equal(position[rows], there)
+
+
+@settings(deadline=None)
+@given(SEEDS)
+def test_joints_on_their_way_are_not_pushed_and_corrections_keep_their_limit(seed):
+    rng = np.random.default_rng(seed)
+    correction, speed, last, position, step, extra = rng.normal(scale=0.3, size=(6, 4, 6))
+    elapsed = rng.choice([0.0, 0.03, 0.1], 4)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        newest = np.where(elapsed[:, None] > 0.0, (position - last) / elapsed[:, None], speed)
+    now = 0.5 * newest + 0.5 * speed
+    push = 1.5 * elapsed[:, None] * step
+    push = np.where((np.abs(now) > 0.1) & (now * push > 0.0), 0.0, push)
+    wanted = np.minimum(np.maximum(correction + push + extra, -0.4), 0.4)
+    compiled.integrate(correction, speed, last, position, elapsed, step, extra, 1.5, 0.4, 0.1, 0.5)
+    np.testing.assert_array_equal(correction, wanted)
+    np.testing.assert_array_equal(speed, now)
+    np.testing.assert_array_equal(last, position)
+
+
+def test_a_correction_that_is_no_number_stays_visible():
+    correction, zeros = np.full((1, 1), np.nan), np.zeros((1, 1))
+    compiled.integrate(correction, zeros.copy(), zeros.copy(), zeros, np.ones(1), zeros, zeros, 1.0, 0.4, 0.1, 0.5)
+    assert np.isnan(correction).all()  # the guard must see it
+
+
+@settings(deadline=None)
+@given(SEEDS)
+def test_limits_are_applied_in_order(seed):
+    rng = np.random.default_rng(seed)
+    wanted, measured, last = rng.normal(size=(3, 4, 6))
+    reach, lower, upper = rng.uniform(0.0, 0.5, (4, 6)), np.full(6, -0.5), np.full(6, 0.7)
+    for allowed in (reach, reach[:1]):
+        stages = np.empty((4, 4, 6))
+        stages[0] = wanted
+        compiled.limit(stages, measured, last, allowed, 0.2, lower, upper)
+        near = np.minimum(np.maximum(wanted, measured - 0.2), measured + 0.2)
+        legal = np.minimum(np.maximum(near, lower), upper)
+        stepped = np.minimum(np.maximum(legal, last - allowed), last + allowed)
+        np.testing.assert_array_equal(stages, [wanted, near, legal, stepped])
+
+
+def test_any_layout_and_precision_will_do():
+    rng = np.random.default_rng(0)
+    command, sent = ARM.rest + rng.normal(scale=0.1, size=(2, 3, 6)).astype(np.float32)
+    position = (ARM.rest + rng.normal(scale=0.02, size=(3, 6))).astype(np.float32)
+    time, target = np.full(3, 0.1, dtype=np.float32), ARM.targets.sample(rng, (3,))
+
+    def answers(change):
+        state = JointState(time=change(time), position=change(position), age=np.zeros(3))
+        situation = Situation(state=state, target=target, sent=change(sent), since_target=np.zeros(3))
+        observer = Observer(ARM, 3)
+        observer.reset(situation, np.ones(3, dtype=bool))
+        return guard(LIMITS, change(command), change(sent), state, 0.03).command, observer.observe(situation)
+
+    plain = answers(lambda array: array.astype(float))
+    for change in (np.asfortranarray, lambda array: np.repeat(array, 2, axis=0)[::2]):
+        for found, wanted in zip(answers(change), plain, strict=True):
+            np.testing.assert_allclose(found, wanted, atol=1e-6)
+
+
+def test_arrays_of_another_shape_are_refused():
+    one, two = np.tile(ARM.rest, (1, 1)), np.tile(ARM.rest, (2, 1))
+    state = JointState(time=np.zeros(1), position=one, age=np.zeros(1))
+    with pytest.raises(InputError, match="shapes"):
+        guard(LIMITS, two, two, state, 0.03)
+    with pytest.raises(IndexError):
+        compiled.limit(np.zeros((4, 2, 6)), one, one, one, 0.2, LIMITS.lower, LIMITS.upper)
