@@ -81,7 +81,7 @@ def heights(arm: Arm, q: Array) -> Array:
 
 def tcp_position(arm: Arm, q: Array) -> Array:
     """TCP position (..., 3) [m] at joint positions ``q`` (..., n) [rad]."""
-    return frames(arm, q).tcp_position
+    return _poses(arm, q, slice(0, 3))[arm.joints, :, 3].T.reshape(*q.shape[:-1], 3)
 
 
 def tcp_pose(arm: Arm, q: Array) -> Array:

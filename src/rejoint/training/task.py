@@ -150,15 +150,14 @@ class ReachTask:
         self._command(applied)
         before = self.twins.qpos.copy()
         self._advance()
-        now = frames(self.arm, self.twins.qpos)
-        tcp = now.tcp_position
+        tcp = tcp_position(self.arm, self.twins.qpos)
         speed = np.linalg.norm(tcp - self._tcp, axis=-1) / self._period
         self._tcp = tcp
         distance = np.linalg.norm(self._target - tcp, axis=-1)
         self._step += 1
         final, final_truth = self.observer.observe(self._situation()), self._truth(distance, speed)
         reached = (distance < SUCCESS_DISTANCE) & self.settings.ends_on_success
-        collided = collides(self.arm, now) if self.settings.collisions else np.zeros(self.agents, dtype=bool)
+        collided = self._collided()
         late = (self._step >= self.settings.hold_steps) & ~reached
         if self.settings.reward == "residual":
             reward = residual_reward(distance, speed, np.asarray(action, dtype=float))
@@ -226,6 +225,11 @@ class ReachTask:
         self._time, self._since = self._time + self._period, self._since + self._period
         self.wire.record(starts + substep[:, None], passed)
         self._measured = self._quantised(self.wire.read(self._time))
+
+    def _collided(self) -> Mask:
+        if not self.settings.collisions:
+            return np.zeros(self.agents, dtype=bool)
+        return collides(self.arm, frames(self.arm, self.twins.qpos))
 
     def _renew(
         self, ended: Mask, collided: Mask, final: Observation, final_truth: Observation
