@@ -1,9 +1,10 @@
 """Time per transition and memory of a training by its number of agents, each in a process of its own."""
 
-import resource
+import re
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 from benchmarks.learners import ROLLOUT, begin
 
@@ -17,8 +18,13 @@ def measure(agents: int) -> None:
     for _ in range(rounds):
         learner.iterate()
     taken = time.perf_counter() - start
-    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    print(f"{agents:>6} {1e6 * taken / rounds / agents / ROLLOUT:>14.1f} {memory:>12.0f}")
+    print(f"{agents:>6} {1e6 * taken / rounds / agents / ROLLOUT:>14.1f} {memory():>12.0f}")
+
+
+def memory() -> float:
+    """Peak [MiB] of this process; `getrusage` would count that of the process it was started from."""
+    found = re.search(r"^VmHWM:\s+(\d+) kB", Path("/proc/self/status").read_text(), re.MULTILINE)
+    return int(found[1]) / 1024
 
 
 def main() -> None:
