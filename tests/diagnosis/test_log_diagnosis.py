@@ -165,6 +165,16 @@ def test_an_arm_that_lies_on_its_table_is_not_called_worn(on_a_table, monkeypatc
     assert kinds(fooled) == {("elbow_flex", "weak_gain")}
 
 
+@pytest.mark.parametrize("keep", [5, 8, 12])
+def test_slow_logs_leave_open_what_they_do_not_tell(logs, keep):
+    fields = ("time", "position", "command", "target", "true_tcp")
+    slow = [dataclasses.replace(log, **{f: getattr(log, f)[::keep] for f in fields}) for log in logs["healthy"]]
+    diagnosis = diagnose_logs(ARM, slow, load_healthy(ARM))
+    assert (diagnosis.condition, kinds(diagnosis)) == ("unknown", set())
+    assert re.search(r"readings are 0\.\d\d s apart, expected at most 0.1 s", diagnosis.verdict)
+    assert all(joint.hunting_rad is None for joint in diagnosis.measurement.joints)
+
+
 def test_spans_hold_free_rows_of_one_log(logs):
     entry = logs["healthy"][:3]
     excluded = find_exclusions(ARM, entry)

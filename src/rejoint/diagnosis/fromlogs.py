@@ -15,7 +15,7 @@ from rejoint.arms import Arm, tcp_position
 from rejoint.diagnosis.diagnosis import KINDS, Diagnosis, condition_of
 from rejoint.diagnosis.evidence import Evidence
 from rejoint.diagnosis.healthy import HealthyReference
-from rejoint.diagnosis.logmetrics import MANY_LOGS, measure_joint
+from rejoint.diagnosis.logmetrics import COARSEST, MANY_LOGS, measure_joint
 from rejoint.diagnosis.measurement import Measurement
 from rejoint.diagnosis.postures import Postures, joined, resting_postures
 from rejoint.diagnosis.regression import Estimate, mean_of
@@ -158,7 +158,10 @@ def _condition(measurement: Measurement, findings: tuple[Finding, ...]) -> str:
 def _verdict(measurement: Measurement, findings: tuple[Finding, ...], healthy: HealthyReference | None) -> str:
     untold = _untold(measurement)
     if not findings and len(untold) == len(measurement.joints):
-        return "Whether the arm is worn cannot be told: no joint moves slowly and in both directions for long enough."
+        why = "no joint moves slowly and in both directions for long enough"
+        if measurement.period_s > COARSEST:
+            why = f"readings are {measurement.period_s:.2f} s apart, expected at most {COARSEST:g} s"
+        return f"Whether the arm is worn cannot be told: {why}."
     if not findings:
         return f"No joint shows wear in these logs{'; they do not tell about ' * bool(untold)}{', '.join(untold)}."
     joints = {finding.joint: finding for finding in reversed(findings)}  # the worst finding of a joint wins
@@ -176,8 +179,8 @@ def _unseen(measurement: Measurement) -> tuple[str, ...]:
     for missing, words in (
         ("stiffness_nm_per_rad", "The stiffness of {}, and so the torque that friction takes, cannot be told: gravity "
          "does not load it enough in these motions, or they disagree too much."),
-        ("hysteresis_rad", "Friction, lag and zero of {} cannot be told: too little slow motion, or in one direction "
-         "only."),
+        ("hysteresis_rad", "Friction, lag and zero of {} cannot be told: too little slow motion, in one direction only "
+         "or with readings too far apart."),
         ("overshoot", "Whether {} shoots over cannot be told: too few steps."),
         ("noise_rad", "Noise and unrest of {} cannot be told: the arm hardly rests while no command moves."),
     ):  # fmt: skip

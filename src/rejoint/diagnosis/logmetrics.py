@@ -24,6 +24,9 @@ from rejoint.diagnosis.spans import FREE, HOLD, STEP, STILL, log_of
 _WINDOW = 0.3
 """[s] of a window (chosen: of the half seconds that a hobby arm needs for a reversal)"""
 
+COARSEST = 0.1
+"""[s] between readings above which a window holds too few (chosen: three; at 0.2 s a healthy SO-101 looks sticky)"""
+
 _SETTLING = 0.2
 """[s] of a free stretch that are left out at its beginning (chosen)"""
 
@@ -98,7 +101,12 @@ def measure_joint(data: ExcitationLog, joint: int) -> JointMetrics:
 
 
 def slow_motion(data: ExcitationLog, joint: int) -> Slow | None:
-    """Fit the law to the free slow motion of a joint; None where there is too little, or in one direction only."""
+    """Fit the law to the free slow motion of a joint; None where there is too little, or in one direction only.
+
+    None as well where readings are further apart than `COARSEST`.
+    """
+    if float(np.median(np.diff(data.log.time))) > COARSEST:
+        return None
     segments = data.of_kind(FREE)
     averages = window_averages(data, segments, joint, length=_WINDOW, delays=np.array([0.0]), cut=_SETTLING)
     chosen = np.abs(averages.direction) > _MOVING

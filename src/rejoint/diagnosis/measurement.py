@@ -110,6 +110,9 @@ def _joint(data: ExcitationLog, joint: int, delay: float, dynamics: Fit, stiffne
     sweep = metrics.sweep_fit(data, joint, delay)
     lag, half_width = (None, None) if sweep is None else (sweep.estimate(0), sweep.estimate(1))
     k = stiffness.value
+    hunting, noise = metrics.hunting(data, joint), metrics.noise(data, joint)
+    data.require(hunting is not None, "holds", joint)
+    data.require(noise is not None, "readings at rest", joint)
     row = JointMetrics(
         joint=data.arm.joint_names[joint],
         stiffness_nm_per_rad=k,
@@ -119,8 +122,8 @@ def _joint(data: ExcitationLog, joint: int, delay: float, dynamics: Fit, stiffne
         lag_s=lag,
         damping_ratio=_damping_ratio(dynamics),
         overshoot=metrics.overshoot(data, joint),
-        hunting_rad=metrics.hunting(data, joint),
-        noise_rad=metrics.noise(data, joint),
+        hunting_rad=hunting,
+        noise_rad=noise,
         torque_limit_nm=None,
         torque_seen_nm=0.0,
         saturated_share=0.0,

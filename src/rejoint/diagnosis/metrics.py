@@ -128,16 +128,18 @@ def overshoot(data: ExcitationLog, joint: int) -> Estimate:
     return mean_of(np.array(shares)) if shares else Estimate(0.0, 0.0, None)
 
 
-def hunting(data: ExcitationLog, joint: int) -> Estimate:
+def hunting(data: ExcitationLog, joint: int) -> Estimate | None:
     """Rms [rad] of the motion that is left at the end of holds, when all commands have long stood still.
 
     A joint hunts in some postures and is quiet in others, so this is the mean over the worst quarter
     of the holds, and its bounds are the least and the most of that quarter. A motion repeats itself and
-    noise does not: only the share of the power that correlates with earlier readings counts.
+    noise does not: only the share of the power that correlates with earlier readings counts. None with fewer than four
+    holds of at least four readings.
     """
     spans = [data.rows(segment, last=SETTLED_LAST) for segment in data.of_kind("hold")]
     spans = [rows for rows in spans if len(rows) >= 4]
-    data.require(len(spans) >= 4, "holds", joint)
+    if len(spans) < 4:
+        return None
     rest = [_without_drift(data.log.time[rows], data.log.position[rows, joint]) for rows in spans]
     worst = np.sort([float(np.sqrt((r**2).mean())) for r in rest])[-(len(rest) // 4) :]
     motion = worst * _repeating_share(rest) ** 0.5
@@ -158,10 +160,11 @@ def _repeating_share(pieces: list[Array]) -> float:
     return min(max(shares), 1.0)
 
 
-def noise(data: ExcitationLog, joint: int) -> Estimate:
-    """Rms [rad] of a single reading while nothing is asked for, from differences of neighbours."""
+def noise(data: ExcitationLog, joint: int) -> Estimate | None:
+    """Rms [rad] of a single reading while nothing is asked for, from differences of neighbours; None with under 12."""
     rows = [data.rows(segment, skip=0.5) for segment in data.of_kind("still")]
-    data.require(sum(map(len, rows)) >= 12, "readings at rest", joint)
+    if sum(map(len, rows)) < 12:
+        return None
     steps = np.concatenate([np.diff(data.log.position[part, joint]) for part in rows])
     blocks = np.array_split(steps, 6)
     power = mean_of(np.array([float((block**2).mean()) / 2 for block in blocks]))
