@@ -146,6 +146,21 @@ def test_the_best_rival_is_the_soonest_and_not_a_policy():
     assert tables[1][2][0][1] == "p against fast"
 
 
+def test_a_controller_that_the_guard_stops_everywhere_is_a_row_without_numbers_and_never_the_best():
+    stopped = dataclasses.replace(
+        outcome(np.full((3, 2), np.nan), np.full((3, 2), np.nan)), oscillation=np.full((3, 2), np.nan),
+        crossed=np.zeros((3, 2)), crossing_error=np.full((3, 2), np.nan), crossing_time=np.full((3, 2), np.nan),
+    )  # fmt: skip
+    never = outcome(np.full((3, 2), 9.0), np.full((3, 2), np.inf))
+    contestants = [Contestant(name=name, group=name, make=IntegratorController, identity=name) for name in "ab"]
+    result = summarise(ARM, SETTINGS, contestants, {"worn": ""}, {("worn", "a"): stopped, ("worn", "b"): never})
+    row = result.row("worn", "a")
+    assert (row.settled, row.settled_p95, row.settled_true, row.true_p95, row.oscillation) == (None,) * 5
+    assert (row.outside.value, row.success.value, row.cycle_time, row.crossing_error) == (1.0, 0.0, None, None)
+    assert result.best == {"worn": "b"}
+    assert [line[1] for line in terminal_tables(result)[0][2]] == ["not known", "9.00"]
+
+
 def test_what_happened_is_told_apart():
     good = outcome(np.full((1, 1), 8.0))
 

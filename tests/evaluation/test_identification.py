@@ -1,11 +1,15 @@
+import dataclasses
+
 import numpy as np
 import pytest
 
 from rejoint.arms import mycobot280
 from rejoint.comparison.result import Protocol
+from rejoint.control.guard import Reason
 from rejoint.evaluation import identification
 from rejoint.evaluation.family import Family
 from rejoint.evaluation.identification import COPIES, VARIANT, KnownArm, evaluate_identification, know_arm
+from rejoint.evaluation.outcome import Outcome
 from rejoint.evaluation.trials import TrialSettings
 from rejoint.runs import RunFolder
 from rejoint.training.train import TrainingOptions, train
@@ -69,3 +73,12 @@ def test_knowing_an_arm_is_compared_with_not_knowing_it(known, tmp_path, monkeyp
     assert row.settled.low <= row.settled.value <= row.settled.high
     assert (tmp_path / "evaluation.html").exists()
     assert COPIES > 2
+
+
+def test_the_trips_of_all_copies_of_an_arm_are_kept():
+    blank = {f.name: np.zeros((2, 1)) for f in dataclasses.fields(Outcome)}
+    tripped = np.array([float(Reason.STALE), float(Reason.OUT_OF_RANGE)])
+    merged = identification._one_arm(Outcome(**blank | {"wear_seed": np.array([7.0, 7.0]), "tripped": tripped}))
+    assert merged.tripped.tolist() == [float(Reason.STALE | Reason.OUT_OF_RANGE)]
+    assert merged.wear_seed.tolist() == [7.0]
+    assert merged.settled.shape == (1, 2)

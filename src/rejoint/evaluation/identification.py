@@ -136,8 +136,10 @@ def _one_arm(outcome: Outcome) -> Outcome:
     merged = {}
     for field in fields(Outcome):
         array = getattr(outcome, field.name)
-        if array.ndim == 1:  # of the arm: its seed, and every trip of a copy
-            merged[field.name] = array[:1] if field.name == "wear_seed" else array.max(keepdims=True)
+        if field.name == "tripped":  # all reasons of all copies
+            merged[field.name] = np.bitwise_or.reduce(array.astype(np.uint16), keepdims=True).astype(float)
+        elif array.ndim == 1:  # of the arm: its seed
+            merged[field.name] = array[:1]
         else:
             merged[field.name] = array.reshape(1, -1, *array.shape[2:])
     return Outcome(**merged)

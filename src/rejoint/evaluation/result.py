@@ -29,15 +29,15 @@ class Row:
     controller: str
     seeds: int
     """trainings that are put together"""
-    settled: Estimate
-    """[m] encoder error, mean of the last second"""
-    settled_p95: float
+    settled: Estimate | None
+    """[m] encoder error, mean of the last second; None, as the four below, where the guard stopped every hold"""
+    settled_p95: float | None
     """[m]"""
-    settled_true: Estimate
+    settled_true: Estimate | None
     """[m]"""
-    true_p95: float
+    true_p95: float | None
     """[m]"""
-    oscillation: float
+    oscillation: float | None
     """[m] mean"""
     outside: Estimate
     """share of the holds that end farther away than 5 mm, or that the guard stopped"""

@@ -64,21 +64,20 @@ def make_row(variant: str, controller: str, outcomes: Sequence[Outcome], protoco
     arms = _arms(outcomes)
     settled, true = _joined(outcomes, "settled"), _joined(outcomes, "settled_true")
     stay = _joined(outcomes, "stay")
-    known = np.isfinite(settled)
     crossed = _joined(outcomes, "crossed")
     times = np.concatenate([_ten_targets(outcome) for outcome in outcomes])
     some = bool(np.isfinite(crossed).any())
     crossing_arms = _arms(outcomes, "crossed")
     return Row(
         variant=variant, controller=controller, seeds=len(outcomes),
-        settled=_mean(settled, arms), settled_p95=float(np.quantile(settled[known], 0.95)),
-        settled_true=_mean(true, arms), true_p95=float(np.quantile(true[known], 0.95)),
-        oscillation=float(np.nanmean(_joined(outcomes, "oscillation"))),
+        settled=_mean(settled, arms), settled_p95=_p95(settled),
+        settled_true=_mean(true, arms), true_p95=_p95(true),
+        oscillation=_plain_mean(_joined(outcomes, "oscillation")),
         outside=clustered_share((~(settled <= FAR)).astype(float), arms),
         within=tuple(_within(d, stay[..., w], arms) for w, d in enumerate(protocol.within)),
         success=clustered_share(crossed, crossing_arms) if some else None,
-        cycle_time=_mean(times, _per_arm(outcomes)) if np.isfinite(times).any() else None,
-        crossing_error=_mean(_joined(outcomes, "crossing_error"), crossing_arms) if some else None,
+        cycle_time=_mean(times, _per_arm(outcomes)),
+        crossing_error=_mean(_joined(outcomes, "crossing_error"), crossing_arms),
     )  # fmt: skip
 
 
@@ -118,7 +117,8 @@ def _best(rows: Sequence[Row]) -> str:
     """Rival that is soonest within the narrowest distance; where none ever is, the one that settles nearest."""
     if not rows:
         return ""
-    return min(rows, key=lambda row: (row.within[-1].median or np.inf, row.settled.value)).controller
+    far = Estimate(value=np.inf, low=np.inf, high=np.inf)
+    return min(rows, key=lambda row: (row.within[-1].median or np.inf, (row.settled or far).value)).controller
 
 
 def _within(distance: float, stay: Array, arms: Labels) -> Within:
@@ -128,8 +128,18 @@ def _within(distance: float, stay: Array, arms: Labels) -> Within:
     return Within(distance=distance, share=share, median=median if np.isfinite(median) else None)
 
 
-def _mean(values: Array, arms: Labels) -> Estimate:
-    return bootstrap_mean(values.ravel(), arms.ravel())
+def _mean(values: Array, arms: Labels) -> Estimate | None:
+    return bootstrap_mean(values.ravel(), arms.ravel()) if np.isfinite(values).any() else None
+
+
+def _plain_mean(values: Array) -> float | None:
+    known = values[np.isfinite(values)]
+    return float(known.mean()) if len(known) else None
+
+
+def _p95(values: Array) -> float | None:
+    known = values[np.isfinite(values)]
+    return float(np.quantile(known, 0.95)) if len(known) else None
 
 
 def _joined(outcomes: Sequence[Outcome], field: str) -> Array:

@@ -23,11 +23,11 @@ def row_cells(row: Row, best: bool = False) -> list[Cell]:
     shares = " / ".join(f"{w.share.value * PERCENT:.0f}" for w in row.within)
     return [
         Cell(row.controller, "\n".join([*note, *(["best rival"] if best else [])])),
-        Cell(number(row.settled.value * MM, 3), _interval(row.settled, MM)),
-        Cell(number(row.settled_p95 * MM, 3)),
+        _measured(row.settled, 3),
+        Cell(_mm(row.settled_p95, 3)),
         Cell(number(row.outside.value * PERCENT, 2), _interval(row.outside, PERCENT, 2)),
-        Cell(number(row.settled_true.value * MM, 2), f"95 %: {number(row.true_p95 * MM, 2)}"),
-        Cell(number(row.oscillation * MM, 2)),
+        Cell(_measured(row.settled_true, 2).text, f"95 %: {_mm(row.true_p95, 2)}"),
+        Cell(_mm(row.oscillation, 2)),
         Cell(stays, f"{shares} %"),
         _cycle(row),
     ]
@@ -68,6 +68,14 @@ def terminal_tables(evaluation: Evaluation) -> list[tuple[str, list[str], list[l
         headers = ["variant", "against the best rival", *pair_headers(evaluation)]
         tables.append(("Paired differences, 95 % intervals over arms", headers, pairs))
     return tables
+
+
+def _measured(value: Estimate | None, digits: int) -> Cell:
+    return Cell(UNKNOWN) if value is None else Cell(number(value.value * MM, digits), _interval(value, MM))
+
+
+def _mm(value: float | None, digits: int) -> str:
+    return UNKNOWN if value is None else number(value * MM, digits)
 
 
 def _cycle(row: Row) -> Cell:
