@@ -157,3 +157,10 @@ def test_unusable_logs_are_refused(arm, log):
     )  # fmt: skip
     with pytest.raises(InputError, match="at least 20 s"):
         identify(arm, [short], QUICK)
+    rows = int(np.searchsorted(log.time, log.time[0] + 20.6))  # three windows, the fourth would be held out
+    close = replace(
+        log, time=log.time[:rows], position=log.position[:rows], command=log.command[:rows],
+        target=log.target[:rows], true_tcp=log.true_tcp[:rows],
+    )  # fmt: skip
+    with pytest.raises(InputError, match="expected at least 24 s"):
+        identify(arm, [close], IdentifySettings())

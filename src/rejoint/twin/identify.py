@@ -58,7 +58,7 @@ STILL_SPEED = 0.03
 """[rad/s] below which a joint counts as still: an encoder step in 50 ms (chosen)"""
 
 SHORTEST = 20.0
-"""[s] of motion below which an identification is refused (chosen: five windows)"""
+"""[s] of motion below which an identification is refused (chosen: three windows)"""
 
 
 def identify(
@@ -78,6 +78,12 @@ def identify(
     windows = cut(logs, settings.window)
     seen = [w for i, w in enumerate(windows) if i % settings.hold_out != settings.hold_out - 1]
     unseen = [w for i, w in enumerate(windows) if i % settings.hold_out == settings.hold_out - 1]
+    if not seen or not unseen:
+        needed = settings.window * settings.hold_out
+        raise InputError(
+            f"identification: {seconds:.0f} s of motion make no window to judge the fit by; "
+            f"expected at least {needed:.0f} s in one log"
+        )
     belief = prior(arm)
 
     period = seconds / sum(len(log) - 1 for log in logs)
