@@ -98,6 +98,10 @@ def test_deploy_logs_what_it_did(
         (("identify", "--logs", "{empty}"), "no folder with run logs"),
         (("replay", "{run}/none.toml", "--logs", "{empty}"), "none.toml"),
         (("train", "{run}", "--preset", "magic"), "magic"),
+        (("train", "{run}", "--preset", "paper", "--learner", "sac"), "a recipe of PPO"),
+        (("train", "{identified}", "--broad"), "has a twin.toml"),
+        (("evaluate", "--identification", "1", "--arms", "3"), "--arms does not go with --identification"),
+        (("evaluate", "--family", "--iterations", "3"), "--iterations does not go with --family"),
         (("repair", "emulated:healthy", "--run", "{run}"), "is a run of emulated:worn"),
         (("emulate", "--port", "99999"), "--port"),
         (("frobnicate",), "frobnicate"),
@@ -113,9 +117,11 @@ def test_bad_input_is_one_line_and_exit_code_2(
     monkeypatch.chdir(tmp_path)
     folder = work.begin(tmp_path / "run", "emulated:worn", mycobot280(), 0).folder
     folder.policy.write_bytes(b"half a policy")
+    work.begin(tmp_path / "identified", "emulated:worn", mycobot280(), 0).folder.twin.write_text("half a twin")
     (tmp_path / "empty").mkdir()
     (tmp_path / "bad.csv").write_text("x,y,z\n1,2\n")
-    places = {"{run}": str(folder.path), "{empty}": str(tmp_path / "empty"), "{bad_csv}": str(tmp_path / "bad.csv")}
+    names = {"run": "run", "identified": "identified", "empty": "empty", "bad_csv": "bad.csv"}
+    places = {f"{{{name}}}": str(tmp_path / place) for name, place in names.items()}
     code, _, err = run_cli(*(_fill(word, places) for word in words), capsys=capsys, monkeypatch=monkeypatch)
     assert code == 2
     errors = [line for line in err.splitlines() if line.startswith("error: ")]
@@ -157,6 +163,16 @@ def test_a_period_that_the_policy_never_met_is_refused(
     code, _, err = run_cli(*words, capsys=capsys, monkeypatch=monkeypatch)
     assert code == 2
     assert "control period is 400 ms" in err
+
+
+def test_the_robot_s_own_period_is_checked_too(
+    finished: RunFolder, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(work, "default_period", lambda address: (0.3, 0.5) if address.startswith("tcp") else None)
+    for words in (("deploy", "tcp://127.0.0.1:1"), ("compare", "tcp://127.0.0.1:1", "--controllers", "policy")):
+        code, _, err = run_cli(*words[:2], str(finished.path), *words[2:], capsys=capsys, monkeypatch=monkeypatch)
+        assert code == 2
+        assert "control period is 400 ms" in err
 
 
 def test_a_guard_trip_is_exit_code_3(

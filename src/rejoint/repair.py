@@ -29,7 +29,7 @@ from rejoint.control.loop import run as drive
 from rejoint.control.policy import PolicyController
 from rejoint.control.robot import Robot
 from rejoint.errors import FileError, InputError
-from rejoint.robots import open_robot
+from rejoint.robots import default_period, open_robot
 from rejoint.runs import LOGS, RunFolder, RunInfo, RunLog, read_json, read_log, write_json, write_log
 
 if TYPE_CHECKING:  # these need the simulator, which a Raspberry Pi does not have
@@ -226,6 +226,8 @@ def train_stage(
     from rejoint.training.train import TrainingOptions, train
 
     if learner != "ppo":
+        if preset != "default":
+            raise InputError(f"--preset {preset} is a recipe of PPO; {learner} trains on the default one: leave it out")
         from rejoint.training.offpolicy import OffPolicySettings, algorithm, train_offpolicy
 
         settings = OffPolicySettings(algorithm=algorithm(learner), seed=run.info.seed)
@@ -262,17 +264,16 @@ def compare_stage(
         batched=robot.startswith("emulated:"),
         protocol=trials.protocol,
     )
-    result = compare(
-        connect, _factories(run, trials.controllers, period), targets, settings,
-        on_progress=on_progress, on_trial=keep,
-    )  # fmt: skip
+    factories = _factories(run, trials.controllers, period or default_period(robot))
+    result = compare(connect, factories, targets, settings, on_progress=on_progress, on_trial=keep)
     write_json(run.folder.comparison, result)
     return result, recommend(result)
 
 
 def deploy_stage(run: Run, robot: str, job: Deployment, period: Period | None = None) -> Array:
     """Drive a robot through the targets of ``job``; returns the encoder error (K,) [m] at the end of each."""
-    controller = _factories(run, (job.controller,), period)[job.controller](run.arm)
+    factories = _factories(run, (job.controller,), period or default_period(robot))
+    controller = factories[job.controller](run.arm)
     connection = open_robot(robot, arm=run.arm, seed=run.info.seed, period=period)
     try:
         recording = drive(connection, controller, job.targets[None], Schedule(dwell=job.dwell))
@@ -291,7 +292,7 @@ def _twin(run: Run) -> Twin | None:
     return read_twin(run.folder.twin, run.arm)
 
 
-def _factories(run: Run, names: tuple[str, ...], period: Period | None) -> Mapping[str, Callable[[Arm], Controller]]:
+def _factories(run: Run, names: tuple[str, ...], period: Period) -> Mapping[str, Callable[[Arm], Controller]]:
     """Make controllers by name; the feed-forward believes the twin's stiffness where there is a twin.
 
     A name, a policy file or a control period that does not fit is refused here, before anything moves.
@@ -306,6 +307,6 @@ def _factories(run: Run, names: tuple[str, ...], period: Period | None) -> Mappi
 
     for name in names:
         controller = factory(name)(run.arm)
-        if period is not None and isinstance(controller, PolicyController):
+        if isinstance(controller, PolicyController):
             check_period(controller.contract, sum(period) / 2)
     return {name: factory(name) for name in names}

@@ -5,7 +5,7 @@ import pytest
 
 from rejoint.control.robot import Robot
 from rejoint.errors import AddressError, InputError
-from rejoint.robots import open_robot
+from rejoint.robots import default_period, open_robot
 from rejoint.robots.address import EmulatedAddress, SerialAddress, TcpAddress, parse_address
 
 KNOWN = [
@@ -62,3 +62,8 @@ def test_a_missing_extra_is_named(monkeypatch):
     monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
     with pytest.raises(AddressError, match=r"rejoint\[train\]"):
         open_robot("emulated:worn")
+
+
+def test_periods_that_nobody_asked_for():
+    assert default_period("tcp://127.0.0.1:9000") == default_period("serial:///dev/ttyAMA0") == (0.05, 0.05)
+    assert default_period("emulated:worn") == (0.02, 0.03)

@@ -21,7 +21,12 @@ if TYPE_CHECKING:
 OUT = Path("runs") / "family"
 
 
+FAMILY_ALONE = ("controllers", "variants", "arms", "gains")
+"""Options of `evaluate` that go with --family"""
+
+
 def evaluate(
+    context: typer.Context,
     family: Annotated[
         bool, typer.Option("--family", help="On arms of the worn family that nothing was chosen on.")
     ] = False,
@@ -59,6 +64,11 @@ def evaluate(
 
     if family == (identification is not None):
         raise InputError("evaluate needs either --family or --identification N: the arms that controllers are tried on")
+    idle = ("iterations",) if family else FAMILY_ALONE
+    for name in idle:
+        source = context.get_parameter_source(name)
+        if source is not None and source.name != "DEFAULT":
+            raise InputError(f"--{name} does not go with {'--family' if family else '--identification'}; leave it out")
     terminal = Terminal(json=json)
     arm = load_arm("mycobot280")
     if identification is not None:

@@ -14,7 +14,7 @@ from rejoint.cli import options as opt
 from rejoint.cli.console import Terminal
 from rejoint.comparison.targets import draw_targets, read_targets
 from rejoint.errors import InputError
-from rejoint.runs import LOGS
+from rejoint.runs import LOGS, RunFolder
 
 
 def diagnose(
@@ -104,6 +104,8 @@ def train(
     """
     terminal = Terminal(json=json)
     if broad:
+        if RunFolder(run).twin.exists():
+            raise InputError(f"{run} has a twin.toml, and --broad trains without one: choose another folder")
         work.begin(run, "emulated:worn", load_arm("mycobot280"), seed or 0)
     job = opt.seeded(work.open_run(run), seed)
     from rejoint.report.sections.training import draw_training

@@ -137,7 +137,8 @@ def check_period(contract: PolicyContract, period: float) -> None:
     if not low <= period <= high:
         raise ContractError(
             f"the robot's control period is {1e3 * period:.0f} ms, the policy was trained for "
-            f"{1e3 * contract.min_period:.0f} to {1e3 * contract.max_period:.0f} ms; check the connection"
+            f"{1e3 * contract.min_period:.0f} to {1e3 * contract.max_period:.0f} ms; "
+            "choose --period within that, or train for this robot"
         )
 
 

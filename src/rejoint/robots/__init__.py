@@ -37,18 +37,28 @@ def open_robot(
     arm = arm or load_arm(default_arm(address))
     if count < 1:
         raise InputError(f"a robot needs at least one arm, got count {count}")
+    period = period or default_period(address)
     if isinstance(place, EmulatedAddress):
-        return _open_emulated(address, place.profile, arm, seed, count, period or _EMULATED_PERIOD, threads)
+        return _open_emulated(address, place.profile, arm, seed, count, period, threads)
     if count != 1:
         raise InputError(f"{address} is one arm; only emulated robots come in batches, got count {count}")
     from rejoint.robots.link import VendorLink
-    from rejoint.robots.mycobot import DEFAULT_PERIOD, DriverSettings, MyCobotRobot
+    from rejoint.robots.mycobot import DriverSettings, MyCobotRobot
 
-    settings = DriverSettings(period=period or DEFAULT_PERIOD, seed=seed)
+    settings = DriverSettings(period=period, seed=seed)
     link = VendorLink(place)
     robot = MyCobotRobot(link, arm, settings)
     link.open()
     return robot
+
+
+def default_period(address: str) -> tuple[float, float]:
+    """Interval [s] of the control periods of the robot at ``address`` where nothing else is asked for."""
+    if isinstance(parse_address(address), EmulatedAddress):
+        return _EMULATED_PERIOD
+    from rejoint.robots.mycobot import DEFAULT_PERIOD
+
+    return DEFAULT_PERIOD
 
 
 def default_arm(address: str) -> str:
@@ -82,4 +92,4 @@ def _require_simulator(address: str) -> None:
         )
 
 
-__all__ = ["DEFAULT_ARM", "SIMULATOR", "default_arm", "open_robot"]
+__all__ = ["DEFAULT_ARM", "SIMULATOR", "default_arm", "default_period", "open_robot"]
