@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from rejoint.arms import mycobot280
 from rejoint.control import compiled
 from rejoint.control.controller import Situation
+from rejoint.control.feedforward import FeedforwardController
 from rejoint.control.guard import GuardLimits, guard
 from rejoint.control.observation import Observer
 from rejoint.control.robot import JointState
@@ -15,6 +16,7 @@ from rejoint.errors import InputError
 
 ARM = mycobot280()
 LIMITS = GuardLimits.of(ARM)
+LOOPS = compiled.differentiate, compiled.integrate, compiled.limit, compiled.credible
 SEEDS = st.integers(0, 2**32 - 1)
 
 
@@ -101,10 +103,65 @@ def test_any_layout_and_precision_will_do():
             np.testing.assert_allclose(found, wanted, atol=1e-6)
 
 
+def test_nothing_is_compiled_for_the_second_kind_of_array():
+    here = np.broadcast_to(ARM.rest, (2, 6))  # read-only
+    state = JointState(time=np.zeros(2), position=here, age=np.zeros(2))
+    guard(LIMITS, here, here, state, 0.03)
+    guard(LIMITS, here.copy(), here, state, np.full(2, 0.03))
+    assert {len(loop.signatures) for loop in LOOPS} == {1}
+
+
+def test_some_arms_of_a_batch_are_chosen_in_any_way():
+    rng = np.random.default_rng(0)
+    position, target = ARM.rest + rng.normal(scale=0.1, size=(4, 6)), ARM.targets.sample(rng, (4,))
+    seen = []
+    for rows in (np.array([1, 3]), slice(1, None, 2), np.array([False, True, False, True])):
+        observer = Observer(ARM, 4)
+        for k in range(3):
+            state = JointState(time=np.full(4, 0.03 * k), position=position + 0.01 * k, age=np.zeros(4))
+            situation = Situation(state=state, target=target, sent=position, since_target=state.time)
+            if k == 0:
+                observer.reset(situation, np.ones(4, dtype=bool))
+            seen.append(observer.observe(situation, rows))
+    for k in range(3):
+        np.testing.assert_array_equal(seen[k], seen[k + 3])
+        np.testing.assert_array_equal(seen[k], seen[k + 6])
+
+
+@pytest.mark.parametrize("period", [np.zeros(1), np.zeros((2, 1)), np.zeros(3), np.zeros(0)], ids=str)
+def test_periods_of_other_arms_are_refused(period):
+    here = np.tile(ARM.rest, (2, 1))
+    state = JointState(time=np.zeros(2), position=here, age=np.zeros(2))
+    if period.shape == (1,):
+        np.testing.assert_array_equal(guard(LIMITS, here + 0.1, here, state, period).command, here)
+    else:
+        with pytest.raises(InputError, match="periods"):
+            guard(LIMITS, here, here, state, period)
+
+
+def test_batches_of_another_size_are_refused_and_change_nothing():
+    def situation(count):
+        position = np.tile(ARM.rest, (count, 1))
+        state = JointState(time=np.zeros(count), position=position, age=np.zeros(count))
+        target = ARM.targets.sample(np.random.default_rng(0), (count,))
+        return Situation(state=state, target=target, sent=position, since_target=np.zeros(count))
+
+    observer, controller = Observer(ARM, 1), FeedforwardController(ARM)
+    observer.reset(situation(1), np.ones(1, dtype=bool))
+    controller.reset(situation(1), np.ones(1, dtype=bool))
+    before = {name: value.copy() for name, value in (observer.state() | controller.memory()).items()}
+    with pytest.raises(InputError, match="expected those of 1 arms"):
+        observer.observe(situation(3))
+    with pytest.raises(InputError, match="as at the last reset"):
+        controller.command(situation(3))
+    for name, value in (observer.state() | controller.memory()).items():
+        np.testing.assert_array_equal(value, before[name], err_msg=name)
+
+
 def test_arrays_of_another_shape_are_refused():
     one, two = np.tile(ARM.rest, (1, 1)), np.tile(ARM.rest, (2, 1))
     state = JointState(time=np.zeros(1), position=one, age=np.zeros(1))
-    with pytest.raises(InputError, match="shapes"):
+    with pytest.raises(InputError, match=r"positions \(1, 6\)"):
         guard(LIMITS, two, two, state, 0.03)
     with pytest.raises(IndexError):
         compiled.limit(np.zeros((4, 2, 6)), one, one, one, 0.2, LIMITS.lower, LIMITS.upper)

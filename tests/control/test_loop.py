@@ -1,5 +1,8 @@
 """Laws of the control loop: order of events, independence of arms, and nothing lost when it ends early."""
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 
@@ -77,6 +80,27 @@ class Straight:
 
 def test_the_test_robot_is_a_robot():
     assert isinstance(LaggingRobot([0.02]), Robot)
+
+
+def test_no_control_cycle_waits_for_compiled_loops():
+    code = (
+        "import sys\n"
+        "sys.path.insert(0, sys.argv[1])\n"
+        "from test_loop import ARM, LaggingRobot, move\n"
+        "class Robot(LaggingRobot):\n"
+        "    def step(self, command, active=None):\n"
+        "        assert {'rejoint.arms.compiled', 'rejoint.control.compiled'} <= before, before\n"
+        "        return super().step(command, active)\n"
+        "    def read(self):\n"
+        "        before.update(sys.modules)\n"
+        "        return super().read()\n"
+        "before, robot = set(), Robot([0.02])\n"
+        "assert 'numba' not in sys.modules\n"
+        "move(robot, ARM.rest + 0.1, sent=ARM.rest[None], settle=0.1)\n"
+    )
+    words = [sys.executable, "-c", code, __file__.rpartition("/")[0]]
+    result = subprocess.run(words, capture_output=True, text=True, check=False)
+    assert result.returncode == 0, result.stderr
 
 
 def test_every_arm_keeps_its_own_time_and_number_of_cycles():

@@ -1,13 +1,19 @@
-"""The loops of forward kinematics, compiled: for one arm, calls of NumPy on a few numbers cost four times as much."""
+"""The loops of forward kinematics, compiled: for one arm, calls of NumPy on a few numbers cost four times as much.
+
+Signatures are given, so that everything is compiled, or read from disk, when this module is imported.
+"""
 
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False, disallow-untyped-decorators=False
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+from numba import float64, int64, njit, types, void
+
+IN2, IN3, IN4 = (types.Array(float64, dimensions, "C", readonly=True) for dimensions in (2, 3, 4))
+OUT3, OUT4 = float64[:, :, ::1], float64[:, :, :, ::1]
 
 
-@njit(cache=True, nogil=True, fastmath={"contract"})
+@njit(OUT3(IN3, IN2, IN2), cache=True, nogil=True, fastmath={"contract"})
 def _steps(terms, sine, cosine):  # noqa: ANN001, ANN202
     """Frames (n, 16, B) of the joints, each in the one before."""
     joints, postures = sine.shape
@@ -19,7 +25,7 @@ def _steps(terms, sine, cosine):  # noqa: ANN001, ANN202
     return steps
 
 
-@njit(cache=True, nogil=True)
+@njit(void(IN3, IN2, IN2, IN2, int64, OUT4), cache=True, nogil=True)
 def fill_poses(terms, tip, sine, cosine, first, poses):  # noqa: ANN001, ANN201
     """Fill ``poses`` (n + 1, r, 4, B): r rows, from row ``first`` on, of the frames of the joints and of the TCP.
 
@@ -49,7 +55,7 @@ def fill_poses(terms, tip, sine, cosine, first, poses):  # noqa: ANN001, ANN201
                 poses[joints, r, k, b] = value
 
 
-@njit(cache=True, nogil=True)
+@njit(void(IN2, IN4, OUT3), cache=True, nogil=True)
 def fill_columns(axes, poses, columns):  # noqa: ANN001, ANN201
     """Fill ``columns`` (3, n, B) with what each joint moves the TCP by per radian.
 

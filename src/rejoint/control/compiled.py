@@ -1,17 +1,24 @@
 """The loops of one control step, compiled: on six numbers, each call of NumPy costs more than what it computes.
 
-They give to the bit what NumPy gives element by element. All arrays are of contiguous float64 unless said otherwise, so
-that each is compiled once; arrays of another shape than expected end in an IndexError.
+They give to the bit what NumPy gives element by element. All arrays are contiguous, of float64 unless said otherwise.
+Signatures are given, so that everything is compiled, or read from disk, when this module is imported: no control cycle
+may wait for it. Arrays too short for the others end in an IndexError.
 """
 
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False, disallow-untyped-decorators=False
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+from numba import bool_, float64, int64, njit, types, void
+
+IN1, IN2 = (types.Array(float64, dimensions, "C", readonly=True) for dimensions in (1, 2))
+ROWS = types.Array(int64, 1, "C", readonly=True)
+OUT1, OUT2, OUT3 = float64[::1], float64[:, ::1], float64[:, :, ::1]
+
+OPTIONS = {"cache": True, "nogil": True, "boundscheck": True}
 
 
-@njit(cache=True, nogil=True, boundscheck=True)
+@njit(void(ROWS, IN1, IN2, OUT1, OUT2, OUT3, OUT1, float64, float64), **OPTIONS)
 def differentiate(rows, time, position, last_time, last_position, velocity, period, longest, smoothing):  # noqa: ANN001, ANN201
     """Take over the measurements of the arms ``rows`` (m,): ``time`` (m,) [s] and ``position`` (m, n) [rad].
 
@@ -34,7 +41,7 @@ def differentiate(rows, time, position, last_time, last_position, velocity, peri
             last_position[i, j] = position[k, j]
 
 
-@njit(cache=True, nogil=True, boundscheck=True)
+@njit(void(OUT2, OUT2, OUT2, IN2, IN1, IN2, IN2, float64, float64, float64, float64), **OPTIONS)
 def integrate(correction, speed, last, position, elapsed, step, extra, rate, limit, moving, smoothing):  # noqa: ANN001, ANN201
     """Add ``rate * elapsed * step`` to ``correction`` where joints are not on their way, and ``extra`` everywhere.
 
@@ -53,7 +60,7 @@ def integrate(correction, speed, last, position, elapsed, step, extra, rate, lim
             correction[i, j] = np.minimum(np.maximum(correction[i, j] + push + extra[i, j], -limit), limit)
 
 
-@njit(cache=True, nogil=True, boundscheck=True)
+@njit(void(OUT3, IN2, IN2, IN2, float64, IN1, IN1), **OPTIONS)
 def limit(stages, measured, last, reach, lead, lower, upper):  # noqa: ANN001, ANN201
     """Fill ``stages`` (4, B, n), whose first is what is wanted, with what lead, position and step leave of it.
 
@@ -69,7 +76,7 @@ def limit(stages, measured, last, reach, lead, lower, upper):  # noqa: ANN001, A
             stages[3, i, j] = min(max(legal, last[i, j] - reach[r, j]), last[i, j] + reach[r, j])
 
 
-@njit(cache=True, nogil=True, boundscheck=True)
+@njit(bool_(IN2, IN2, IN2, IN1, IN1, IN1, float64), **OPTIONS)
 def credible(command, sent, position, lowest, highest, age, oldest):  # noqa: ANN001, ANN201
     """Tell whether all numbers (B, n) are finite, positions believed and states (B,) young, in the whole batch."""
     arms, joints = command.shape

@@ -86,8 +86,14 @@ class FeedforwardController:
 
         Returns what `command` returns; call one of the two per cycle.
         """
-        gains, elapsed = self._gains, self._pace.tick(situation.state.time)
         position = np.ascontiguousarray(situation.state.position, dtype=float)
+        if not step.shape == extra.shape == position.shape == self._correction.shape:
+            raise InputError(
+                f"feedforward: step {step.shape}, extra {extra.shape}, position {position.shape}; expected "
+                f"{self._correction.shape}, as at the last reset"
+            )
+        step, extra = np.ascontiguousarray(step, dtype=float), np.ascontiguousarray(extra, dtype=float)
+        gains, elapsed = self._gains, self._pace.tick(situation.state.time)
         # Bounded by itself, not by the measured position: on the way the command leads by the whole distance.
         compiled.integrate(
             self._correction, self._speed, self._position, position, elapsed, step, extra,

@@ -152,9 +152,7 @@ def guard(limits: GuardLimits, command: Array, sent: Array, state: JointState, p
     within one step of ``sent`` and, if ``sent`` is, inside the position limits; a ``sent`` outside is
     led back at the speed limit. An acceptable command passes unchanged. InputError where shapes differ.
     """
-    if not command.shape == sent.shape == state.position.shape == (len(state.age), limits.arm.joints):
-        shapes = f"{command.shape}, {sent.shape}, {state.position.shape} and {len(state.age)} ages"
-        raise InputError(f"guard: command, last command and positions have shapes {shapes}, expected (B, n) and B")
+    _check_shapes(limits.arm.joints, command, sent, state, period)
     last, trips = _check(limits, command, sent, state)
     measured, wanted, hold = state.position, command, np.count_nonzero(trips) > 0
     if hold:
@@ -175,9 +173,29 @@ def guard(limits: GuardLimits, command: Array, sent: Array, state: JointState, p
     return Guarded(allowed, trips + reasons * np.logical_or.reduce(changed, axis=-1))
 
 
+def warm_up(limits: GuardLimits) -> None:
+    """Have everything ready that a first step needs: compiled loops are compiled or read from disk when first used.
+
+    A control cycle that waited for them would be long, and a long one allows a long step.
+    """
+    rest = limits.arm.rest[None]
+    guard(limits, rest, rest, JointState(time=np.zeros(1), position=rest, age=np.zeros(1)), 0.0)
+
+
 def reason_names(reasons: int) -> tuple[str, ...]:
     """Names of the flags in one element of `Guarded.reasons`, as shown to people."""
     return tuple(reason.name.lower().replace("_", " ") for reason in Reason(int(reasons)) if reason.name)
+
+
+def _check_shapes(joints: int, command: Array, sent: Array, state: JointState, period: float | Array) -> None:
+    """Raise InputError unless everything is of as many arms: loops over shorter arrays would mix them up."""
+    shape = len(command), joints
+    per_arm = np.shape(period) in ((), (1,), shape[:1]) and np.shape(state.age) == shape[:1]
+    if not (per_arm and command.shape == sent.shape == state.position.shape == shape):
+        raise InputError(
+            f"guard: command {command.shape}, last command {sent.shape}, positions {state.position.shape}, ages "
+            f"{np.shape(state.age)}, periods {np.shape(period)}; expected {shape} and {shape[:1]} each"
+        )
 
 
 def _check(limits: GuardLimits, command: Array, sent: Array, state: JointState) -> tuple[Array, Reasons]:

@@ -15,7 +15,7 @@ import numpy as np
 
 from rejoint.arms import Array, tcp_position
 from rejoint.control.controller import Controller, Situation
-from rejoint.control.guard import TRIPS, GuardLimits, Reason, Reasons, guard, reason_names
+from rejoint.control.guard import TRIPS, GuardLimits, Reason, Reasons, guard, reason_names, warm_up
 from rejoint.control.recording import Cycle, OnCycle, Recorder, Recording, attach
 from rejoint.control.robot import JointState, Mask, Robot
 from rejoint.errors import GuardTripError, InputError, RejointError
@@ -69,6 +69,7 @@ def run(
         robot=robot, controller=controller, schedule=schedule, limits=limits, recorder=recorder, on_cycle=on_cycle
     )
     progress: _Progress | None = None
+    warm_up(limits)
     try:
         progress = _Progress.begin(_own(robot.read()), targets, schedule.sent)
         controller.reset(progress.situation(), np.ones(robot.count, dtype=bool))

@@ -220,8 +220,12 @@ class Observer:
         }
 
     def _differentiate(self, time: Array, position: Array, rows: Rows) -> None:
-        chosen = self._everyone if isinstance(rows, slice) else rows
+        chosen = np.ascontiguousarray(self._everyone[rows])
         new = np.ascontiguousarray(time, dtype=float), np.ascontiguousarray(position, dtype=float)
+        if not (new[0].shape == chosen.shape and new[1].shape == (len(chosen), self.arm.joints)):
+            raise InputError(
+                f"observer: {new[0].shape} times and positions {new[1].shape}, expected those of {len(chosen)} arms"
+            )
         known = self._time, self._position, self._velocity, self._period
         compiled.differentiate(chosen, *new, *known, _LONGEST_PERIOD, _SMOOTHING)
 

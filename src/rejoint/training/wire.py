@@ -11,6 +11,7 @@ from numba import njit
 
 from rejoint.arms import Array
 from rejoint.control.robot import Mask
+from rejoint.errors import InputError
 
 DEPTH = 4
 """Commands that are remembered: 40 ms of delay at the shortest period of 18 ms."""
@@ -45,6 +46,7 @@ class Wire:
 
     def in_force(self, time: Array) -> Array:
         """Commands (N, s, n) [rad] that the servos know at ``time`` (N, s) [s]."""
+        self._check(len(time))
         return _in_force(self._sent, self.command_delay, self._commands, time)
 
     def record(self, time: Array, position: Array) -> None:
@@ -56,7 +58,12 @@ class Wire:
 
     def read(self, time: Array) -> Array:
         """Positions (N, n) [rad] that arrive at ``time`` (N,) [s], interpolated between substeps."""
+        self._check(len(time))
         return _read(self._times, self._positions, time, self.readback_delay)
+
+    def _check(self, agents: int) -> None:
+        if agents != len(self._sent):
+            raise InputError(f"wire: times of {agents} agents, expected {len(self._sent)}")
 
     def state(self) -> dict[str, Array]:
         """Everything that a checkpoint must keep, as live arrays."""
@@ -66,7 +73,7 @@ class Wire:
         }  # fmt: skip
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, boundscheck=True)
 def follow(reference, goals, reach):  # noqa: ANN001, ANN201
     """Move references (N, n) [rad] towards the ``goals`` (N, s, n) of s steps; returns where they are after each.
 
@@ -83,7 +90,7 @@ def follow(reference, goals, reach):  # noqa: ANN001, ANN201
     return path
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, boundscheck=True)
 def _in_force(sent, delay, commands, time):  # noqa: ANN001, ANN202
     agents, instants = time.shape
     joints = commands.shape[2]
@@ -98,7 +105,7 @@ def _in_force(sent, delay, commands, time):  # noqa: ANN001, ANN202
     return known
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, boundscheck=True)
 def _read(times, positions, time, delay):  # noqa: ANN001, ANN202
     agents, instants, joints = positions.shape
     seen = np.empty((agents, joints))
