@@ -6,7 +6,8 @@ import numpy as np
 
 from benchmarks.learners import ROLLOUT, begin
 from rejoint.arms import mycobot280
-from rejoint.training.task import SUBSTEPS, ReachTask
+from rejoint.training.motion import SUBSTEPS
+from rejoint.training.task import ReachTask
 from rejoint.twin.batch import TwinBatch
 
 ROUNDS, UPDATES = 6, 3

@@ -1,7 +1,6 @@
 """Randomised twins behind the interface of a robot, so that controllers are tuned on what the policy is trained on.
 
-The motion of one cycle is that of `rejoint.training.task.ReachTask`: the same wire, servo ramp, friction
-and number of physics steps; a test holds the two together bit for bit.
+The motion of one cycle is that of `rejoint.training.task.ReachTask`; a test holds the two together bit for bit.
 """
 
 from __future__ import annotations
@@ -10,10 +9,10 @@ import numpy as np
 
 from rejoint.arms import Arm, Array, gravity_torque, tcp_position
 from rejoint.control.robot import JointState, Mask
+from rejoint.training.motion import SUBSTEPS, pass_period
 from rejoint.training.play import Play
 from rejoint.training.ranges import Draw
-from rejoint.training.task import SUBSTEPS
-from rejoint.training.wire import Wire, follow
+from rejoint.training.wire import Wire
 from rejoint.twin.batch import TwinBatch
 
 
@@ -68,7 +67,10 @@ class TwinRobot:
         self.wire.send(command, self._time)
         spread = self._rng.uniform(1.0 - self._jitter, 1.0 + self._jitter, self.count // self._copies)
         period = self._draw.period * np.tile(spread, self._copies)
-        self._advance(period)
+        self._reference = pass_period(
+            self.twins, self.play, self.wire, self._reference,
+            ramp=self._draw.twin.ramp_speed, time=self._time, period=period,
+        )  # fmt: skip
         self._time = self._time + period
         self._measured = np.where(news[:, None], self._quantised(self.wire.read(self._time)), self._measured)
         return self.read()
@@ -82,21 +84,6 @@ class TwinRobot:
 
     def close(self) -> None:
         """Nothing to release."""
-
-    def _advance(self, period: Array) -> None:
-        draw, substep = self._draw, period / SUBSTEPS
-        self.twins.set_timestep(substep)
-        starts = self._time[:, None] + substep[:, None] * np.arange(SUBSTEPS)
-        goals = self.wire.in_force(starts)
-        references = follow(self._reference, goals, draw.twin.ramp_speed * substep)
-        passed = np.empty_like(goals)
-        for k in range(SUBSTEPS):
-            self.twins.ctrl[:] = references[:, k]
-            self.play.drive(self.twins, substep)
-            self.twins.step()
-            passed[:, k] = self.twins.qpos
-        self._reference = references[:, -1].copy()
-        self.wire.record(starts + substep[:, None], passed)
 
     def _quantised(self, position: Array) -> Array:
         return np.round(position / self._arm.encoder_step) * self._arm.encoder_step

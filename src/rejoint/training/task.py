@@ -20,19 +20,17 @@ from numpy.typing import NDArray
 from rejoint.arms import Arm, Array, collides, frames, tcp_position
 from rejoint.control.controller import Situation
 from rejoint.control.guard import GuardLimits, guard
-from rejoint.control.observation import ALL, Layout, Observation, Observer, Rows
+from rejoint.control.observation import ALL, SUCCESS_DISTANCE, Layout, Observation, Observer, Rows
 from rejoint.control.residual import Commander, CommandLaw
 from rejoint.control.robot import JointState, Mask
+from rejoint.training.motion import SUBSTEPS, pass_period
 from rejoint.training.newcomers import Newcomers, draw_newcomers
 from rejoint.training.play import Play
 from rejoint.training.ranges import Ranges
-from rejoint.training.reward import SUCCESS_DISTANCE, paper_reward, residual_reward
+from rejoint.training.reward import paper_reward, residual_reward
 from rejoint.training.truth import fixed_truth, moving_truth, truth_size
-from rejoint.training.wire import Wire, follow
+from rejoint.training.wire import Wire
 from rejoint.twin.batch import TwinBatch
-
-SUBSTEPS = 6
-"""Physics steps in a control cycle: 3 ms each at the shortest period, 9 ms at the longest."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -210,20 +208,10 @@ class ReachTask:
         s = self.settings
         spread = self._rng.uniform(1.0 - s.jitter, 1.0 + s.jitter, self.agents)
         self._period = np.clip(self._middle * spread, s.min_period, s.max_period)
-        substep = self._period / SUBSTEPS
-        self.twins.set_timestep(substep)
-        starts = self._time[:, None] + substep[:, None] * np.arange(SUBSTEPS)
-        goals = self.wire.in_force(starts)
-        references = follow(self._reference, goals, self._ramp * substep)
-        passed = np.empty_like(goals)
-        for k in range(SUBSTEPS):
-            self.twins.ctrl[:] = references[:, k]
-            self.play.drive(self.twins, substep)
-            self.twins.step()
-            passed[:, k] = self.twins.qpos
-        self._reference = references[:, -1].copy()
+        self._reference = pass_period(
+            self.twins, self.play, self.wire, self._reference, ramp=self._ramp, time=self._time, period=self._period
+        )
         self._time, self._since = self._time + self._period, self._since + self._period
-        self.wire.record(starts + substep[:, None], passed)
         self._measured = self._quantised(self.wire.read(self._time))
 
     def _collided(self) -> Mask:
