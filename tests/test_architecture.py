@@ -1,5 +1,6 @@
 """The import graph is the one that docs/architecture.md draws."""
 
+import configparser
 import subprocess
 import sys
 from pathlib import Path
@@ -12,6 +13,17 @@ def test_imports_point_one_way() -> None:
     result = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert result.returncode == 0, result.stdout + result.stderr
     assert "0 broken" in result.stdout
+
+
+def test_the_page_draws_the_graph_that_is_kept() -> None:
+    config = configparser.ConfigParser()
+    config.read(ROOT / ".importlinter")
+    layers = config["importlinter:contract:layers"]["layers"].replace("rejoint.", "").split("\n")
+    drawn = " -> ".join(", ".join(layer.split(" | ")) for layer in layers if layer)
+    page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    assert f"\n{drawn}\n" in page
+    for room in drawn.replace(" -> ", ", ").split(", "):
+        assert f"`{room}/`" in page or f"`{room}.py`" in page, room
 
 
 def test_a_policy_runs_without_a_simulator() -> None:
