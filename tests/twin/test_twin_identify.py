@@ -85,8 +85,8 @@ def test_drawn_twins_have_the_covariance_and_keep_the_bounds(twin):
     np.testing.assert_allclose(np.cov(drawn[:, inside].T) / scale, expected / scale, atol=0.08)
     wide = pack(twin.sample(np.random.default_rng(0), 4000, widen=2.0, least_spread=0.0))
     np.testing.assert_allclose(wide[:, inside].std(axis=0), 2 * drawn[:, inside].std(axis=0), rtol=0.05)
-    again = twin.sample(np.random.default_rng(7), 3)
-    np.testing.assert_array_equal(again.stiffness, twin.sample(np.random.default_rng(7), 3).stiffness)
+    again = twin.sample(np.random.default_rng(7), 3, 1.5)
+    np.testing.assert_array_equal(again.stiffness, twin.sample(np.random.default_rng(7), 3, 1.5).stiffness)
 
 
 def test_identification_survives_its_file(twin, arm, tmp_path):

@@ -38,8 +38,8 @@ def dls(jacobian: Array, error: Array, damping: float | Array = DAMPING) -> Arra
     return (transpose @ np.linalg.solve(gram, error[..., None]))[..., 0]
 
 
-def clip_norm(step: Array, limit: float) -> Array:
-    """Scale whole vectors (..., n) down so that no element exceeds ``limit`` in size."""
+def clip_norm(step: Array, limit: float | Array) -> Array:
+    """Scale whole vectors (..., n) down so that no element exceeds ``limit``, a number or (..., 1), in size."""
     largest = np.maximum.reduce(np.abs(step), axis=-1, keepdims=True)
     return step * np.minimum(1.0, limit / np.maximum(largest, 1e-12))
 

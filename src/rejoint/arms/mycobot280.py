@@ -18,7 +18,7 @@ from __future__ import annotations
 import numpy as np
 
 from rejoint.arms.arm import Arm, Box, DhRow, dh_chain
-from rejoint.arms.inertia import cylinder
+from rejoint.arms.inertia import cylinder, link_ends
 
 DH_TABLE = (
     DhRow(d=0.13122, a=0.0, alpha=np.pi / 2),
@@ -50,7 +50,7 @@ _LINK_RADIUS = 0.025
 def mycobot280() -> Arm:
     """Build the myCobot 280 Pi."""
     offset, axis, tip = dh_chain(DH_TABLE)
-    ends = np.concatenate([offset[1:, :3, 3], tip[None, :3, 3]])  # where each link meets the next
+    ends = link_ends(offset, tip)
     return Arm(
         name="mycobot280",
         joint_names=tuple(f"joint{i}" for i in range(1, 7)),

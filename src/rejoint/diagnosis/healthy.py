@@ -6,7 +6,7 @@ with the wear profile ``healthy``, which scales with the arm, and written again 
     python -m rejoint.diagnosis mycobot280
 
 For any other arm `healthy_reference` measures it when it is needed. A diagnosis of a real arm that is
-known to be good is the better reference: `reference_from` makes one from any number of them.
+known to be good is the better reference (`rejoint.diagnosis.knowngood.reference_by`).
 """
 
 from __future__ import annotations

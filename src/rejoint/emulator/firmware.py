@@ -41,7 +41,7 @@ _HAS_ARRIVED_LENGTH = 0.003
 
 
 class PlantLike(Protocol):
-    """What the firmware needs of `rejoint.plant.Plant`, for a batch of one arm."""
+    """What the firmware needs of `rejoint.plant.plant.Plant`, for a batch of one arm."""
 
     @property
     def speed(self) -> Array:

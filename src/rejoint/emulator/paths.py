@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rejoint.arms import Arm, Array, solve_position, tcp_pose
+from rejoint.arms.rotations import rotation_about
 
 CARTESIAN_SPEED = 0.1
 """[m/s] highest tool speed on a straight line (vendor's communication protocol page)"""
@@ -65,12 +66,13 @@ def line_path(arm: Arm, start: Array, pose: Array, speed: float) -> tuple[Path, 
     here = tcp_pose(arm, start)
     turn = _rotation_vector(pose[:3, :3] @ here[:3, :3].T)
     length, angle = float(np.linalg.norm(pose[:3, 3] - here[:3, 3])), float(np.linalg.norm(turn))
+    axis = turn / max(angle, 1e-12)  # without a turn it is zero, and so is the rotation about it
     count = max(1, int(np.ceil(max(length / _STEP, angle / _TURN_STEP))))
     slowest = max(length / CARTESIAN_SPEED, angle / TURN_SPEED) / count
     points, times = [start], [0.0]
     for i in range(1, count + 1):
         via = np.eye(4)
-        via[:3, :3] = _rotation(turn * i / count) @ here[:3, :3]
+        via[:3, :3] = rotation_about(axis, angle * i / count) @ here[:3, :3]
         via[:3, 3] = here[:3, 3] + (pose[:3, 3] - here[:3, 3]) * i / count
         point = _solve(arm, via, points[-1][None], 40)
         if point is None or np.abs(point - points[-1]).max() > _MAX_JUMP:
@@ -100,13 +102,3 @@ def _rotation_vector(rotation: Array) -> Array:
         return np.pi * axis / np.linalg.norm(axis)
     skew = np.array([rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]])
     return angle * skew / (2.0 * np.sin(angle))
-
-
-def _rotation(vector: Array) -> Array:
-    """Rotation matrix of a rotation vector [rad] (Rodrigues)."""
-    angle = float(np.linalg.norm(vector))
-    if angle < 1e-12:
-        return np.eye(3)
-    x, y, z = vector / angle
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross

@@ -106,7 +106,9 @@ def _read_frames(source: Path, info: _Info) -> pa.Table:
         try:
             tables.append(pq.read_table(file, columns=[_STATE, _ACTION, *_SCALARS]).combine_chunks())
         except (OSError, pa.ArrowException, ValueError, KeyError) as error:
-            raise FileError(file, f"not the frames of a dataset ({str(error).splitlines()[:1]})", _REMEDY) from error
+            raise FileError(
+                file, f"not the frames of a dataset ({str(error).partition(chr(10))[0]})", _REMEDY
+            ) from error
         held = set(tables[-1].column_names)
         missing = [name for name in (_STATE, _ACTION, *_SCALARS) if name not in held]
         if missing:

@@ -33,7 +33,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from rejoint.arms import Arm, Array, frames
+from rejoint.arms import Arm, Array, link_inertia
 from rejoint.arms.kinematics import GRAVITY
 from rejoint.arms.size import heaviest_load, length_size, reference_arm
 from rejoint.arms.workspace import reach
@@ -76,23 +76,9 @@ def effort(arm: Arm) -> Array:
     load = largest_load(arm)
     rate = np.linalg.norm(GRAVITY) / reach(arm)
     least = max(FLOOR * float(load.max()), np.finfo(float).tiny)
-    return np.sqrt(load**2 + (_turned_inertia(arm) * rate) ** 2 + least**2)
+    return np.sqrt(load**2 + (link_inertia(arm, arm.rest) * rate) ** 2 + least**2)
 
 
 def largest_load(arm: Arm) -> Array:
     """Largest gravity torque (n,) [N m] of each joint over the region of targets."""
     return heaviest_load(arm, _GRID)
-
-
-def _turned_inertia(arm: Arm) -> Array:
-    """Moments of inertia (n,) [kg m^2] about each joint axis of all links behind it, in the rest posture."""
-    f = frames(arm, arm.rest)
-    axes = (f.rotation @ arm.axis[:, :, None])[..., 0]
-    centres = f.position + (f.rotation @ arm.com[:, :, None])[..., 0]
-    tensors = f.rotation @ arm.inertia @ np.swapaxes(f.rotation, -1, -2)
-    total = np.zeros(arm.joints)
-    for joint, axis in enumerate(axes):
-        for link in range(joint, arm.joints):
-            lever = np.cross(axis, centres[link] - f.position[joint])
-            total[joint] += axis @ tensors[link] @ axis + arm.mass[link] * (lever @ lever)
-    return total

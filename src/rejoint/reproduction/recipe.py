@@ -10,7 +10,7 @@ from rejoint.arms import Array
 from rejoint.comparison.protocols import Crossings, measure_crossings, schedule
 from rejoint.comparison.targets import draw_targets
 from rejoint.control.loop import run as drive
-from rejoint.control.observation import layout_size
+from rejoint.control.observation import SUCCESS_DISTANCE, layout_size
 from rejoint.control.policy import load_policy
 from rejoint.report.sections.training import Curves, read_curves
 from rejoint.reproduction.experiment import Bench, Experiment, Findings, Grid, Number
@@ -79,7 +79,9 @@ def run(bench: Bench) -> Findings:
         *(Number(what=f"success, {WORDS[name]}", ours=f"{outcomes[name].success:.1f} %", value=outcomes[name].success)
           for name in LITERALLY),
     )  # fmt: skip
-    return Findings(text=_text(outcomes), numbers=numbers, readings=_READINGS, grids=(_table_3(), _variants(outcomes)))
+    return Findings(
+        text=_text(outcomes), numbers=numbers, readings=_READINGS, grids=(_table_3(bench), _variants(outcomes))
+    )
 
 
 def _try(bench: Bench, name: str) -> Outcome:
@@ -127,7 +129,7 @@ def _step(name: str, outcome: Outcome) -> str:
     )
 
 
-def _table_3() -> Grid:
+def _table_3(bench: Bench) -> Grid:
     ppo, task = PAPER.ppo, PAPER.task
     layers = ", ".join(str(width) for width in ppo.actor_layers)
     rows = (
@@ -139,7 +141,7 @@ def _table_3() -> Grid:
         ("discount", "0.99", f"{ppo.discount:.2f}"),
         ("longest episode, time steps", "250", str(task.hold_steps)),
         ("time steps in all", "5000", str(ppo.rollout * ppo.iterations)),
-        ("agents", "512", "512"),
+        ("agents", "512", str(bench.scale.agents)),
         ("learning rate", "not given", f"{ppo.learning_rate:g}, constant"),
         ("time steps between updates", "not given", str(ppo.rollout)),
         ("entropy bonus", "not given", "none"),
@@ -147,7 +149,7 @@ def _table_3() -> Grid:
         ("input of the value network", "the state", "the state and the parameters of the simulated arm"),
         ("largest action", "0.5° to 5° a frame", f"{np.degrees(task.law.authority_limit):.0f}°"),
         ("joint noise, standard deviation", "5°", f"{np.degrees(PAPER.joint_noise):.0f}°"),
-        ("success distance in training", "5 mm", "5 mm"),
+        ("success distance in training", "5 mm", f"{1e3 * SUCCESS_DISTANCE:g} mm"),
         ("control frequency", "30 to 60 Hz", f"{1 / task.max_period:.0f} to {1 / task.min_period:.0f} Hz"),
     )
     return Grid(title="Table 3 and section IV-D", headers=("", "paper", "run"), rows=rows)

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rejoint.arms import Arm, Array, gravity_torque, position_kinematics
+from rejoint.arms.kinematics import GRAVITY
 from rejoint.arms.size import torque_size
 from rejoint.control.controller import Situation
 from rejoint.control.feedforward import NOMINAL_STIFFNESS
@@ -26,7 +27,6 @@ from rejoint.control.pace import Pace
 from rejoint.control.robot import Mask
 from rejoint.rivals.scheduled import Gain, JointSpeed
 
-_STANDARD_GRAVITY = 9.81  # [m/s^2]
 _UNIT_MASS = 0.1  # [kg] scale of the unknown load (chosen: brings its regressor to the size of the arm's own)
 
 
@@ -78,7 +78,7 @@ class AdaptiveController:
         goal = self._goal.position[where]
         lever = position_kinematics(self._arm, goal)[1][..., 2, :]
         self._regressor[0][where] = gravity_torque(self._arm, goal) / self._stiffness
-        self._regressor[1][where] = _UNIT_MASS * _STANDARD_GRAVITY * lever / self._stiffness
+        self._regressor[1][where] = _UNIT_MASS * -GRAVITY[2] * lever / self._stiffness
         self._regressor[2][where] = 1.0
 
     def command(self, situation: Situation) -> Array:

@@ -158,7 +158,7 @@ class MpcController:
         delay, timestep = self._twin.delay, settings.timestep
         steps = int(np.ceil((float(delay.max()) + settings.horizon) / timestep))
         ahead = np.linspace(0.0, (steps - 1) * timestep, steps)
-        sent = self._in_force_with(situation, ahead)
+        sent = self._wire.in_force(situation.state.time[:, None] + ahead)  # without new commands
         since = ahead - delay[:, None]
         share = np.clip(since / settings.bend, 0.0, 1.0)[:, None, :, None]
         first, last = candidates[:, :, 0, None], candidates[:, :, 1, None]
@@ -173,10 +173,6 @@ class MpcController:
         self._rollouts.qvel[:] = np.repeat(self._shadow.qvel, samples, axis=0)
         passed = self._rollouts.rollout(control.reshape(-1, steps, n)).reshape(count, samples, steps, n)
         return self._judge(situation, candidates, passed)
-
-    def _in_force_with(self, situation: Situation, ahead: Array) -> Array:
-        """Commands (B, N, n) that are on their way or in force at ``ahead`` (N,) [s] from now, without new ones."""
-        return self._wire.in_force(situation.state.time[:, None] + ahead)
 
     def _judge(self, situation: Situation, candidates: Array, passed: Array) -> Array:
         """Mean over the horizon of the distance's cost, and the effort; distances by the goal's Jacobian."""

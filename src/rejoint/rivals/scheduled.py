@@ -101,7 +101,7 @@ class ScheduledController:
         distance = np.linalg.norm(seen.error, axis=-1, keepdims=True)
         rate = gains.near_rate + (gains.far_rate - gains.near_rate) * distance / (distance + gains.schedule)
         step = seen.step * np.maximum(distance - gains.deadband, 0.0) / np.maximum(distance, 1e-9)
-        push = elapsed * _bounded(rate * step, gains.speed)
+        push = elapsed * clip_norm(rate * step, gains.speed)
         on_its_way = (np.abs(speed) > gains.moving) & (speed * push > 0.0)
         passing = gains.proportional * step - gains.damping * speed
         integral = self._integral + np.where(on_its_way, 0.0, push)
@@ -131,9 +131,3 @@ class JointSpeed:
         self._speed = np.where(news, 0.5 * difference + 0.5 * self._speed, self._speed)
         self._position = position.copy()
         return self._speed
-
-
-def _bounded(rate: Array, speed: Gain) -> Array:
-    """Scale whole vectors (B, n) down so that no element exceeds ``speed``."""
-    largest = np.abs(rate).max(axis=-1, keepdims=True)
-    return rate * np.minimum(1.0, speed / np.maximum(largest, 1e-12))

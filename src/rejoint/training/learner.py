@@ -24,7 +24,7 @@ from rejoint.training.ppo import Losses, Ppo, Rollout, join
 from rejoint.training.presets import PpoSettings
 from rejoint.training.task import ReachTask
 
-SUCCESS_DISTANCE = 0.010
+REACHED_DISTANCE = 0.010
 """[m] a target counts as reached below this distance at its end; Park et al. 2024, section IV-A."""
 
 SWITCH_INTERVAL = 1e-4
@@ -123,7 +123,7 @@ class Learner:
     def _point(self, rollout: Rollout, losses: Losses, rate: float, wall_s: float) -> CurvePoint:
         ended = rollout.ended
         distance = rollout.distance[ended].numpy()
-        success = rollout.terminated[ended].numpy() if self.ends_on_success else distance < SUCCESS_DISTANCE
+        success = rollout.terminated[ended].numpy() if self.ends_on_success else distance < REACHED_DISTANCE
         last = self.curve[-1] if self.curve else None
         return CurvePoint(
             step=(self.iteration + 1) * self.settings.rollout * self.agents,

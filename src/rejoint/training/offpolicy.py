@@ -28,7 +28,7 @@ from rejoint.errors import InputError
 from rejoint.runs import RunFolder
 from rejoint.training.actorcritic import ActionCritic, BoundedActor, SquashedActor, bounded
 from rejoint.training.export import export_policy
-from rejoint.training.learner import SUCCESS_DISTANCE, CurvePoint
+from rejoint.training.learner import REACHED_DISTANCE, CurvePoint
 from rejoint.training.networks import unbounded
 from rejoint.training.presets import DEFAULT, Preset
 from rejoint.training.task import ReachTask, Transition
@@ -120,7 +120,7 @@ class OffPolicyLearner:
         point = CurvePoint(
             step=self._cycle * self.task.agents,
             reward=float(np.mean(window.rewards)),
-            success_rate=float((end < SUCCESS_DISTANCE).mean()) if len(end) else before.success_rate if before else 0.0,
+            success_rate=float((end < REACHED_DISTANCE).mean()) if len(end) else before.success_rate if before else 0.0,
             error_mm=float(np.median(end)) * 1e3 if len(end) else before.error_mm if before else 0.0,
             noise=self._noise(),
             learning_rate=self.settings.learning_rate,

@@ -32,7 +32,7 @@ SOFT = 0.01
 """[rad/s] closing speed below which they stay in touch (chosen: an encoder count in 0.15 s)"""
 
 _MOTOR = ("stiffness", "damping", "coulomb", "armature", "torque_limit", "offset")
-_COULOMB = _MOTOR.index("coulomb")
+_DAMPING, _COULOMB, _ARMATURE = (_MOTOR.index(name) for name in ("damping", "coulomb", "armature"))
 
 
 class Play:
@@ -67,8 +67,8 @@ class Play:
             _drive(*state, self._stiction, self._motor, self._link, twins.ctrl, twins.qpos, twins.qvel, step)
             free = self._touch == 0.0
             twins.set_motors(
-                armature=np.where(free, 0.0, self._motor[..., 3]),
-                damping=self._motor[..., 1] * np.where(free, self._grease, 1.0),
+                armature=np.where(free, 0.0, self._motor[..., _ARMATURE]),
+                damping=self._motor[..., _DAMPING] * np.where(free, self._grease, 1.0),
             )
             friction[free] = 0.0
         twins.set_friction(friction)

@@ -7,9 +7,6 @@ from numpy.typing import NDArray
 
 from rejoint.arms import Array
 
-SUCCESS_DISTANCE = 0.005
-"""[m] threshold of the paper's success bonus; Park et al. 2024, section III-D."""
-
 
 def residual_reward(distance: Array, speed: Array, action: Array) -> Array:
     """Reward (N,) that keeps paying for accuracy down to a tenth of a millimetre.

@@ -1,4 +1,4 @@
-"""The fitted twin and its file, ``twin.toml``: values, intervals, what is not known, how well it predicts."""
+"""The fitted twin: values, intervals, what is not known, how well it predicts."""
 
 from __future__ import annotations
 
@@ -24,9 +24,6 @@ from rejoint.twin.parameters import (
 from rejoint.twin.replay import PredictionError
 from rejoint.twin.table import Table
 from rejoint.twin.uncertainty import strong_correlations
-
-WIDEN = 1.5
-"""Inflation of the identified standard deviations when twins are drawn: 1.5 to 2 on a real arm (measured)"""
 
 LEAST_SPREAD = 0.05
 """Extra spread of the logarithms when twins are drawn: no twin has the structure of the real arm (chosen)"""
@@ -154,7 +151,7 @@ class Twin:
         return tuple(name for name, known in zip(self.names, self.identified, strict=True) if not known)
 
     def sample(
-        self, rng: np.random.Generator, count: int, widen: float = WIDEN, least_spread: float = LEAST_SPREAD
+        self, rng: np.random.Generator, count: int, widen: float, least_spread: float = LEAST_SPREAD
     ) -> TwinParameters:
         """Draw ``count`` twins from the correlated covariance, within the physical bounds.
 
