@@ -1,6 +1,7 @@
 """The command line: exit codes, one clear line per error, JSON on the last line, and a chain that resumes."""
 
 import json
+import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -14,7 +15,9 @@ from rejoint.arms import mycobot280
 from rejoint.cli import main
 from rejoint.cli.console import Terminal
 from rejoint.cli.options import controller_names, period_seconds
+from rejoint.control.robot import JointState
 from rejoint.errors import FileError, GuardTripError, InputError
+from rejoint.robots.emulated import EmulatedRobot
 from rejoint.runs import RunFolder, RunInfo, read_log, write_json
 from rejoint.training.train import TrainingOptions, train
 
@@ -187,6 +190,27 @@ def test_a_guard_trip_is_exit_code_3(
     assert code == 3
     assert "guard trip (stale)" in err
     assert "Nothing was powered off" in err
+
+
+def test_what_a_stopped_deployment_recorded_is_kept(
+    finished: RunFolder, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    step, steps = EmulatedRobot.step, []
+
+    def hot(self: EmulatedRobot, *arguments: object) -> JointState:
+        steps.append(arguments)
+        state = step(self, *arguments)
+        return replace(state, temperature=np.full((1, 6), 90.0)) if len(steps) == 20 else state
+
+    monkeypatch.setattr(EmulatedRobot, "step", hot)
+    words = ("deploy", "emulated:worn", str(finished.path), "--controller", "integrator")
+    code, _, err = run_cli(*words, capsys=capsys, monkeypatch=monkeypatch)
+    assert code == 3
+    path = Path(re.search(r"What was recorded until then: (.+)", err)[1])
+    log = read_log(path)
+    path.unlink()
+    assert log.label == "deploy/integrator/stopped"
+    assert 15 < len(log.time) <= 21
 
 
 def test_interruption_is_exit_code_130(

@@ -27,6 +27,7 @@ from rejoint.control.controller import Controller
 from rejoint.control.loop import Schedule
 from rejoint.control.loop import run as drive
 from rejoint.control.policy import PolicyController
+from rejoint.control.recording import recording_of
 from rejoint.control.robot import Robot
 from rejoint.errors import FileError, InputError
 from rejoint.robots import default_period, open_robot
@@ -271,17 +272,27 @@ def compare_stage(
 
 
 def deploy_stage(run: Run, robot: str, job: Deployment, period: Period | None = None) -> Array:
-    """Drive a robot through the targets of ``job``; returns the encoder error (K,) [m] at the end of each."""
+    """Drive a robot through the targets of ``job``; returns the encoder error (K,) [m] at the end of each.
+
+    Where something ends it early, what was recorded until then is kept.
+    """
     factories = _factories(run, (job.controller,), period or default_period(robot))
     controller = factories[job.controller](run.arm)
     connection = open_robot(robot, arm=run.arm, seed=run.info.seed, period=period)
+    path = run.folder.log(f"deploy-{datetime.now():%Y%m%d-%H%M%S}")
     try:
         recording = drive(connection, controller, job.targets[None], Schedule(dwell=job.dwell))
+    except BaseException as error:
+        partial = recording_of(error)
+        if partial is not None and len(partial.time):
+            write_log(path, partial.log(0, f"deploy/{job.controller}/stopped"))
+            error.add_note(f"What was recorded until then: {path}")
+        raise
     finally:
         connection.close()
-    write_log(run.folder.log(f"deploy-{datetime.now():%Y%m%d-%H%M%S}"), recording.log(0, f"deploy/{job.controller}"))
-    error = np.linalg.norm(recording.target[:, 0] - tcp_position(run.arm, recording.position[:, 0]), axis=-1)
-    return np.array([error[recording.target_index[:, 0] == k][-1] for k in range(len(job.targets))])
+    write_log(path, recording.log(0, f"deploy/{job.controller}"))
+    apart = np.linalg.norm(recording.target[:, 0] - tcp_position(run.arm, recording.position[:, 0]), axis=-1)
+    return np.array([apart[recording.target_index[:, 0] == k][-1] for k in range(len(job.targets))])
 
 
 def _twin(run: Run) -> Twin | None:

@@ -48,6 +48,8 @@ def main() -> None:
         code = _fail(str(error), type(error).__name__, error.exit_code, json=json)
         if isinstance(error, GuardTripError):
             _say("The arm was held and stopped. Nothing was powered off; look at it before you go on.")
+        for note in getattr(error, "__notes__", ()):
+            _say(note)
     except typer.TyperException as error:
         told = getattr(error, "format_message", error.__str__)()  # names the option, which str() does not
         code = _fail(told, "UsageError", 2, json=json)
