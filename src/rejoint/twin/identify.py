@@ -206,9 +206,3 @@ def twin_notes(arm: Arm, logs: Sequence[RunLog], twin: Twin, found: Fit) -> list
         names = ", ".join(name for name, is_weak in zip(arm.joint_names, weak, strict=True) if is_weak)
         notes.append(f"torque limit close to the gravity torque held in the log: {names}")
     return notes
-
-
-def simulate(twin: TwinParameters, arm: Arm, log: RunLog, timestep: float = TIMESTEP) -> PredictionError:
-    """Error of a twin's open-loop prediction of a whole log, from its first measured state."""
-    replay = Replay(arm, [log], cut([log], np.inf), timestep)
-    return prediction_error(arm, replay.predict(twin.repeat(1))[0][0], log.position)
