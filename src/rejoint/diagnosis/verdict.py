@@ -267,7 +267,7 @@ def lag(case: _Case) -> Iterator[Finding]:
     tcp = case.lever * WORKING_SPEED * (late.value - case.common_lag - reference.value)
     yield case.finding(
         "lag", "lag_s", late, tcp,
-        f"follows late: {late.value * 1e3:.0f} ms behind its command{_against(case, 'lag_s', '.3f')}; "
+        f"follows late: {late.value * 1e3:.0f} ms behind its command{_against(case, 'lag_s', '.0f', 1e3)}; "
         f"in motion at {WORKING_SPEED} rad/s that is",
     )  # fmt: skip
 
@@ -309,6 +309,7 @@ def _against_deg(case: _Case) -> str:
     return "" if reference is None else f", a healthy one {np.degrees(reference.value):.2f}"
 
 
-def _against(case: _Case, quantity: str, digits: str) -> str:
+def _against(case: _Case, quantity: str, digits: str, factor: float = 1.0) -> str:
+    """Say what a healthy joint has, in the unit that ``factor`` makes of that of the metrics."""
     reference = getattr(case.healthy, quantity) if case.healthy is not None else None
-    return "" if reference is None else f", a healthy one {reference.value:{digits}}"
+    return "" if reference is None else f", a healthy one {factor * reference.value:{digits}}"
