@@ -156,7 +156,10 @@ class VendorLink:
                     pass  # the client itself would wait for minutes
             self._client = _make_client(self.address)
         except (*_BROKEN, ValueError) as error:
-            raise ConnectionLostError(f"nothing answers at {self.address} ({_reason(error)})") from error
+            raise ConnectionLostError(
+                f"nothing answers at {self.address} ({_reason(error)}); is the arm switched on, its server running, "
+                "and the address right? `rejoint emulate` starts an arm to try"
+            ) from error
 
     def _prepare(self, *, power_on: bool) -> None:
         if self._once("is_power_on", ()) != 1:
