@@ -222,7 +222,35 @@ def test_interruption_is_exit_code_130(
     monkeypatch.setattr(work, "diagnose_stage", interrupt)
     code, _, err = run_cli("repair", "--run", str(tmp_path / "run"), capsys=capsys, monkeypatch=monkeypatch)
     assert code == 130
-    assert "goes on from there" in err
+    assert "go on from there" in err
+
+
+def test_a_request_to_end_is_an_interruption(tmp_path: Path) -> None:
+    words = [sys.executable, "-m", "rejoint", "repair", "--run", str(tmp_path / "run")]
+    with subprocess.Popen(words, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stderr is not None
+        while "Diagnosis" not in process.stderr.readline():
+            assert process.poll() is None
+        process.terminate()
+        assert "interrupted" in process.stderr.read()
+    assert process.returncode == 130
+
+
+def test_an_earlier_comparison_is_kept_and_another_robot_is_named(
+    finished: RunFolder, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    few = ("--sets", "1", "--repetitions", "1", "--controllers", "default")
+    for robot in ("emulated:worn", "emulated:worn?seed=3"):
+        code, _, err = run_cli("compare", robot, str(finished.path), *few, capsys=capsys, monkeypatch=monkeypatch)
+        assert code == 0, err
+    kept = sorted(finished.path.glob("comparison-*.json"))
+    assert json.loads(kept[-1].read_text())["robot"] == "emulated:worn"
+    assert json.loads(finished.comparison.read_text())["robot"] == "emulated:worn?seed=3"
+    code, _, _ = run_cli("report", str(finished.path), capsys=capsys, monkeypatch=monkeypatch)
+    assert "The controllers were compared on emulated:worn?seed=3" in finished.report.read_text(encoding="utf-8")
+    finished.comparison.unlink()
+    for path in kept:
+        path.unlink()
 
 
 def test_every_command_has_help_with_an_example(

@@ -1,5 +1,10 @@
 """Run folders: what is written is read back; what is damaged is named."""
 
+import errno
+import os
+import re
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,7 +14,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from rejoint.errors import FileError, InputError
-from rejoint.runs import RunLog, read_json, read_log, write_json, write_log, write_whole
+from rejoint.runs import RunFolder, RunLog, alone, read_json, read_log, write_json, write_log, write_whole
 
 
 def example(rows: int = 5) -> RunLog:
@@ -85,3 +90,34 @@ def test_a_write_that_fails_leaves_the_old_file(tmp_path: Path) -> None:
         write_whole(path, fail)
     assert path.read_text() == "old"
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_nobody_else_works_in_a_run_folder_meanwhile(tmp_path: Path) -> None:
+    code = "import sys\nfrom pathlib import Path\nfrom rejoint.runs import RunFolder, alone\n"
+    code += "with alone(RunFolder(Path(sys.argv[1]))): print('in', flush=True); sys.stdin.read()\n"
+    words = [sys.executable, "-c", code, str(tmp_path)]
+    with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as other:
+        assert other.stdout.readline() == "in\n"
+        with pytest.raises(FileError, match=rf"another rejoint \(process {other.pid}\)"), alone(RunFolder(tmp_path)):
+            pass
+        other.kill()
+    with alone(RunFolder(tmp_path)):  # a lock goes with its process
+        pass
+
+
+def test_what_cannot_be_written_is_a_file_error_and_leaves_what_was_there(tmp_path: Path) -> None:
+    path = tmp_path / "diagnosis.json"
+    write_json(path, {"a": 1})
+    for number in (errno.ENOSPC, errno.EROFS):
+
+        def fail(_: Path, number: int = number) -> None:
+            raise OSError(number, os.strerror(number))
+
+        with pytest.raises(FileError, match=re.escape(os.strerror(number))):
+            write_whole(path, fail)
+    assert read_json(path, dict[str, int]) == {"a": 1}
+    assert list(tmp_path.iterdir()) == [path]
+    file = tmp_path / "file"
+    file.touch()
+    with pytest.raises(FileError, match="nothing can be written there"), alone(RunFolder(file)):
+        pass

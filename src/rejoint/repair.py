@@ -10,8 +10,9 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
+from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Concatenate, ParamSpec, TypeVar
 
 import numpy as np
 
@@ -31,7 +32,7 @@ from rejoint.control.recording import recording_of
 from rejoint.control.robot import Robot
 from rejoint.errors import FileError, InputError
 from rejoint.robots import default_period, open_robot
-from rejoint.runs import LOGS, RunFolder, RunInfo, RunLog, read_json, read_log, write_json, write_log
+from rejoint.runs import LOGS, RunFolder, RunInfo, RunLog, alone, read_json, read_log, set_aside, write_json, write_log
 
 if TYPE_CHECKING:  # these need the simulator, which a Raspberry Pi does not have
     from rejoint.diagnosis.diagnosis import Diagnosis
@@ -45,6 +46,8 @@ OnProgress = Callable[[float, float, str], None]
 """Called with (done, total, what is being done)."""
 
 Period = tuple[float, float]
+Given = ParamSpec("Given")
+Result = TypeVar("Result")
 
 RUNS = Path("runs")
 """Where run folders are made, in the folder one stands in."""
@@ -139,6 +142,18 @@ def newest_or_new(robot: str, arm: Arm, seed: int) -> tuple[Path, bool]:
     return home / f"{(numbers[-1] if numbers else 0) + 1:03}", False
 
 
+def _alone(stage: Callable[Concatenate[Run, Given], Result]) -> Callable[Concatenate[Run, Given], Result]:
+    """Let no other process work in the run folder during a stage."""
+
+    @wraps(stage)
+    def working(run: Run, /, *arguments: Given.args, **options: Given.kwargs) -> Result:
+        with alone(run.folder):
+            return stage(run, *arguments, **options)
+
+    return working
+
+
+@_alone
 def diagnose_stage(
     run: Run, *, period: Period | None = None, good: Path | None = None, on_progress: OnProgress = silent
 ) -> Diagnosis:
@@ -162,6 +177,7 @@ def diagnose_stage(
     return diagnosis
 
 
+@_alone
 def identify_stage(run: Run, *, on_progress: OnProgress = silent) -> Twin:
     """Fit a twin to the excitation log and write it."""
     from rejoint.twin.file import write_twin
@@ -220,6 +236,7 @@ def identify_logs_stage(
     return found
 
 
+@_alone
 def train_stage(
     run: Run, *, preset: str = "default", learner: str = "ppo", resume: bool = True, on_progress: OnProgress = silent
 ) -> TrainingResult:
@@ -237,6 +254,7 @@ def train_stage(
     return train(run.arm, _twin(run), out=run.folder.path, options=options, on_progress=on_progress)
 
 
+@_alone
 def compare_stage(
     run: Run,
     robot: str,
@@ -267,10 +285,12 @@ def compare_stage(
     )
     factories = _factories(run, trials.controllers, period or default_period(robot))
     result = compare(connect, factories, targets, settings, on_progress=on_progress, on_trial=keep)
+    set_aside(run.folder.comparison)
     write_json(run.folder.comparison, result)
     return result, recommend(result)
 
 
+@_alone
 def deploy_stage(run: Run, robot: str, job: Deployment, period: Period | None = None) -> Array:
     """Drive a robot through the targets of ``job``; returns the encoder error (K,) [m] at the end of each.
 

@@ -10,8 +10,10 @@ from __future__ import annotations
 import json
 import os
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
+from datetime import datetime
 from pathlib import Path
 from typing import TypeVar
 
@@ -23,6 +25,11 @@ from numpy.typing import NDArray
 
 from rejoint.errors import FileError, InputError
 
+try:
+    import fcntl
+except ImportError:  # not on Windows
+    fcntl = None  # type: ignore[assignment]
+
 Array = NDArray[np.float64]
 T = TypeVar("T")
 
@@ -33,6 +40,7 @@ LOGS = "logs:"
 """Beginning of what stands for the robot of a run that was made from logs alone; their folder follows"""
 
 _METADATA_KEY = b"rejoint"
+_UNWRITABLE = "free some space, allow writing there, or choose another folder"
 _AXES = ("x", "y", "z")
 
 
@@ -233,17 +241,56 @@ def read_json(path: Path, kind: type[T]) -> T:
 
 
 def write_whole(path: Path, write: Callable[[Path], object]) -> None:
-    """Let ``write`` fill a temporary file beside ``path`` and move it there: all or nothing."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    os.close(handle)
-    temporary = Path(name)
+    """Let ``write`` fill a temporary file beside ``path`` and move it there: all or nothing; FileError if it fails."""
     try:
-        write(temporary)
-        temporary.chmod(0o644)
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+        os.close(handle)
+        temporary = Path(name)
+        try:
+            write(temporary)
+            temporary.chmod(0o644)
+            temporary.replace(path)
+        finally:
+            temporary.unlink(missing_ok=True)
+    except OSError as error:
+        raise FileError(path, f"cannot be written ({error.strerror or error})", _UNWRITABLE) from error
+
+
+def set_aside(path: Path) -> None:
+    """Rename a file, if there is one, that another takes the place of, by its time: it may have cost hours."""
+    if path.exists():
+        made = datetime.fromtimestamp(path.stat().st_mtime)
+        path.replace(path.with_stem(f"{path.stem}-{made:%Y%m%d-%H%M%S}"))
+
+
+@contextmanager
+def alone(folder: RunFolder) -> Iterator[None]:
+    """Keep other processes from working in a run folder meanwhile.
+
+    FileError where one is, or where nothing can be written: better known before an arm has moved. The lock goes with
+    the process that holds it, however that ends. Where the system has no such locks, nothing is kept out.
+    """
+    path = folder.path / ".lock"
+    try:
+        folder.path.mkdir(parents=True, exist_ok=True)
+        file = path.open("a+")
+    except OSError as error:
+        raise FileError(folder.path, f"nothing can be written there ({error.strerror})", _UNWRITABLE) from error
+    with file:
+        if fcntl is not None:
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError as error:
+                file.seek(0)
+                other = f"another rejoint (process {file.read().strip() or 'unknown'}) is working there"
+                raise FileError(folder.path, other, "wait until it is done, or choose another folder") from error
+            except OSError:
+                pass  # a file system without locks
+        file.truncate(0)
+        file.write(str(os.getpid()))
+        file.flush()
+        yield
 
 
 def _first_line(error: BaseException) -> str:

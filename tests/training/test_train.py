@@ -120,12 +120,14 @@ def test_an_interrupted_training_resumes_to_the_same_policy(tmp_path):
     assert resumed.reward == whole.reward
 
 
-def test_a_checkpoint_of_another_training_is_not_continued(tmp_path):
+def test_a_checkpoint_of_another_training_is_neither_continued_nor_lost(tmp_path):
     with pytest.raises(InterruptedTrainingError):
         train(ARM, None, out=tmp_path, options=options(), on_progress=interrupt_after(3))
     seen = []
     train(ARM, None, out=tmp_path, options=options(resume=True, seed=9), on_progress=lambda done, *_: seen.append(done))
     assert seen == [1, 2, 3, 4, 5, 6]
+    kept = list(RunFolder(tmp_path).training.glob("checkpoint-*.pt"))
+    assert [torch.load(path, weights_only=True)["identity"]["seed"] for path in kept] == [0]
 
 
 def test_a_damaged_checkpoint_is_named(tmp_path):

@@ -6,6 +6,7 @@ Exit codes: 0 done; 2 input that cannot be used; 3 the guard stopped the motion;
 
 from __future__ import annotations
 
+import signal
 import sys
 from collections.abc import Callable
 
@@ -38,11 +39,14 @@ INTERRUPTED = 130
 def main() -> None:
     """Run the command line; every expected failure is one clear line and an exit code that means something."""
     json = "--json" in sys.argv
+    for name in ("SIGTERM", "SIGHUP"):  # as Ctrl-C: arms are held, and what was recorded is kept
+        if hasattr(signal, name):
+            signal.signal(getattr(signal, name), _interrupt)
     try:
         result = app(standalone_mode=False)  # the framework turns Ctrl-C into its exit code and returns it
         code = result if isinstance(result, int) else 0
         if code == INTERRUPTED:
-            message = "interrupted; finished stages are kept, the same command goes on from there"
+            message = "interrupted; finished stages are kept: `rejoint repair` and `rejoint train` go on from there"
             code = _fail(message, "Interrupted", INTERRUPTED, json=json)
     except RejointError as error:
         code = _fail(str(error), type(error).__name__, error.exit_code, json=json)
@@ -55,7 +59,19 @@ def main() -> None:
         code = _fail(told, "UsageError", 2, json=json)
     except BrokenPipeError:
         code = 0  # whoever read our output has seen enough
+    except OSError as error:
+        where = f"{error.filename}: " if error.filename else ""
+        code = _fail(
+            f"{where}{error.strerror or error}; check the path, its permissions and the space left",
+            "OSError",
+            2,
+            json=json,
+        )
     sys.exit(code)
+
+
+def _interrupt(*_: object) -> None:
+    raise KeyboardInterrupt
 
 
 def _fail(message: str, kind: str, code: int, *, json: bool) -> int:

@@ -99,7 +99,7 @@ class Learner:
             "crews": [_tensors(crew.state()) for crew in self.crews],
             "curve": [asdict(point) for point in self.curve],
         }
-        write_whole(path, lambda temporary: torch.save(content, temporary))
+        write_whole(path, lambda temporary: _save(content, temporary))
 
     def load(self, path: Path, identity: dict[str, Any]) -> bool:
         """Continue from a checkpoint; False where it belongs to another training, FileError if damaged."""
@@ -147,6 +147,13 @@ def _switching(interval: float) -> Iterator[None]:
         yield
     finally:
         sys.setswitchinterval(before)
+
+
+def _save(content: dict[str, Any], path: Path) -> None:
+    try:
+        torch.save(content, path)
+    except RuntimeError as error:  # so torch reports a full disk
+        raise OSError(str(error).splitlines()[0]) from error
 
 
 def _learning_rate(settings: PpoSettings, iteration: int) -> float:

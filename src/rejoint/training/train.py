@@ -17,7 +17,7 @@ from rejoint import __version__
 from rejoint.arms import Arm
 from rejoint.control.contract import PolicyContract, arm_digest
 from rejoint.control.observation import layout_slots
-from rejoint.runs import RunFolder, write_whole
+from rejoint.runs import RunFolder, set_aside, write_whole
 from rejoint.training.export import export_policy
 from rejoint.training.learner import CurvePoint, Learner
 from rejoint.training.presets import Preset, load_preset
@@ -103,8 +103,8 @@ def train(
     torch.set_float32_matmul_precision("medium")  # products in bfloat16, where the processor has it, sums in float32
     learner = make_learner(arm, twin, recipe, options)
     identity = _identity(arm, twin, recipe, options.seed)
-    if options.resume and checkpoint.exists():
-        learner.load(checkpoint, identity)
+    if options.resume and checkpoint.exists() and not learner.load(checkpoint, identity):
+        set_aside(checkpoint)  # of another training, which may be wanted again
     total = recipe.ppo.iterations
     writer = SummaryWriter(str(folder.training))
     contract = policy_contract(arm, twin, recipe, options.seed)

@@ -45,7 +45,19 @@ def _verdict(contents: Contents, advice: Recommendation | None) -> tuple[str, ..
     if advice is None or contents.comparison is None:
         untried = "No controller has been tried on this arm yet, so none is recommended."
         return (*wrong, untried) if wrong else (untried,)
-    return (_headline(advice, contents.comparison), *wrong, *_policy(advice, contents.comparison))
+    return (
+        *_elsewhere(contents),
+        _headline(advice, contents.comparison),
+        *wrong,
+        *_policy(advice, contents.comparison),
+    )
+
+
+def _elsewhere(contents: Contents) -> tuple[str, ...]:
+    """Say where the controllers were tried if it was not on the arm of this run."""
+    if contents.comparison is None or contents.info is None or contents.comparison.robot == contents.info.robot:
+        return ()
+    return (f"The controllers were compared on {contents.comparison.robot}, and what follows holds for that arm.",)
 
 
 def _headline(advice: Recommendation, comparison: Comparison) -> str:
