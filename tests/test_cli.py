@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from rejoint import opening
 from rejoint import repair as work
 from rejoint.arms import mycobot280
 from rejoint.cli import main
@@ -34,7 +35,7 @@ def run_cli(*words: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest
 def finished(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
     """A run with everything up to a policy that has hardly been trained."""
     path = tmp_path_factory.mktemp("runs") / "one"
-    run = work.begin(path, "emulated:worn", mycobot280(), 0)
+    run = opening.begin(path, "emulated:worn", mycobot280(), 0)
     work.diagnose_stage(run)
     twin = work.identify_stage(run)
     train(run.arm, twin, out=path, options=TrainingOptions(iterations=2, agents=16, threads=1))
@@ -118,9 +119,9 @@ def test_bad_input_is_one_line_and_exit_code_2(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    folder = work.begin(tmp_path / "run", "emulated:worn", mycobot280(), 0).folder
+    folder = opening.begin(tmp_path / "run", "emulated:worn", mycobot280(), 0).folder
     folder.policy.write_bytes(b"half a policy")
-    work.begin(tmp_path / "identified", "emulated:worn", mycobot280(), 0).folder.twin.write_text("half a twin")
+    opening.begin(tmp_path / "identified", "emulated:worn", mycobot280(), 0).folder.twin.write_text("half a twin")
     (tmp_path / "empty").mkdir()
     (tmp_path / "bad.csv").write_text("x,y,z\n1,2\n")
     names = {"run": "run", "identified": "identified", "empty": "empty", "bad_csv": "bad.csv"}
@@ -147,7 +148,7 @@ def test_an_error_is_json_too(
 
 def test_a_policy_for_another_arm_is_refused_before_anything_moves(tmp_path: Path) -> None:
     arm = mycobot280()
-    folder = work.begin(tmp_path / "run", "emulated:worn", mycobot280(), 0).folder
+    folder = opening.begin(tmp_path / "run", "emulated:worn", mycobot280(), 0).folder
     tip = arm.tip.copy()
     tip[2, 3] += 0.01
     longer = replace(arm, tip=tip)
@@ -225,6 +226,18 @@ def test_interruption_is_exit_code_130(
     assert "go on from there" in err
 
 
+def test_a_start_that_fails_leaves_nothing_and_takes_nothing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    words = ("diagnose", "tcp://127.0.0.1:1", "--run", str(tmp_path / "runs" / "one"))
+    assert run_cli(*words, capsys=capsys, monkeypatch=monkeypatch)[0] == 2
+    assert not list(tmp_path.iterdir())
+    folder = opening.begin(tmp_path / "runs" / "one", "tcp://127.0.0.1:1", mycobot280(), 0).folder
+    write_json(folder.diagnosis, {"kept": True})
+    assert run_cli(*words, capsys=capsys, monkeypatch=monkeypatch)[0] == 2
+    assert {path.name for path in folder.path.iterdir()} >= {"run.json", "diagnosis.json"}
+
+
 def test_a_request_to_end_is_an_interruption(tmp_path: Path) -> None:
     words = [sys.executable, "-m", "rejoint", "repair", "--run", str(tmp_path / "run")]
     with subprocess.Popen(words, stderr=subprocess.PIPE, text=True) as process:
@@ -284,37 +297,37 @@ def test_results_of_every_kind_become_one_line_of_json(capsys: pytest.CaptureFix
 def test_a_run_folder_is_never_taken_over(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("mine")
     with pytest.raises(InputError, match="not a run folder and not empty"):
-        work.begin(tmp_path, "emulated:worn", mycobot280(), 0)
+        opening.begin(tmp_path, "emulated:worn", mycobot280(), 0)
     assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
 
 
 def test_a_damaged_run_is_named(tmp_path: Path) -> None:
-    folder = work.begin(tmp_path / "run", "emulated:worn", mycobot280(), 0).folder
+    folder = opening.begin(tmp_path / "run", "emulated:worn", mycobot280(), 0).folder
     folder.info.write_text("{")
     with pytest.raises(FileError, match=r"run\.json: damaged"):
-        work.open_run(folder.path)
+        opening.open_run(folder.path)
 
 
 def test_an_arm_from_a_file_travels_with_its_run(tmp_path: Path) -> None:
     arm = replace(mycobot280(), name="mine", floor=0.05)
-    work.begin(tmp_path / "run", "emulated:worn", arm, 0)
-    found = work.open_run(tmp_path / "run").arm
+    opening.begin(tmp_path / "run", "emulated:worn", arm, 0)
+    found = opening.open_run(tmp_path / "run").arm
     assert (found.name, found.floor) == ("mine", 0.05)
     with pytest.raises(InputError, match=r"is a run of emulated:worn \(mine"):
-        work.begin(tmp_path / "run", "emulated:worn", mycobot280(), 0)
+        opening.begin(tmp_path / "run", "emulated:worn", mycobot280(), 0)
 
 
 def test_the_newest_unfinished_run_is_resumed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    first, resumed = work.newest_or_new("emulated:worn?seed=3", mycobot280(), 0)
+    first, resumed = opening.newest_or_new("emulated:worn?seed=3", mycobot280(), 0)
     assert (first, resumed) == (Path("runs/mycobot280-emulated-worn-seed-3-seed0/001"), False)
     info = RunInfo(robot="emulated:worn?seed=3", arm="mycobot280", seed=0, version="1", created="now")
     write_json(first / "run.json", info)
-    assert work.newest_or_new("emulated:worn?seed=3", mycobot280(), 0) == (first, True)
+    assert opening.newest_or_new("emulated:worn?seed=3", mycobot280(), 0) == (first, True)
     (first / "report.html").write_text("done")
-    assert work.newest_or_new("emulated:worn?seed=3", mycobot280(), 0) == (first.with_name("002"), False)
+    assert opening.newest_or_new("emulated:worn?seed=3", mycobot280(), 0) == (first.with_name("002"), False)
     with pytest.raises(FileError, match="it holds runs, name one of: 001"):
-        work.open_run(first.parent)
+        opening.open_run(first.parent)
 
 
 def test_options_are_read_as_written() -> None:

@@ -14,7 +14,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from rejoint.errors import FileError, InputError
-from rejoint.runs import RunFolder, RunLog, alone, read_json, read_log, write_json, write_log, write_whole
+from rejoint.runs import RunFolder, RunLog, locked, read_json, read_log, write_json, write_log, write_whole
 
 
 def example(rows: int = 5) -> RunLog:
@@ -93,15 +93,15 @@ def test_a_write_that_fails_leaves_the_old_file(tmp_path: Path) -> None:
 
 
 def test_nobody_else_works_in_a_run_folder_meanwhile(tmp_path: Path) -> None:
-    code = "import sys\nfrom pathlib import Path\nfrom rejoint.runs import RunFolder, alone\n"
-    code += "with alone(RunFolder(Path(sys.argv[1]))): print('in', flush=True); sys.stdin.read()\n"
+    code = "import sys\nfrom pathlib import Path\nfrom rejoint.runs import RunFolder, locked\n"
+    code += "with locked(RunFolder(Path(sys.argv[1]))): print('in', flush=True); sys.stdin.read()\n"
     words = [sys.executable, "-c", code, str(tmp_path)]
     with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as other:
         assert other.stdout.readline() == "in\n"
-        with pytest.raises(FileError, match=rf"another rejoint \(process {other.pid}\)"), alone(RunFolder(tmp_path)):
+        with pytest.raises(FileError, match=rf"another rejoint \(process {other.pid}\)"), locked(RunFolder(tmp_path)):
             pass
         other.kill()
-    with alone(RunFolder(tmp_path)):  # a lock goes with its process
+    with locked(RunFolder(tmp_path)):  # a lock goes with its process
         pass
 
 
@@ -119,5 +119,5 @@ def test_what_cannot_be_written_is_a_file_error_and_leaves_what_was_there(tmp_pa
     assert list(tmp_path.iterdir()) == [path]
     file = tmp_path / "file"
     file.touch()
-    with pytest.raises(FileError, match="nothing can be written there"), alone(RunFolder(file)):
+    with pytest.raises(FileError, match="nothing can be written there"), locked(RunFolder(file)):
         pass

@@ -6,18 +6,15 @@ repeated, resumed, replaced, or run on another machine.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
-from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Concatenate, ParamSpec, TypeVar
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rejoint import __version__
-from rejoint.arms import CATALOGUE, Arm, Array, load_arm, tcp_position, write_arm_toml
+from rejoint.arms import Arm, Array, tcp_position
 from rejoint.comparison.compare import Settings, Trial, compare
 from rejoint.comparison.recommend import Recommendation, recommend
 from rejoint.comparison.result import Comparison, Protocol
@@ -31,8 +28,9 @@ from rejoint.control.policy import PolicyController
 from rejoint.control.recording import recording_of
 from rejoint.control.robot import Robot
 from rejoint.errors import FileError, InputError
+from rejoint.opening import Run, alone, begin, forget
 from rejoint.robots import default_period, open_robot
-from rejoint.runs import LOGS, RunFolder, RunInfo, RunLog, alone, read_json, read_log, set_aside, write_json, write_log
+from rejoint.runs import LOGS, RunFolder, RunLog, read_json, read_log, set_aside, write_json, write_log
 
 if TYPE_CHECKING:  # these need the simulator, which a Raspberry Pi does not have
     from rejoint.diagnosis.diagnosis import Diagnosis
@@ -46,11 +44,6 @@ OnProgress = Callable[[float, float, str], None]
 """Called with (done, total, what is being done)."""
 
 Period = tuple[float, float]
-Given = ParamSpec("Given")
-Result = TypeVar("Result")
-
-RUNS = Path("runs")
-"""Where run folders are made, in the folder one stands in."""
 
 
 def silent(done: float, total: float, text: str) -> None:
@@ -81,79 +74,7 @@ class Deployment:
     """[s] per target"""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Run:
-    """One repair: where its files are and what it is about."""
-
-    folder: RunFolder
-    info: RunInfo
-    arm: Arm
-
-
-def begin(path: Path, robot: str, arm: Arm, seed: int) -> Run:
-    """Open the run folder at ``path``, or make it; InputError if it belongs to another robot."""
-    run = prepare(path, robot, arm, seed)
-    if not run.folder.info.exists():
-        if arm.name not in CATALOGUE:
-            write_arm_toml(path / "arm.toml", arm)
-        write_json(run.folder.info, run.info)
-    return run
-
-
-def prepare(path: Path, robot: str, arm: Arm, seed: int) -> Run:
-    """Open the run folder at ``path``, or say what `begin` will make of it, without writing; errors as there."""
-    folder = RunFolder(path)
-    if folder.info.exists():
-        run = open_run(path)
-        if (run.info.robot, run.arm.name, run.info.seed) != (robot, arm.name, seed):
-            raise InputError(
-                f"{path} is a run of {run.info.robot} ({run.arm.name}, seed {run.info.seed}), "
-                f"expected {robot} ({arm.name}, seed {seed}); give another --run"
-            )
-        return run
-    if path.is_dir() and any(path.iterdir()):
-        raise InputError(f"{path} is not a run folder and not empty; give another --run")
-    created = datetime.now().isoformat(timespec="seconds")
-    info = RunInfo(robot=robot, arm=arm.name, seed=seed, version=__version__, created=created)
-    return Run(folder=folder, info=info, arm=arm)
-
-
-def open_run(path: Path) -> Run:
-    """Open an existing run folder; FileError if it is none."""
-    folder = RunFolder(path)
-    if not folder.info.exists():
-        within = sorted(p.parent.name for p in path.glob("*/run.json"))
-        begin = "start with: rejoint diagnose ROBOT --run FOLDER"
-        hint = f"it holds runs, name one of: {', '.join(within)}" if within else begin
-        raise FileError(path, "no run folder (it holds no run.json)", hint)
-    info = read_json(folder.info, RunInfo)
-    return Run(folder=folder, info=info, arm=load_arm(folder.arm(info.arm)))
-
-
-def newest_or_new(robot: str, arm: Arm, seed: int) -> tuple[Path, bool]:
-    """Default run folder of a robot: the newest one if it was interrupted, else a new one.
-
-    Returns the path and whether it is to be resumed.
-    """
-    home = RUNS / re.sub(r"[^\w.-]+", "-", f"{arm.name}-{robot}-seed{seed}").strip("-")
-    numbers = sorted(int(p.name) for p in home.glob("*") if p.name.isdecimal()) if home.is_dir() else []
-    if numbers and not RunFolder(home / f"{numbers[-1]:03}").report.exists():
-        return home / f"{numbers[-1]:03}", True
-    return home / f"{(numbers[-1] if numbers else 0) + 1:03}", False
-
-
-def _alone(stage: Callable[Concatenate[Run, Given], Result]) -> Callable[Concatenate[Run, Given], Result]:
-    """Let no other process work in the run folder during a stage."""
-
-    @wraps(stage)
-    def working(run: Run, /, *arguments: Given.args, **options: Given.kwargs) -> Result:
-        with alone(run.folder):
-            return stage(run, *arguments, **options)
-
-    return working
-
-
-@_alone
+@alone
 def diagnose_stage(
     run: Run, *, period: Period | None = None, good: Path | None = None, on_progress: OnProgress = silent
 ) -> Diagnosis:
@@ -161,7 +82,11 @@ def diagnose_stage(
     from rejoint.diagnosis.diagnosis import diagnose
 
     healthy = _healthy(run.arm, good)
-    robot = open_robot(run.info.robot, arm=run.arm, seed=run.info.seed, period=period)
+    try:
+        robot = open_robot(run.info.robot, arm=run.arm, seed=run.info.seed, period=period)
+    except InputError:
+        forget(run)
+        raise
     try:
         diagnosis, logs = diagnose(
             robot,
@@ -177,7 +102,7 @@ def diagnose_stage(
     return diagnosis
 
 
-@_alone
+@alone
 def identify_stage(run: Run, *, on_progress: OnProgress = silent) -> Twin:
     """Fit a twin to the excitation log and write it."""
     from rejoint.twin.file import write_twin
@@ -236,7 +161,7 @@ def identify_logs_stage(
     return found
 
 
-@_alone
+@alone
 def train_stage(
     run: Run, *, preset: str = "default", learner: str = "ppo", resume: bool = True, on_progress: OnProgress = silent
 ) -> TrainingResult:
@@ -254,7 +179,7 @@ def train_stage(
     return train(run.arm, _twin(run), out=run.folder.path, options=options, on_progress=on_progress)
 
 
-@_alone
+@alone
 def compare_stage(
     run: Run,
     robot: str,
@@ -290,7 +215,7 @@ def compare_stage(
     return result, recommend(result)
 
 
-@_alone
+@alone
 def deploy_stage(run: Run, robot: str, job: Deployment, period: Period | None = None) -> Array:
     """Drive a robot through the targets of ``job``; returns the encoder error (K,) [m] at the end of each.
 

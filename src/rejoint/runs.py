@@ -265,7 +265,7 @@ def set_aside(path: Path) -> None:
 
 
 @contextmanager
-def alone(folder: RunFolder) -> Iterator[None]:
+def locked(folder: RunFolder) -> Iterator[None]:
     """Keep other processes from working in a run folder meanwhile.
 
     FileError where one is, or where nothing can be written: better known before an arm has moved. The lock goes with

@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from rejoint import opening
 from rejoint import repair as work
 from rejoint.cli import options as opt
 from rejoint.cli import show
@@ -46,8 +47,8 @@ def repair(
         sets=sets or (3 if emulated else 1), repetitions=repetitions or (2 if emulated else 1),
     )  # fmt: skip
     chosen = opt.choose_arm(terminal, arm, base, tip, robot)
-    path, resumed = (run, run.exists()) if run else work.newest_or_new(robot, chosen, seed)
-    job = work.begin(path, robot, chosen, seed)
+    path, resumed = (run, run.exists()) if run else opening.newest_or_new(robot, chosen, seed)
+    job = opening.begin(path, robot, chosen, seed)
     terminal.say(f"{'Going on with' if resumed else 'Starting'} the repair of {robot} in {path}")
     chain = _Chain(terminal, job, opt.period_seconds(period))
     diagnosis = chain.diagnose()
@@ -63,7 +64,7 @@ def repair(
 class _Chain:
     """Stages that are done only where their file is not there yet."""
 
-    def __init__(self, terminal: Terminal, job: work.Run, period: work.Period | None) -> None:
+    def __init__(self, terminal: Terminal, job: opening.Run, period: work.Period | None) -> None:
         self.terminal, self.job, self.period = terminal, job, period
 
     def diagnose(self) -> Diagnosis:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rejoint import repair
+from rejoint import opening
 from rejoint.arms import load_arm
 from rejoint.cli.console import Terminal
 from rejoint.cli.options import Json, Seed, controller_names
@@ -111,7 +111,7 @@ def tune(
     from rejoint.twin.file import read_twin
 
     terminal, chosen = Terminal(json=json), find_rival(rival)
-    job = None if run is None else repair.open_run(run)
+    job = None if run is None else opening.open_run(run)
     arm = load_arm("mycobot280") if job is None else job.arm
     ranges: Ranges = BroadRanges(arm=arm)
     if job is not None:

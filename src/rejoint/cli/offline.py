@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import msgspec
 import typer
 
+from rejoint import opening
 from rejoint import repair as work
 from rejoint.arms import Arm
 from rejoint.cli import show
@@ -27,7 +28,7 @@ Published = Annotated[
 ]
 
 
-def diagnose_from_logs(terminal: Terminal, job: work.Run, logs: Path, good: Path | None) -> None:
+def diagnose_from_logs(terminal: Terminal, job: opening.Run, logs: Path, good: Path | None) -> None:
     """Judge an arm by the run logs in a folder and write the diagnosis into the run folder of ``job``."""
     motions = read_folder(logs)
     with terminal.progress("diagnosing") as update:
@@ -37,7 +38,7 @@ def diagnose_from_logs(terminal: Terminal, job: work.Run, logs: Path, good: Path
     terminal.finish({"run": str(job.folder.path), "diagnosis": diagnosis})
 
 
-def identify_from_logs(terminal: Terminal, job: work.Run, logs: Path, published: list[str] | None) -> None:
+def identify_from_logs(terminal: Terminal, job: opening.Run, logs: Path, published: list[str] | None) -> None:
     """Fit a twin to the run logs in a folder, judge it, and write both and the report into a run folder."""
     from rejoint.report.page import write_report
 

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from rejoint import repair
+from rejoint import opening
 from rejoint.arms import Arm
 from rejoint.arms.loading import read_arm
 from rejoint.cli.console import Terminal
@@ -56,10 +56,10 @@ def choose_arm(
     return loaded.arm
 
 
-def run_of_logs(arm: Arm, logs: Path, path: Path | None, seed: int) -> repair.Run:
+def run_of_logs(arm: Arm, logs: Path, path: Path | None, seed: int) -> opening.Run:
     """Prepare the run of a folder of logs: the one at ``path``, or the newest one of these logs, or a new one."""
     robot = f"{LOGS}{logs}"
-    return repair.prepare(path or repair.newest_or_new(robot, arm, seed)[0], robot, arm, seed)
+    return opening.prepare(path or opening.newest_or_new(robot, arm, seed)[0], robot, arm, seed)
 
 
 def period_seconds(text: str | None) -> tuple[float, float] | None:
@@ -80,6 +80,6 @@ def controller_names(text: str) -> tuple[str, ...]:
     return () if text == "all" else tuple(name.strip() for name in text.split(",") if name.strip())
 
 
-def seeded(run: repair.Run, seed: int | None) -> repair.Run:
+def seeded(run: opening.Run, seed: int | None) -> opening.Run:
     """Return the run with another seed, if one was given."""
     return run if seed is None else replace(run, info=replace(run.info, seed=seed))

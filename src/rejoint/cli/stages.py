@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from rejoint import opening
 from rejoint import repair as work
 from rejoint.arms import load_arm
 from rejoint.cli import offline, show
@@ -45,8 +46,8 @@ def diagnose(
         return
     robot = robot or "emulated:worn"
     chosen = opt.choose_arm(terminal, arm, base, tip, robot)
-    path = run or work.newest_or_new(robot, chosen, seed)[0]
-    job = work.begin(path, robot, chosen, seed)
+    path = run or opening.newest_or_new(robot, chosen, seed)[0]
+    job = opening.begin(path, robot, chosen, seed)
     with terminal.progress("diagnosing") as update:
         diagnosis = work.diagnose_stage(job, period=opt.period_seconds(period), good=healthy, on_progress=update)
     show.diagnosis(terminal, diagnosis)
@@ -79,7 +80,7 @@ def identify(
     if folder is not None or published:
         raise InputError("--run and --published go with --logs; without it, name the run folder alone")
     assert run is not None  # noqa: S101 - for the type checker; one of the two is given
-    job = opt.seeded(work.open_run(run), seed)
+    job = opt.seeded(opening.open_run(run), seed)
     with terminal.progress("identifying") as update:
         twin = work.identify_stage(job, on_progress=update)
     show.twin(terminal, twin)
@@ -106,8 +107,8 @@ def train(
     if broad:
         if RunFolder(run).twin.exists():
             raise InputError(f"{run} has a twin.toml, and --broad trains without one: choose another folder")
-        work.begin(run, "emulated:worn", load_arm("mycobot280"), seed or 0)
-    job = opt.seeded(work.open_run(run), seed)
+        opening.begin(run, "emulated:worn", load_arm("mycobot280"), seed or 0)
+    job = opt.seeded(opening.open_run(run), seed)
     from rejoint.report.sections.training import draw_training
 
     if not job.folder.twin.exists():
@@ -137,7 +138,7 @@ def compare(
     Example: `rejoint compare emulated:worn runs/mine --sets 10 --repetitions 6`
     """
     terminal = Terminal(json=json)
-    job = opt.seeded(work.open_run(run), seed)
+    job = opt.seeded(opening.open_run(run), seed)
     trials = work.Trials(
         controllers=opt.controller_names(controllers), sets=sets, repetitions=repetitions, file=targets
     )
@@ -163,7 +164,7 @@ def deploy(
     Example: `rejoint deploy tcp://192.168.1.20:9000 runs/mine --targets points.csv`
     """
     terminal = Terminal(json=json)
-    job = opt.seeded(work.open_run(run), seed)
+    job = opt.seeded(opening.open_run(run), seed)
     points = draw_targets(job.arm, sets=1, seed=job.info.seed)[0] if targets is None else read_targets(targets, job.arm)
     errors = work.deploy_stage(
         job, robot, work.Deployment(controller=controller, targets=points, dwell=dwell), opt.period_seconds(period)
@@ -180,7 +181,7 @@ def report(run: opt.Run, json: opt.Json = False) -> None:
     from rejoint.report.page import write_report
 
     terminal = Terminal(json=json)
-    job = work.open_run(run)
+    job = opening.open_run(run)
     path = write_report(job.folder.path)
     terminal.result(str(path.resolve()))
     terminal.finish({"run": str(run), "report": str(path.resolve())})
