@@ -6,6 +6,7 @@ import re
 import subprocess
 import sys
 from dataclasses import replace
+from datetime import datetime
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from rejoint.errors import FileError, InputError
-from rejoint.runs import RunFolder, RunLog, locked, read_json, read_log, write_json, write_log, write_whole
+from rejoint.runs import RunFolder, RunLog, locked, read_json, read_log, set_aside, write_json, write_log, write_whole
 
 
 def example(rows: int = 5) -> RunLog:
@@ -121,3 +122,14 @@ def test_what_cannot_be_written_is_a_file_error_and_leaves_what_was_there(tmp_pa
     file.touch()
     with pytest.raises(FileError, match="nothing can be written there"), locked(RunFolder(file)):
         pass
+
+
+def test_what_another_result_replaces_is_kept_by_its_time(tmp_path: Path) -> None:
+    path = tmp_path / "comparison.json"
+    set_aside(path)  # nothing there yet
+    for day in (1, 2):
+        write_json(path, day)
+        os.utime(path, (0, datetime(2026, 1, day, 12, 0, 5).timestamp()))
+        set_aside(path)
+    kept = {file.name: read_json(file, int) for file in tmp_path.iterdir()}
+    assert kept == {"comparison-20260101-120005.json": 1, "comparison-20260102-120005.json": 2}

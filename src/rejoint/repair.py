@@ -96,6 +96,8 @@ def diagnose_stage(
         )
     finally:
         robot.close()
+    for earlier in (run.folder.log("targets"), run.folder.log("excitation"), run.folder.diagnosis):
+        set_aside(earlier)
     write_log(run.folder.log("targets"), logs.targets)
     write_log(run.folder.log("excitation"), logs.excitation)
     write_json(run.folder.diagnosis, diagnosis)

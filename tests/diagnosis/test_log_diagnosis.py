@@ -165,6 +165,12 @@ def test_an_arm_that_lies_on_its_table_is_not_called_worn(on_a_table, monkeypatc
     assert kinds(fooled) == {("elbow_flex", "weak_gain")}
 
 
+def test_lags_are_compared_in_one_unit(found):
+    (finding,) = found["late elbow"].findings
+    late, healthy = map(int, re.search(r"(\d+) ms behind its command, a healthy one (\d+);", finding.sentence).groups())
+    assert late > healthy > 10
+
+
 @pytest.mark.parametrize("keep", [5, 8, 12])
 def test_slow_logs_leave_open_what_they_do_not_tell(logs, keep):
     fields = ("time", "position", "command", "target", "true_tcp")

@@ -112,5 +112,5 @@ class _Chain:
 
     def _done(self, path: Path) -> bool:
         if path.exists():
-            self.terminal.say(f"already done: {path}")
+            self.terminal.say(f"already done, as it was asked for then: {path}")
         return path.exists()
