@@ -174,6 +174,16 @@ def test_missing_stages_are_named(tmp_path, diagnosis):
     assert diagnosis.verdict in words
 
 
+def test_what_is_to_be_done_stands_in_the_order_of_doing(tmp_path, diagnosis):
+    folder = RunFolder(tmp_path)
+    write_json(folder.info, RunInfo(robot="emulated:worn", arm="mycobot280", seed=0, version="0", created="now"))
+    write_json(folder.diagnosis, diagnosis)
+    text = write_report(tmp_path).read_text(encoding="utf-8")
+    told = text[text.index("What is still to be done") :]
+    places = [told.index(f"rejoint {stage}") for stage in ("identify", "train", "compare")]
+    assert places == sorted(places)
+
+
 def test_true_error_that_nobody_knows(tmp_path, arm):
     write_json(RunFolder(tmp_path).comparison, make_comparison(arm, ("default", "policy"), true_known=False))
     page = Page(write_report(tmp_path))

@@ -18,6 +18,9 @@ MM, PERCENT = 1e3, 1e2
 BEFORE = "default"
 """The arm as it was: its own controller"""
 
+STAGES = ("diagnose", "identify", "train", "compare")
+"""In the order in which they are run"""
+
 
 def page_of(contents: Contents, advice: Recommendation | None, sections: tuple[Section, ...], *, footer: str) -> Page:
     """Put the verdict on top of the sections."""
@@ -142,10 +145,15 @@ def _told(contents: Contents, advice: Recommendation | None, sections: Sequence[
     if advice is not None:
         blocks.append(Told(f"Why “{advice.controller}”", advice.why))
     blocks.append(Told("What is not known", _unknown(contents)))
-    missing = tuple(section.missing for section in sections if section.missing)
+    missing = tuple(sorted((section.missing for section in sections if section.missing), key=_turn))
     if missing:
         blocks.append(Told("What is still to be done", missing))
     return tuple(block for block in blocks if block.lines)
+
+
+def _turn(missing: str) -> int:
+    """Tell when the stage that a section waits for has its turn."""
+    return next((turn for turn, stage in enumerate(STAGES) if f"rejoint {stage}" in missing), len(STAGES))
 
 
 def _wrong(contents: Contents) -> tuple[str, ...]:
