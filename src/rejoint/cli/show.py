@@ -10,6 +10,7 @@ from rejoint.arms import Array
 from rejoint.cli.console import Terminal
 from rejoint.comparison.recommend import Recommendation
 from rejoint.comparison.result import Comparison
+from rejoint.control.default import DefaultController
 
 if TYPE_CHECKING:
     from rejoint.diagnosis.diagnosis import Diagnosis
@@ -66,10 +67,17 @@ def comparison(terminal: Terminal, result: Comparison, advice: Recommendation) -
 def verdict(terminal: Terminal, before: Diagnosis, result: Comparison, advice: Recommendation) -> None:
     """Print what the whole repair came to."""
     settled = result.row(advice.controller).hold.settled
-    if settled is not None and before.open_loop is not None:
+    own = result.row(DefaultController.name).hold.settled if DefaultController.name in result.controllers else None
+    if own is not None:  # on the very targets of the comparison
+        earlier = 1e3 * own.mean.value
+    elif before.open_loop is not None:
+        earlier = before.open_loop.error_mm.value
+    else:
+        return
+    if settled is not None:
         terminal.result(
-            f"Before: {before.open_loop.error_mm.value:.1f} mm off. After, with '{advice.controller}': "
-            f"{1e3 * settled.mean.value:.2f} mm (both by the arm's own encoders)."
+            f"Before: {earlier:.1f} mm off. After, with '{advice.controller}': {1e3 * settled.mean.value:.2f} mm "
+            "(both by the arm's own encoders)."
         )
 
 
