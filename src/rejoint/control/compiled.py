@@ -41,6 +41,32 @@ def differentiate(rows, time, position, last_time, last_position, velocity, peri
             last_position[i, j] = position[k, j]
 
 
+@njit(void(OUT3, *[IN2, IN2, IN1, IN2, IN1, IN1], *[float64] * 6), **OPTIONS)
+def shape(out, step, error, distance, action, moves, spared, floor, slope, most, step_limit, fade, near):  # noqa: ANN001, ANN201
+    """Fill ``out`` (2, B, n) with the part of the damped least-squares ``step`` (B, n) to integrate, and the action's.
+
+    The step is that of `clip_norm` to ``step_limit``, fades with the TCP ``error`` (B, 3) as by `fade`, and within
+    ``near`` of the target, at a ``distance`` (B,), leaves joints alone by their share ``spared`` (n,). The ``action``
+    (B, n), in [-1, 1], counts as much as `CommandLaw.authority` says (``floor``, ``slope``, ``most``), on joints that
+    move the tool (``moves`` (n,), 1 or 0).
+    """
+    arms, joints = step.shape
+    for i in range(arms):
+        largest, square = 0.0, 0.0
+        for j in range(joints):
+            largest = np.maximum(largest, abs(step[i, j]))
+        for axis in range(3):
+            square += error[i, axis] * error[i, axis]
+        size = np.sqrt(square)
+        faded, whole = size / (size + fade), np.minimum(1.0, step_limit / np.maximum(largest, 1e-12))
+        authority = np.minimum(floor + slope * largest, most)
+        ratio = distance[i] / near
+        close = 1.0 / (1.0 + ratio * ratio)
+        for j in range(joints):
+            out[0, i, j] = faded * (step[i, j] * whole) * (1.0 - close * spared[j])
+            out[1, i, j] = authority * moves[j] * np.minimum(np.maximum(action[i, j], -1.0), 1.0)
+
+
 @njit(void(OUT2, OUT2, OUT2, IN2, IN1, IN2, IN2, float64, float64, float64, float64), **OPTIONS)
 def integrate(correction, speed, last, position, elapsed, step, extra, rate, limit, moving, smoothing):  # noqa: ANN001, ANN201
     """Add ``rate * elapsed * step`` to ``correction`` where joints are not on their way, and ``extra`` everywhere.

@@ -24,10 +24,13 @@ from rejoint.arms import Arm, Array, clip_norm, solve_position
 from rejoint.arms.size import heaviest_load, moves_tool, weightless
 from rejoint.control.controller import Situation
 from rejoint.control.feedforward import FeedforwardController, FeedforwardGains
-from rejoint.control.law import GAIN, STEP_LIMIT, between, fade, limit_lead, limit_position
+from rejoint.control.law import GAIN, STEP_LIMIT, between, limit_lead, limit_position
 from rejoint.control.observation import View
 from rejoint.control.robot import Mask
 from rejoint.errors import InputError
+from rejoint.late import Late
+
+compiled = Late("rejoint.control.compiled")
 
 _ENVELOPE_TARGETS = 120  # chosen: with the corners they span the postures to within a degree
 
@@ -117,6 +120,7 @@ class Commander:
         self._arm, self.law = arm, law
         self._base: FeedforwardController | None = None
         load = heaviest_load(arm)
+        self._moves = moves_tool(arm).astype(float)
         self._spared = 1.0 - 1.0 / (1.0 + law.burden * load / max(load.max(), 1e-9))
         if law.anchor == "goal":
             if len(law.stiffness) != arm.joints:
@@ -143,10 +147,12 @@ class Commander:
         law = self.law
         if self._base is None:
             return law.command(self._arm, view, situation.state.position, situation.sent, action)
-        extra = law.authority(view.step) * moves_tool(self._arm) * between(action, -1.0, 1.0)
-        step = fade(view.error, law.learning.fade) * clip_norm(view.step, law.step_limit)
-        near = 1.0 / (1.0 + (view.distance / law.burden_distance) ** 2)
-        step = step * (1.0 - near[:, None] * self._spared)
+        step, extra = out = np.empty((2, *view.step.shape))
+        plain = (np.ascontiguousarray(array, dtype=float) for array in (view.step, view.error, view.distance, action))
+        compiled.shape(
+            out, *plain, self._moves, self._spared, law.authority_floor, law.authority_slope, law.authority_limit,
+            law.step_limit, law.learning.fade, law.burden_distance,
+        )  # fmt: skip
         if law.patience > 0.0:
             calm = np.where(weightless(self._arm), law.calm(situation.since_target, view.step), 1.0)
             step, extra = calm * step, calm * extra
