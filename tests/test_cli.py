@@ -2,6 +2,7 @@
 
 import json
 import re
+import signal
 import subprocess
 import sys
 from dataclasses import replace
@@ -247,6 +248,20 @@ def test_a_request_to_end_is_an_interruption(tmp_path: Path) -> None:
         process.terminate()
         assert "interrupted" in process.stderr.read()
     assert process.returncode == 130
+
+
+def test_what_is_to_be_ignored_stays_ignored(tmp_path: Path) -> None:
+    words = [sys.executable, "-m", "rejoint", "repair", "--run", str(tmp_path / "run")]
+    code = "import os, signal, sys; signal.signal(signal.SIGHUP, signal.SIG_IGN); os.execv(sys.argv[1], sys.argv[1:])"
+    with subprocess.Popen([sys.executable, "-c", code, *words], stderr=subprocess.PIPE, text=True) as process:
+        assert process.stderr is not None
+        while "Diagnosis" not in process.stderr.readline():
+            assert process.poll() is None
+        process.send_signal(signal.SIGHUP)
+        with pytest.raises(subprocess.TimeoutExpired):
+            process.wait(0.5)
+        process.terminate()
+        assert "interrupted" in process.stderr.read()
 
 
 def test_an_earlier_comparison_is_kept_and_another_robot_is_named(

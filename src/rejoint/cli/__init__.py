@@ -40,8 +40,9 @@ def main() -> None:
     """Run the command line; every expected failure is one clear line and an exit code that means something."""
     json = "--json" in sys.argv
     for name in ("SIGTERM", "SIGHUP"):  # as Ctrl-C: arms are held, and what was recorded is kept
-        if hasattr(signal, name):
-            signal.signal(getattr(signal, name), _interrupt)
+        asked = getattr(signal, name, None)
+        if asked is not None and signal.getsignal(asked) != signal.SIG_IGN:  # as `nohup` has it
+            signal.signal(asked, _interrupt)
     try:
         result = app(standalone_mode=False)  # the framework turns Ctrl-C into its exit code and returns it
         code = result if isinstance(result, int) else 0
