@@ -25,7 +25,7 @@ from rejoint.control.controller import Controller
 from rejoint.control.loop import Schedule
 from rejoint.control.loop import run as drive
 from rejoint.control.policy import PolicyController
-from rejoint.control.recording import recording_of
+from rejoint.control.recording import Cycle, recording_of
 from rejoint.control.robot import Robot
 from rejoint.errors import FileError, InputError
 from rejoint.opening import Run, alone, begin, forget
@@ -218,7 +218,9 @@ def compare_stage(
 
 
 @alone
-def deploy_stage(run: Run, robot: str, job: Deployment, period: Period | None = None) -> Array:
+def deploy_stage(
+    run: Run, robot: str, job: Deployment, period: Period | None = None, *, on_progress: OnProgress = silent
+) -> Array:
     """Drive a robot through the targets of ``job``; returns the encoder error (K,) [m] at the end of each.
 
     Where something ends it early, what was recorded until then is kept.
@@ -226,9 +228,14 @@ def deploy_stage(run: Run, robot: str, job: Deployment, period: Period | None = 
     factories = _factories(run, (job.controller,), period or default_period(robot))
     controller = factories[job.controller](run.arm)
     connection = open_robot(robot, arm=run.arm, seed=run.info.seed, period=period)
-    path = run.folder.log(f"deploy-{datetime.now():%Y%m%d-%H%M%S}")
+    path, total = run.folder.log(f"deploy-{datetime.now():%Y%m%d-%H%M%S}"), len(job.targets)
+
+    def watch(cycle: Cycle) -> None:
+        target, share = int(cycle.target_index[0]), float(cycle.since_target[0]) / job.dwell
+        on_progress(target + min(share, 1.0), total, f"target {target + 1} of {total}")
+
     try:
-        recording = drive(connection, controller, job.targets[None], Schedule(dwell=job.dwell))
+        recording = drive(connection, controller, job.targets[None], Schedule(dwell=job.dwell), on_cycle=watch)
     except BaseException as error:
         partial = recording_of(error)
         if partial is not None and len(partial.time):

@@ -166,9 +166,9 @@ def deploy(
     terminal = Terminal(json=json)
     job = opt.seeded(opening.open_run(run), seed)
     points = draw_targets(job.arm, sets=1, seed=job.info.seed)[0] if targets is None else read_targets(targets, job.arm)
-    errors = work.deploy_stage(
-        job, robot, work.Deployment(controller=controller, targets=points, dwell=dwell), opt.period_seconds(period)
-    )
+    plan = work.Deployment(controller=controller, targets=points, dwell=dwell)
+    with terminal.progress("deploying") as update:
+        errors = work.deploy_stage(job, robot, plan, opt.period_seconds(period), on_progress=update)
     show.deployment(terminal, points, errors)
     terminal.finish({"run": str(run), "controller": controller, "error_mm": [1e3 * float(e) for e in errors]})
 
