@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
 from functools import wraps
@@ -90,9 +89,7 @@ def forget(run: Run) -> None:
     if {entry.name for entry in path.iterdir()} <= {"run.json", "arm.toml", ".lock"}:
         for entry in path.iterdir():
             entry.unlink()
-        with suppress(OSError):  # another run lies beside it
-            path.rmdir()
-            path.parent.rmdir()
+        path.rmdir()
 
 
 def alone(stage: Callable[Concatenate[Run, Given], Result]) -> Callable[Concatenate[Run, Given], Result]:

@@ -152,7 +152,7 @@ def test_a_baseline_that_wins_is_recommended(tmp_path, arm):
 
 def test_an_arm_that_nothing_helps_is_left_alone(tmp_path, arm):
     write_json(RunFolder(tmp_path).comparison, make_comparison(arm, ("default",)))
-    assert "Leave the arm as it is" in Page(write_report(tmp_path)).words
+    assert "Leave this arm as it is" in Page(write_report(tmp_path)).words
 
 
 def test_the_same_files_give_the_same_page(tmp_path, arm):

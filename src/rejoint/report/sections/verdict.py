@@ -12,7 +12,7 @@ from rejoint.report.sections.diagnosed import error_range, mean_error
 from rejoint.report.trust import answer
 from rejoint.report.view import KeyNumber, Page, Section, Told
 from rejoint.report.words import plural
-from rejoint.runs import LOGS
+from rejoint.runs import LOGS, RunInfo
 
 MM, PERCENT = 1e3, 1e2
 BEFORE = "default"
@@ -48,29 +48,20 @@ def _verdict(contents: Contents, advice: Recommendation | None) -> tuple[str, ..
     if advice is None or contents.comparison is None:
         untried = "No controller has been tried on this arm yet, so none is recommended."
         return (*wrong, untried) if wrong else (untried,)
-    return (
-        *_elsewhere(contents),
-        _headline(advice, contents.comparison),
-        *wrong,
-        *_policy(advice, contents.comparison),
-    )
+    return (_headline(advice, contents.comparison, contents.info), *wrong, *_policy(advice, contents.comparison))
 
 
-def _elsewhere(contents: Contents) -> tuple[str, ...]:
-    """Say where the controllers were tried if it was not on the arm of this run."""
-    if contents.comparison is None or contents.info is None or contents.comparison.robot == contents.info.robot:
-        return ()
-    return (f"The controllers were compared on {contents.comparison.robot}, and what follows holds for that arm.",)
-
-
-def _headline(advice: Recommendation, comparison: Comparison) -> str:
+def _headline(advice: Recommendation, comparison: Comparison, info: RunInfo | None) -> str:
+    """Say what to use, and on which arm that was found if not on the one of this run."""
     best, name = comparison.row(advice.controller), advice.controller
+    here = info is None or comparison.robot == info.robot
+    arm = "this arm" if here else f"the arm at {comparison.robot}, which is not the one of this run,"
     after = _millimetres(best.hold.settled)
     if advice.controller == BEFORE:
-        return f"Leave the arm as it is: no controller that was tried does measurably better than its own ({after})."
+        return f"Leave {arm} as it is: no controller that was tried does measurably better than its own ({after})."
     before = comparison.row(BEFORE).hold.settled if BEFORE in comparison.controllers else None
     gain = "" if before is None else f"; its own controller leaves {_millimetres(before)}{_gain(before, best)}"
-    return f"Use the controller “{name}”: it brings this arm to {after} of its targets by its encoders{gain}."
+    return f"Use the controller “{name}”: it brings {arm} to {after} of its targets by its encoders{gain}."
 
 
 def _gain(before: Spread, best: ControllerRow) -> str:
