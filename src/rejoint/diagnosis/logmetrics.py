@@ -19,7 +19,7 @@ from rejoint.diagnosis.measurement import JointMetrics, friction_torque, scaled
 from rejoint.diagnosis.modulation import Averages, window_averages
 from rejoint.diagnosis.regression import Estimate, Fit, fit_trimmed, reciprocal
 from rejoint.diagnosis.segments import ExcitationLog
-from rejoint.diagnosis.spans import FREE, HOLD, STEP, STILL, log_of
+from rejoint.diagnosis.spans import FREE, STEP, STILL, log_of
 
 _WINDOW = 0.3
 """[s] of a window (chosen: of the half seconds that a hobby arm needs for a reversal)"""
@@ -88,7 +88,7 @@ def measure_joint(data: ExcitationLog, joint: int) -> JointMetrics:
         lag_s=None if slow is None else slow.fit.estimate(0),
         damping_ratio=None,
         overshoot=metrics.overshoot(data, joint) if len(data.of_kind(STEP, joint)) >= FEWEST_STEPS else None,
-        hunting_rad=metrics.hunting(data, joint) if len(data.of_kind(HOLD)) >= FEWEST_RESTS else None,
+        hunting_rad=metrics.hunting(data, joint),
         noise_rad=metrics.noise(data, joint) if len(data.of_kind(STILL)) >= FEWEST_RESTS else None,
         torque_limit_nm=None,
         torque_seen_nm=load + (0.0 if friction is None else friction.value),

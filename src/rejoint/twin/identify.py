@@ -58,7 +58,7 @@ STILL_SPEED = 0.03
 """[rad/s] below which a joint counts as still: an encoder step in 50 ms (chosen)"""
 
 SHORTEST = 20.0
-"""[s] of motion below which an identification is refused (chosen: three windows)"""
+"""[s] of motion below which an identification is refused (chosen)"""
 
 
 def identify(
@@ -73,16 +73,13 @@ def identify(
     another arm or too short.
     """
     seconds = sum(float(log.time[-1] - log.time[0]) for log in logs)
-    if seconds < SHORTEST:
-        raise InputError(f"identification: {seconds:.0f} s of motion, expected at least {SHORTEST:.0f} s")
     windows = cut(logs, settings.window)
     seen = [w for i, w in enumerate(windows) if i % settings.hold_out != settings.hold_out - 1]
     unseen = [w for i, w in enumerate(windows) if i % settings.hold_out == settings.hold_out - 1]
-    if not seen or not unseen:
-        needed = settings.window * settings.hold_out
+    if seconds < SHORTEST or not unseen:
         raise InputError(
-            f"identification: {seconds:.0f} s of motion make no window to judge the fit by; "
-            f"expected at least {needed:.0f} s in one log"
+            f"identification: {seconds:.0f} s of motion in {len(windows)} windows of about {settings.window:g} s, "
+            f"expected at least {SHORTEST:.0f} s and {settings.hold_out} windows, one held out; record a longer log"
         )
     belief = prior(arm)
 
