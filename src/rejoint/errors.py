@@ -73,3 +73,8 @@ class GuardTripError(RejointError):
     def __init__(self, reason: str, detail: str) -> None:
         self.reason = reason
         super().__init__(f"guard trip ({reason}): {detail}")
+
+
+def first_line(error: BaseException) -> str:
+    """Return what an error of another library says, cut to one line; its name where it says nothing."""
+    return (str(error).splitlines() or [type(error).__name__])[0]

@@ -7,7 +7,10 @@ from typing import Any
 
 
 class Late:
-    """A module that is slow to import, as compiled loops are: `--help` should not wait for it."""
+    """A module that is slow to import, as compiled loops are: `--help` should not wait for it.
+
+    `importlib.util.LazyLoader` does the same, but is not safe for threads in Python 3.11 (python/cpython issue 114763).
+    """
 
     def __init__(self, name: str) -> None:
         self._name = name

@@ -23,7 +23,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from rejoint.errors import FileError, InputError
+from rejoint.errors import FileError, InputError, first_line
 
 try:
     import fcntl
@@ -221,7 +221,7 @@ def read_log(path: Path) -> RunLog:
     except FileNotFoundError as error:
         raise FileError(path, "no such file", "check the path") from error
     except (OSError, pa.ArrowException, KeyError, TypeError, ValueError, InputError) as error:
-        raise FileError(path, f"not a readable run log ({_first_line(error)})", remedy) from error
+        raise FileError(path, f"not a readable run log ({first_line(error)})", remedy) from error
 
 
 def write_json(path: Path, value: object) -> None:
@@ -237,7 +237,7 @@ def read_json(path: Path, kind: type[T]) -> T:
     except FileNotFoundError as error:
         raise FileError(path, "no such file", "run the stage that writes it first") from error
     except (OSError, msgspec.MsgspecError, UnicodeDecodeError) as error:
-        raise FileError(path, f"damaged ({_first_line(error)})", "delete it and run its stage again") from error
+        raise FileError(path, f"damaged ({first_line(error)})", "delete it and run its stage again") from error
 
 
 def write_whole(path: Path, write: Callable[[Path], object]) -> None:
@@ -291,7 +291,3 @@ def locked(folder: RunFolder) -> Iterator[None]:
         file.write(str(os.getpid()))
         file.flush()
         yield
-
-
-def _first_line(error: BaseException) -> str:
-    return (str(error).splitlines() or [type(error).__name__])[0]

@@ -18,7 +18,7 @@ from rejoint.errors import InputError
 
 ARM = mycobot280()
 LIMITS = GuardLimits.of(ARM)
-LOOPS = compiled.differentiate, compiled.shape, compiled.integrate, compiled.limit, compiled.credible
+LOOPS = compiled.differentiate, compiled.weigh, compiled.integrate, compiled.limit, compiled.credible
 SEEDS = st.integers(0, 2**32 - 1)
 
 
@@ -81,7 +81,7 @@ def test_steps_and_actions_are_shaped_as_the_law_says(seed, bad):
     distance, moves, spared = np.linalg.norm(error, axis=-1), np.array([1.0, 1, 1, 1, 1, 0]), rng.uniform(0, 1, 6)
     out = np.empty((2, 5, 6))
     given = law.authority_floor, law.authority_slope, law.authority_limit, law.step_limit, 0.0005, law.burden_distance
-    compiled.shape(out, step, error, distance, action, moves, spared, *given)
+    compiled.weigh(out, step, error, distance, action, moves, spared, *given)
     near = 1.0 / (1.0 + (distance / law.burden_distance) ** 2)
     wanted = fade(error, 0.0005) * clip_norm(step, law.step_limit) * (1.0 - near[:, None] * spared)
     np.testing.assert_array_equal(out[0], wanted)

@@ -42,7 +42,7 @@ def differentiate(rows, time, position, last_time, last_position, velocity, peri
 
 
 @njit(void(OUT3, *[IN2, IN2, IN1, IN2, IN1, IN1], *[float64] * 6), **OPTIONS)
-def shape(out, step, error, distance, action, moves, spared, floor, slope, most, step_limit, fade, near):  # noqa: ANN001, ANN201
+def weigh(out, step, error, distance, action, moves, spared, floor, slope, most, step_limit, fade, near):  # noqa: ANN001, ANN201
     """Fill ``out`` (2, B, n) with the part of the damped least-squares ``step`` (B, n) to integrate, and the action's.
 
     The step is that of `clip_norm` to ``step_limit``, fades with the TCP ``error`` (B, 3) as by `fade`, and within

@@ -17,7 +17,7 @@ from rejoint.arms.size import torque_size
 from rejoint.control.controller import Situation
 from rejoint.control.goal import Goal
 from rejoint.control.integrator import IntegratorGains
-from rejoint.control.law import dls_step, fade, limit_position, null_space
+from rejoint.control.law import dls_step, fade, limit_position, null_space, plain
 from rejoint.control.pace import Pace
 from rejoint.control.robot import Mask
 from rejoint.errors import InputError
@@ -86,13 +86,13 @@ class FeedforwardController:
 
         Returns what `command` returns; call one of the two per cycle.
         """
-        position = np.ascontiguousarray(situation.state.position, dtype=float)
+        position = plain(situation.state.position)
         if not step.shape == extra.shape == position.shape == self._correction.shape:
             raise InputError(
                 f"feedforward: step {step.shape}, extra {extra.shape}, position {position.shape}; expected "
                 f"{self._correction.shape}, as at the last reset"
             )
-        step, extra = np.ascontiguousarray(step, dtype=float), np.ascontiguousarray(extra, dtype=float)
+        step, extra = plain(step), plain(extra)
         gains, elapsed = self._gains, self._pace.tick(situation.state.time)
         # Bounded by itself, not by the measured position: on the way the command leads by the whole distance.
         compiled.integrate(

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, heights
 from rejoint.arms.size import length_size
+from rejoint.control.law import plain
 from rejoint.control.robot import JointState, Mask
 from rejoint.errors import InputError
 from rejoint.late import Late
@@ -161,7 +162,7 @@ def guard(limits: GuardLimits, command: Array, sent: Array, state: JointState, p
     reach = (limits.max_speed * elapsed[..., None]).reshape(-1, limits.arm.joints)
     stages = np.empty((4, *command.shape))
     stages[0], stepped = wanted, stages[3]
-    compiled.limit(stages, _plain(measured), _plain(last), reach, limits.max_lead, limits.lower, limits.upper)
+    compiled.limit(stages, plain(measured), plain(last), reach, limits.max_lead, limits.lower, limits.upper)
     if hold:  # whatever the limits say of the posture
         stepped[trips != 0] = last[trips != 0]
     allowed, lifted = _keep_above_floor(limits, stepped, last)
@@ -224,13 +225,8 @@ def _nothing_wrong(limits: GuardLimits, command: Array, sent: Array, state: Join
     """Tell that nothing trips in the whole batch; almost always so, and cheaper to ask than what does."""
     if state.temperature is not None or state.fault is not None:
         return False
-    numbers, age = (_plain(command), _plain(sent), _plain(state.position)), _plain(state.age)
+    numbers, age = (plain(command), plain(sent), plain(state.position)), plain(state.age)
     return bool(compiled.credible(*numbers, *limits.believed, age, limits.max_age))
-
-
-def _plain(array: Array) -> Array:
-    """Return the array as compiled loops know it."""
-    return np.ascontiguousarray(array, dtype=float)
 
 
 def _flag(per_joint: NDArray[np.bool_], reason: Reason) -> Reasons:

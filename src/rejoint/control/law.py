@@ -59,6 +59,11 @@ def between(values: Array, low: Array | float, high: Array | float) -> Array:
     return limited
 
 
+def plain(array: Array) -> Array:
+    """Return the array as compiled loops know it: contiguous, of float64; itself where it is that already."""
+    return np.ascontiguousarray(array, dtype=float)
+
+
 def limit_lead(command: Array, measured: Array, lead: float | Array) -> Array:
     """Keep ``command`` (..., n) [rad] within ``lead`` [rad] of the measured position, joint by joint (anti-windup)."""
     return between(command, measured - lead, measured + lead)

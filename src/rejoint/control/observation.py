@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from rejoint.arms import Arm, Array, collides, frames, position_kinematics
 from rejoint.arms.inverse import DAMPING
 from rejoint.control.controller import Situation
+from rejoint.control.law import plain
 from rejoint.control.robot import Mask
 from rejoint.errors import InputError
 from rejoint.late import Late
@@ -221,7 +222,7 @@ class Observer:
 
     def _differentiate(self, time: Array, position: Array, rows: Rows) -> None:
         chosen = np.ascontiguousarray(self._everyone[rows])
-        new = np.ascontiguousarray(time, dtype=float), np.ascontiguousarray(position, dtype=float)
+        new = plain(time), plain(position)
         if not (new[0].shape == chosen.shape and new[1].shape == (len(chosen), self.arm.joints)):
             raise InputError(
                 f"observer: {new[0].shape} times and positions {new[1].shape}, expected those of {len(chosen)} arms"

@@ -24,7 +24,7 @@ from rejoint.arms import Arm, Array, clip_norm, solve_position
 from rejoint.arms.size import heaviest_load, moves_tool, weightless
 from rejoint.control.controller import Situation
 from rejoint.control.feedforward import FeedforwardController, FeedforwardGains
-from rejoint.control.law import GAIN, STEP_LIMIT, between, limit_lead, limit_position
+from rejoint.control.law import GAIN, STEP_LIMIT, between, limit_lead, limit_position, plain
 from rejoint.control.observation import View
 from rejoint.control.robot import Mask
 from rejoint.errors import InputError
@@ -148,9 +148,9 @@ class Commander:
         if self._base is None:
             return law.command(self._arm, view, situation.state.position, situation.sent, action)
         step, extra = out = np.empty((2, *view.step.shape))
-        plain = (np.ascontiguousarray(array, dtype=float) for array in (view.step, view.error, view.distance, action))
-        compiled.shape(
-            out, *plain, self._moves, self._spared, law.authority_floor, law.authority_slope, law.authority_limit,
+        compiled.weigh(
+            out, plain(view.step), plain(view.error), plain(view.distance), plain(action), self._moves,
+            self._spared, law.authority_floor, law.authority_slope, law.authority_limit,
             law.step_limit, law.learning.fade, law.burden_distance,
         )  # fmt: skip
         if law.patience > 0.0:

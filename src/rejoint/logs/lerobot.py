@@ -18,7 +18,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from rejoint.arms import Arm
-from rejoint.errors import FileError
+from rejoint.errors import FileError, first_line
 from rejoint.logs.joints import Match, match_joints, radians
 from rejoint.logs.options import ImportOptions
 from rejoint.logs.track import Motion, Track
@@ -106,9 +106,7 @@ def _read_frames(source: Path, info: _Info) -> pa.Table:
         try:
             tables.append(pq.read_table(file, columns=[_STATE, _ACTION, *_SCALARS]).combine_chunks())
         except (OSError, pa.ArrowException, ValueError, KeyError) as error:
-            raise FileError(
-                file, f"not the frames of a dataset ({str(error).partition(chr(10))[0]})", _REMEDY
-            ) from error
+            raise FileError(file, f"not the frames of a dataset ({first_line(error)})", _REMEDY) from error
         held = set(tables[-1].column_names)
         missing = [name for name in (_STATE, _ACTION, *_SCALARS) if name not in held]
         if missing:

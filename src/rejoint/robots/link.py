@@ -30,6 +30,7 @@ from rejoint.errors import (
     NoReplyError,
     RobotError,
     StaleReplyError,
+    first_line,
 )
 from rejoint.robots.address import SerialAddress, TcpAddress
 from rejoint.robots.vendor import MyCobot280, MyCobot280Socket
@@ -157,7 +158,7 @@ class VendorLink:
             self._client = _make_client(self.address)
         except (*_BROKEN, ValueError) as error:
             raise ConnectionLostError(
-                f"nothing answers at {self.address} ({_reason(error)}); is the arm switched on, its server running, "
+                f"nothing answers at {self.address} ({first_line(error)}); is the arm switched on, its server running, "
                 "and the address right? `rejoint emulate` starts an arm to try"
             ) from error
 
@@ -204,7 +205,3 @@ def _silenced() -> Iterator[None]:
     with contextlib.redirect_stdout(io.StringIO()), warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)
         yield
-
-
-def _reason(error: BaseException) -> str:
-    return (str(error).splitlines() or [type(error).__name__])[0]

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from rejoint.errors import FileError
+from rejoint.errors import FileError, first_line
 from rejoint.runs import write_whole
 from rejoint.training.crew import Crew
 from rejoint.training.networks import Actor, Critic
@@ -153,7 +153,7 @@ def _save(content: dict[str, Any], path: Path) -> None:
     try:
         torch.save(content, path)
     except RuntimeError as error:  # so torch reports a full disk
-        raise OSError(str(error).splitlines()[0]) from error
+        raise OSError(first_line(error)) from error
 
 
 def _learning_rate(settings: PpoSettings, iteration: int) -> float:

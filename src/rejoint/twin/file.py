@@ -18,7 +18,7 @@ from tomlkit.items import Array as TomlArray
 from tomlkit.items import Table as TomlTable
 
 from rejoint.arms import Arm, Array
-from rejoint.errors import FileError, InputError
+from rejoint.errors import FileError, InputError, first_line
 from rejoint.runs import write_whole
 from rejoint.twin.model import STICTION
 from rejoint.twin.parameters import PARAMETERS, TwinParameters
@@ -51,9 +51,9 @@ def read_twin(path: Path, arm: Arm | None = None) -> Twin:
     except FileNotFoundError as error:
         raise FileError(path, "no such file", "identify the arm first") from error
     except (OSError, UnicodeDecodeError, RecursionError, tomllib.TOMLDecodeError) as error:
-        raise FileError(path, f"not a readable TOML file ({_first_line(error)})", _REMEDY) from error
+        raise FileError(path, f"not a readable TOML file ({first_line(error)})", _REMEDY) from error
     except (KeyError, TypeError, ValueError, AttributeError, InputError) as error:
-        raise FileError(path, f"not a twin ({type(error).__name__}: {_first_line(error)})", _REMEDY) from error
+        raise FileError(path, f"not a twin ({type(error).__name__}: {first_line(error)})", _REMEDY) from error
     if arm is not None:
         twin.require(arm)
     return twin
@@ -177,7 +177,3 @@ def _twin(data: dict[str, Any]) -> Twin:
         acceleration=float(data.get("acceleration", np.inf)),
         table=Table(**{key: float(value) for key, value in data["table"].items()}) if "table" in data else None,
     )
-
-
-def _first_line(error: BaseException) -> str:
-    return (str(error).splitlines() or [type(error).__name__])[0]

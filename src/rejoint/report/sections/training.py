@@ -11,7 +11,7 @@ import pyarrow.parquet as pq
 
 from rejoint.arms import Array
 from rejoint.control.contract import PolicyContract
-from rejoint.errors import FileError
+from rejoint.errors import FileError, first_line
 from rejoint.report import palette
 from rejoint.report.figures import training_curves
 from rejoint.report.gallery import Gallery
@@ -50,7 +50,7 @@ def read_curves(path: Path) -> Curves:
     except FileNotFoundError as error:
         raise FileError(path, "no such file", "train a policy first") from error
     except (OSError, pa.ArrowException, KeyError, TypeError, ValueError) as error:
-        first = (str(error).splitlines() or [type(error).__name__])[0]
+        first = first_line(error)
         raise FileError(path, f"not readable as training curves ({first})", remedy) from error
     if not len(columns["step"]):
         raise FileError(path, "no update in the training curves", remedy)
