@@ -361,3 +361,30 @@ def test_a_payload_is_a_heavier_last_link():
 def test_a_payload_cannot_be_negative():
     with pytest.raises(InputError, match="payload"):
         Plant(ARM, [wear()], seed=0, payload=-0.1)
+
+
+def test_a_frozen_encoder_tells_the_same_while_its_joint_goes_where_it_is_sent():
+    plant = Plant(ARM, [quiet("healthy")] * 2, seed=0)
+    plant.freeze(np.array([[False, True, False, False, False, False], [False] * 6]))
+    before = plant.encoder()
+    plant.command(np.tile(REST + 0.3, (2, 1)))
+    plant.advance(2.0)
+    assert plant.encoder()[0, 1] == before[0, 1]
+    np.testing.assert_allclose(plant.link_position()[0], plant.link_position()[1], atol=1e-12)
+    np.testing.assert_allclose(np.delete(plant.encoder()[0], 1), np.delete(plant.encoder()[1], 1), atol=1e-12)
+
+
+def test_a_blind_servo_runs_to_its_stop_as_soon_as_it_is_moved():
+    plant = Plant(ARM, [quiet("worn")], seed=0)
+    joint = np.arange(6) == 0
+    plant.blind(joint[None])
+    plant.advance(1.0)
+    assert plant.link_position()[0, 0] == pytest.approx(ARM.rest[0], abs=1e-2)  # nobody moves it
+    plant.command(REST + np.where(joint, 0.2, 0.0))
+    plant.advance(5.0)
+    assert plant.link_position()[0, 0] > ARM.upper[0]
+    assert plant.encoder()[0, 0] == pytest.approx(ARM.rest[0], abs=ARM.encoder_step)
+    plant.reset(REST)
+    plant.command(REST + 0.2)
+    plant.advance(1.0)
+    assert plant.encoder()[0, 0] > ARM.rest[0] + 0.05, "a reset brings a new encoder"

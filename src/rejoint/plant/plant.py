@@ -125,7 +125,7 @@ class Plant:
         """Put the arms where their encoders read ``position`` (B, n) [rad], at rest, in balance, held there.
 
         The firmware's reference leads by what its gain needs against gravity and its offset, so nothing moves until
-        a command arrives. Clocks and temperatures go on; commands on their way are dropped.
+        a command arrives. Clocks and temperatures go on; commands on their way are dropped, encoders are whole again.
         """
         position = self._checked(position)
         angle, gear, load = self._balance(position)
@@ -143,6 +143,7 @@ class Plant:
         for name, value in fresh.items():
             self._servos[name][ids] = np.broadcast_to(value, position.shape)[ids]
         self._servos["powered"][ids] = True
+        self._servos["frozen"][ids] = self._servos["blind"][ids] = False
         self._history[ids] = self._servos["measured"][ids][:, None]
         self._hold(ids, position + torque / self._joints["position_gain"] - self._joints["offset"])
 
@@ -182,6 +183,14 @@ class Plant:
         """Freeze the firmware's reference where its ramp is now and drop commands on their way."""
         self._hold(self._selected(where), self._servos["reference"])
 
+    def freeze(self, joints: Mask) -> None:
+        """From now on the encoders of ``joints`` (B, n) tell what they tell now; their servos still see."""
+        self._servos["frozen"] |= joints
+
+    def blind(self, joints: Mask) -> None:
+        """From now on the servos of ``joints`` (B, n) see what they see now: they run away once they are moved."""
+        self._servos["blind"] |= joints
+
     def set_speed_limit(self, speed: Array | float) -> None:
         """Limit the speed of the reference: (B,), (B, n) or a number, [rad/s], above 0."""
         speed = np.asarray(speed, dtype=float)
@@ -201,7 +210,7 @@ class Plant:
                 self._qpos, self._qvel, self._applied,
             )  # fmt: skip
             self._batch.step(stepped)
-            servo.record(ids, self._tick, self._joints, self._qpos, self._history)
+            servo.record(ids, self._tick, self._joints, self._servos, self._qpos, self._history)
 
     def _balance(self, position: Array) -> tuple[Array, Array, Array]:
         """Servo angles, gear angles and motor torques (B, n) of arms at rest whose encoders read ``position``."""

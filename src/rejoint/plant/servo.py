@@ -72,9 +72,11 @@ STATE = np.dtype(
     [
         ("goal", "f8"), ("reference", "f8"), ("speed_limit", "f8"), ("measured", "f8"),
         ("measured_speed", "f8"), ("bristle", "f8"), ("torque", "f8"), ("temperature", "f8"), ("powered", "?"),
+        ("frozen", "?"), ("blind", "?"),
     ]
 )  # fmt: skip
-"""What a servo remembers between two steps."""
+"""What a servo remembers between two steps, and which readings of its encoder no longer change: those it tells
+(``frozen``), or those it controls by as well (``blind``)."""
 
 
 def gear_armature(stiffness: Array) -> Array:
@@ -190,7 +192,8 @@ def drive(ids, tick, key, joints, servos, due, queue, qpos, qvel, applied):
             joint, servo = joints[i, j], servos[i, j]
             angle, speed = qpos[i, 2 * j], qvel[i, 2 * j]
             gear_angle, gear_speed = qpos[i, 2 * j + 1], qvel[i, 2 * j + 1]
-            servo.torque = motor_torque(joint, servo, read_encoder(joint, angle, gear_angle), speed)
+            seen = servo.measured if servo.blind else read_encoder(joint, angle, gear_angle)
+            servo.torque = motor_torque(joint, servo, seen, speed)
             load = gear_torque(joint, gear_angle, gear_speed)
             unit = uniform(key[i], tick[i] * n + j) if servo.powered else 0.5
             applied[i, 2 * j] = (
@@ -213,9 +216,12 @@ def receive(tick, due, queue, servos):
 
 
 @njit(cache=True)
-def record(ids, tick, joints, qpos, history):
+def record(ids, tick, joints, servos, qpos, history):
     """Count one step and keep the encoder readings (B, HISTORY, n) after it."""
     for i in ids:
         tick[i] += 1
         for j in range(joints.shape[1]):
-            history[i, tick[i] % HISTORY, j] = read_encoder(joints[i, j], qpos[i, 2 * j], qpos[i, 2 * j + 1])
+            if servos[i, j].frozen or servos[i, j].blind:
+                history[i, tick[i] % HISTORY, j] = history[i, (tick[i] - 1) % HISTORY, j]
+            else:
+                history[i, tick[i] % HISTORY, j] = read_encoder(joints[i, j], qpos[i, 2 * j], qpos[i, 2 * j + 1])
