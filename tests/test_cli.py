@@ -184,7 +184,9 @@ def test_a_guard_trip_is_exit_code_3(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def trip(*_: object, **__: object) -> None:
-        raise GuardTripError("stale", "the joint state is 0.6 s old")
+        error = GuardTripError("stale", "the joint state is 0.6 s old")
+        error.add_note("The arm was stopped. Nothing was powered off.")
+        raise error
 
     monkeypatch.setattr(work, "diagnose_stage", trip)
     words = ("diagnose", "emulated:worn", "--run", str(tmp_path / "run"))
@@ -246,8 +248,8 @@ def test_a_request_to_end_is_an_interruption(tmp_path: Path) -> None:
         while "Diagnosis" not in process.stderr.readline():
             assert process.poll() is None
         process.terminate()
-        assert "interrupted" in process.stderr.read()
-    assert process.returncode == 130
+        assert "interrupted by SIGTERM" in process.stderr.read()
+    assert process.returncode == 143
 
 
 def test_what_is_to_be_ignored_stays_ignored(tmp_path: Path) -> None:

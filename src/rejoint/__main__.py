@@ -1,5 +1,22 @@
-"""Run the command line with ``python -m rejoint``."""
+"""Where the program begins: what asks it to end is heard from the first moment on."""
 
-from rejoint.cli import main
+from __future__ import annotations
 
-main()
+import sys
+
+from rejoint.stopping import Interrupted, install
+
+
+def main() -> None:
+    """Run the command line."""
+    install()
+    try:
+        from rejoint.cli import main as run  # takes half a second
+    except Interrupted as error:
+        sys.stderr.write(f"error: {error}; nothing was begun\n")
+        sys.exit(error.exit_code)
+    run()
+
+
+if __name__ == "__main__":
+    main()

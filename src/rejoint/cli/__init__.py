@@ -1,7 +1,8 @@
 """The command line: one command per stage, and `repair` for the whole chain.
 
-Exit codes: 0 done; 2 input that cannot be used; 3 the guard stopped the motion; 4 the robot failed;
-130 interrupted. Results go to standard output, everything else to standard error.
+Exit codes: 0 done; 2 input that cannot be used; 3 the guard stopped the motion; 4 the robot failed; 5 done, but not
+all targets were reached; 128 and the number of the signal, such as 130 for Ctrl-C and 143 for SIGTERM, interrupted.
+Results go to standard output, everything else to standard error.
 """
 
 from __future__ import annotations
@@ -9,13 +10,34 @@ from __future__ import annotations
 import signal
 import sys
 from collections.abc import Callable
+from functools import wraps
+from typing import ParamSpec
 
 import msgspec
 import typer
 from rich.console import Console
 
 from rejoint.cli import chain, evaluation, foreign, offline, reproducing, serving, stages
-from rejoint.errors import GuardTripError, RejointError
+from rejoint.errors import RejointError
+from rejoint.stopping import Interrupted, install, interruption
+
+Given = ParamSpec("Given")
+
+
+class Ended(Exception):  # noqa: N818 - no error of ours: somebody asked for the end
+    """Carries an interruption through the framework, which would turn it into a bare exit code."""
+
+
+def _carried(command: Callable[Given, None]) -> Callable[Given, None]:
+    @wraps(command)
+    def carrying(*arguments: Given.args, **options: Given.kwargs) -> None:
+        try:
+            command(*arguments, **options)
+        except Interrupted as error:
+            raise Ended from error
+
+    return carrying
+
 
 app = typer.Typer(
     name="rejoint",
@@ -31,30 +53,25 @@ COMMANDS: tuple[Callable[..., None], ...] = (
     evaluation.tune,
 )  # fmt: skip
 for command in COMMANDS:
-    app.command(command.__name__.rstrip("_"), context_settings={"help_option_names": ["-h", "--help"]})(command)
-
-INTERRUPTED = 130
+    named = app.command(command.__name__.rstrip("_"), context_settings={"help_option_names": ["-h", "--help"]})
+    named(_carried(command))
 
 
 def main() -> None:
     """Run the command line; every expected failure is one clear line and an exit code that means something."""
     json = "--json" in sys.argv
-    for name in ("SIGTERM", "SIGHUP"):  # as Ctrl-C: arms are held, and what was recorded is kept
-        asked = getattr(signal, name, None)
-        if asked is not None and signal.getsignal(asked) != signal.SIG_IGN:  # as `nohup` has it
-            signal.signal(asked, _interrupt)
+    install()
     try:
-        result = app(standalone_mode=False)  # the framework turns Ctrl-C into its exit code and returns it
+        result = app(standalone_mode=False)  # Ctrl-C that nobody of ours has raised becomes an exit code
         code = result if isinstance(result, int) else 0
-        if code == INTERRUPTED:
-            message = "interrupted; finished stages are kept: `rejoint repair` and `rejoint train` go on from there"
-            code = _fail(message, "Interrupted", INTERRUPTED, json=json)
+        if code == 128 + signal.SIGINT:
+            code = _interrupted(interruption(), json=json)
+    except (Ended, Interrupted) as error:
+        cause = error.__cause__ if isinstance(error, Ended) else error
+        code = _interrupted(cause, json=json) if isinstance(cause, Interrupted) else 1
     except RejointError as error:
         code = _fail(str(error), type(error).__name__, error.exit_code, json=json)
-        if isinstance(error, GuardTripError):
-            _say("The arm was held and stopped. Nothing was powered off; look at it before you go on.")
-        for note in getattr(error, "__notes__", ()):
-            _say(note)
+        _say_notes(error)
     except typer.TyperException as error:
         told = getattr(error, "format_message", error.__str__)()  # names the option, which str() does not
         code = _fail(told, "UsageError", 2, json=json)
@@ -71,8 +88,16 @@ def main() -> None:
     sys.exit(code)
 
 
-def _interrupt(*_: object) -> None:
-    raise KeyboardInterrupt
+def _interrupted(error: Interrupted, *, json: bool) -> int:
+    kept = "finished stages are kept: `rejoint repair` and `rejoint train` go on from there"
+    code = _fail(f"{error}; {kept}", "Interrupted", error.exit_code, json=json)
+    _say_notes(error)
+    return code
+
+
+def _say_notes(error: BaseException) -> None:
+    for note in getattr(error, "__notes__", ()):
+        _say(note)
 
 
 def _fail(message: str, kind: str, code: int, *, json: bool) -> int:

@@ -1,0 +1,136 @@
+"""Being asked to stop: a signal handler only notes the wish, and whoever drives an arm looks at it.
+
+An exception raised by a handler lands wherever the program happens to be: inside the vendor's client, say, whose bare
+``except`` swallows it while the arm goes on. So while an arm is driven (`noted`) a signal changes nothing but a note;
+the control loop, the link and every wait look at it (`check`, `pause`) and raise `Interrupted` where it is safe. At all
+other times the handler raises it at once, as Python does for Ctrl-C.
+"""
+
+from __future__ import annotations
+
+import signal
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import FrameType
+
+SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
+"""What asks a program to end; nobody can ask SIGKILL to wait."""
+
+_SLICE = 0.005
+"""[s] between two looks at the note during a wait (chosen: a tenth of the usual control period)"""
+
+
+class Interrupted(KeyboardInterrupt):
+    """Somebody asked for the end: Ctrl-C, or a signal such as SIGTERM."""
+
+    def __init__(self, signum: int) -> None:
+        self.signum = signum
+        super().__init__(f"interrupted by {signal.Signals(signum).name}")
+
+    @property
+    def exit_code(self) -> int:
+        """What shells expect of a process that a signal ended: 130 for Ctrl-C, 143 for SIGTERM."""
+        return 128 + self.signum
+
+
+class _Note:
+    """What was asked for, and by how many contexts exceptions are kept back."""
+
+    signum = 0
+    raised = 0
+    noted = 0
+    shielded = 0
+
+
+_note = _Note()
+
+
+def install() -> None:
+    """Let this module handle all of `SIGNALS`, except those that whoever started the process ignores, as `nohup`."""
+    for signum in SIGNALS:
+        if signal.getsignal(signum) != signal.SIG_IGN:
+            signal.signal(signum, _handle)
+
+
+def ask(signum: int = signal.SIGINT) -> None:
+    """Note the wish for an end, as a signal does; from any thread."""
+    _note.signum = _note.signum or signum
+
+
+def ending() -> bool:
+    """Tell whether the present work is what brings an arm to rest, see `shielded`."""
+    return bool(_note.shielded)
+
+
+def check() -> None:
+    """Raise `Interrupted` if an end was asked for, unless inside `shielded`."""
+    if _note.signum and not _note.shielded:
+        _note.raised, _note.signum = _note.signum, 0
+        raise Interrupted(_note.raised)
+
+
+def interruption() -> Interrupted:
+    """Return the interruption that was raised last, for frameworks that keep only that there was one."""
+    return Interrupted(_note.raised or signal.SIGINT)
+
+
+def pause(duration: float) -> None:
+    """Wait for ``duration`` [s], or raise `Interrupted` within a few milliseconds of being asked to."""
+    until = time.monotonic() + duration
+    check()
+    while (left := until - time.monotonic()) > 0.0:
+        time.sleep(min(left, _SLICE))
+        check()
+
+
+@contextmanager
+def noted() -> Iterator[None]:
+    """Keep signals to a note inside; what nobody looked at is raised at the end.
+
+    Where `install` was not called, as in a notebook, handlers are set for the time being.
+    """
+    before = _set_handlers() if not _note.noted else {}
+    _note.noted += 1
+    try:
+        yield
+    except BaseException:
+        if _note.noted == 1:
+            _note.signum = 0  # the end has come for another reason
+        raise
+    finally:
+        _note.noted -= 1
+        for signum, handler in before.items():
+            signal.signal(signum, handler)
+    if not _note.noted:
+        check()
+
+
+@contextmanager
+def shielded() -> Iterator[None]:
+    """Let `check` and `pause` raise nothing inside: what brings the arm to rest must not itself be interrupted."""
+    _note.shielded += 1
+    try:
+        with noted():
+            yield
+    finally:
+        _note.shielded -= 1
+
+
+def _handle(signum: int, frame: FrameType | None) -> None:  # noqa: ARG001 - as `signal` calls it
+    ask(signum)
+    if not _note.noted:
+        check()
+
+
+def _set_handlers() -> dict[int, signal.Handlers]:
+    """Handle what Python handles by default; returns what to restore. Only the main thread may do so."""
+    if threading.current_thread() is not threading.main_thread():
+        return {}
+    before = {}
+    for signum in SIGNALS:
+        handler = signal.getsignal(signum)
+        if handler in (signal.SIG_DFL, signal.default_int_handler):
+            before[signum] = signal.signal(signum, _handle)
+    return before  # type: ignore[return-value]
