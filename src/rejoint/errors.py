@@ -65,6 +65,10 @@ class ConnectionLostError(RobotError, ConnectionError):
     """The connection to the robot broke and could not be made again safely."""
 
 
+class PowerLostError(ConnectionLostError):
+    """The arm lost its power: nobody but its owner may switch it on again."""
+
+
 class GuardTripError(RejointError):
     """The guard stopped the motion; `reason` names why."""
 

@@ -1,10 +1,11 @@
-"""The vendor's client, kept honest: every failure becomes an error with a name.
+"""The vendor's client, kept honest and kept going: every failure becomes an error with a name, or is got over.
 
 pymycobot reports failures as -1, as None, as struct.error from a cut frame, or as whatever the
 operating system raised. Over TCP it never resynchronises: once an answer came late, every later
-call returns the previous call's answer, until a new connection is made. So a failed or late call
-closes the connection; the call is repeated on a new one, once. Only calls that may be repeated go
-through here: reads, and orders that name an absolute position or state.
+call returns the previous call's answer. So after a failed or late call both sides are brought into
+step again (`_resynchronise`), or the connection is made anew, and the question is asked again, with
+bounded patience; meanwhile the arm holds. Only calls that may be repeated go through here: reads, and
+orders that name an absolute position or state.
 
 The client's `async` mode is never used: over TCP it leaves answers behind that nobody reads.
 """
@@ -12,42 +13,55 @@ The client's `async` mode is never used: over TCP it leaves answers behind that 
 from __future__ import annotations
 
 import contextlib
-import io
-import logging
 import select
 import socket
 import struct
 import termios
 import time
-import warnings
-from collections.abc import Iterator
-from typing import Any
+from collections.abc import Callable
+from typing import Any, TypeVar
 
 from rejoint.errors import (
     AddressError,
     ConnectionLostError,
     ImpossibleReplyError,
     NoReplyError,
+    PowerLostError,
     RobotError,
     StaleReplyError,
     first_line,
 )
 from rejoint.robots.address import SerialAddress, TcpAddress
-from rejoint.robots.vendor import MyCobot280, MyCobot280Socket
+from rejoint.robots.vendor import make_client, silenced
+from rejoint.stopping import check, ending, pause
 
 PROBE_PATIENCE = 2.0
 """[s] for a TCP connection to be accepted; a robot in the same network needs milliseconds (chosen)"""
 LATE = 0.3
 """[s] the client's own TCP timeout: a call that took longer was sent more than once"""
-REOPEN_ATTEMPTS = 3
+ATTEMPTS = 3
+"""Times that a question is asked, each up to three times by the client itself, before its failure is an error (chosen:
+with a tenth of all answers lost or garbled one question in ten million fails so)"""
+PATIENCE = 10.0
+"""[s] for which a link may be dead while an arm is driven, before that is an error (chosen: a server that is started
+again needs less; the arm holds meanwhile)"""
+LAST_PATIENCE = 3.0
+"""[s] of the same for the order to stop (chosen: it should still get through a lost answer)"""
+SILENCE = 3.0
+"""[s] of silence on a standing connection after which a new one is tried (chosen: twice the pauses that a firmware
+takes which was asked too much: 1.5 to 2.6 s, as a debug log of a myCobot 280 shows)"""
 REOPEN_PAUSE = 0.5
-"""[s] between attempts to connect again; together with the client's 1.5 s start a pause of 2-5 s (chosen)"""
+"""[s] between attempts to connect again; each also takes the 1.5 s that the client sleeps (chosen)"""
+QUIET = 0.03
+"""[s] of silence after which no answer is on its way any more (chosen: twice what an answer takes)"""
 RELAY_BUSY = 0.6
 """[s] during which the vendor's server may still wait for a robot's answer (its own limit is 0.5 s)"""
 POWER_UP = 3.0
 """[s] to wait for the servos after power_on (chosen)"""
 _CUT_FRAME = (struct.error, IndexError, KeyError, TypeError, ValueError, UnicodeError)
 _BROKEN = (OSError, EOFError, termios.error)
+
+T = TypeVar("T")
 
 
 class VendorLink:
@@ -79,17 +93,13 @@ class VendorLink:
     def ask(self, method: str, *arguments: object) -> object:
         """Call a method of the client that may safely be repeated, and return its answer.
 
-        After a failure the connection is made again and the call repeated, once. Raises NoReplyError,
-        ImpossibleReplyError (garbled), StaleReplyError (late) or ConnectionLostError.
+        After a failure both sides are brought into step, or connected anew, and the call is repeated. Raises
+        NoReplyError, ImpossibleReplyError (garbled), StaleReplyError (late), ConnectionLostError or, if the arm lost
+        its power meanwhile, PowerLostError.
         """
         if self._client is None:
             raise ConnectionLostError(f"{self.address}: not connected; open the robot again")
-        try:
-            return self._once(method, arguments)
-        except RobotError as first:
-            if isinstance(self.address, TcpAddress) or isinstance(first, ConnectionLostError):
-                self._reopen(first)
-        return self._once(method, arguments)
+        return self._persist(lambda: self._once(method, arguments), self._recover)
 
     def close(self) -> None:
         """Drop the connection; the arm holds."""
@@ -98,11 +108,27 @@ class VendorLink:
             with contextlib.suppress(*_BROKEN):
                 client.close()
 
+    def _persist(self, question: Callable[[], T], recover: Callable[[RobotError, float], None]) -> T:
+        """Ask up to `ATTEMPTS` times, each failure but the last followed by ``recover(error, deadline)``."""
+        attempt, began = 0, time.monotonic()
+        while True:
+            attempt += 1
+            try:
+                return question()
+            except PowerLostError:
+                raise
+            except RobotError as error:
+                check()
+                deadline = began + (LAST_PATIENCE if ending() else PATIENCE)
+                if attempt >= ATTEMPTS or time.monotonic() > deadline:
+                    raise
+                recover(error, deadline)
+
     def _once(self, method: str, arguments: tuple[object, ...]) -> object:
         self._refuse_surplus()
         began = time.monotonic()
         try:
-            with _silenced() if method == "get_servo_status" else contextlib.nullcontext():
+            with silenced() if method == "get_servo_status" else contextlib.nullcontext():
                 answer: object = getattr(self._client, method)(*arguments)
         except _BROKEN as error:
             raise ConnectionLostError(f"{self.address}: the connection broke during {method} ({error})") from error
@@ -119,33 +145,65 @@ class VendorLink:
         return answer
 
     def _refuse_surplus(self) -> None:
-        """Refuse to ask while bytes lie there that nobody asked for: they would be taken for the next answer.
+        """Refuse to ask while bytes lie there that nobody asked for: they would be taken for the next answer."""
+        if self._drain(0.0):
+            raise StaleReplyError(f"{self.address}: answers arrive that nobody asked for")
 
-        The two sides are out of step then, and only a new connection helps.
+    def _drain(self, quiet: float) -> bool:
+        """Throw away what lies on a TCP connection until nothing has come for ``quiet`` [s]; tells if there was any.
+
+        On a serial port the client throws it away itself.
         """
+        found = False
         if not isinstance(self.address, TcpAddress):
-            return  # on a serial port the client throws them away itself
+            return found
         try:
-            if not select.select([self._client.sock], [], [], 0.0)[0]:
-                return
-            surplus = self._client.sock.recv(4096)
+            while select.select([self._client.sock], [], [], quiet)[0]:
+                found = True
+                if not self._client.sock.recv(4096):
+                    raise ConnectionLostError(f"{self.address}: the other side closed the connection")
+                if quiet == 0.0:
+                    break
         except _BROKEN as error:
             raise ConnectionLostError(f"{self.address}: the connection broke ({error})") from error
-        if not surplus:
-            raise ConnectionLostError(f"{self.address}: the other side closed the connection")
-        raise StaleReplyError(f"{self.address}: answers arrive that nobody asked for")
+        return found
 
-    def _reopen(self, cause: RobotError) -> None:
-        """Connect again; ConnectionLostError if that fails or if the arm lost its power meanwhile."""
-        self.close()
-        for attempt in range(REOPEN_ATTEMPTS):
+    def _recover(self, error: RobotError, deadline: float) -> None:
+        """Bring both sides into step after ``error``, on a new connection if there is no other way."""
+        if not isinstance(error, ConnectionLostError):
+            try:
+                self._resynchronise(min(deadline, time.monotonic() + SILENCE))
+            except ConnectionLostError as broken:
+                error = broken
+            else:
+                return
+        self._reopen(error, deadline)
+
+    def _resynchronise(self, deadline: float) -> None:
+        """Wait until no late answer can be taken for another one; ConnectionLostError if that cannot be had.
+
+        Answers come in the order of the questions. So once a question of another kind has been answered at once, and
+        nothing comes after it, nothing of what was asked before is on its way any more.
+        """
+        if not isinstance(self.address, TcpAddress):
+            return
+        while time.monotonic() < deadline:
+            self._drain(QUIET)
+            with contextlib.suppress(NoReplyError, ImpossibleReplyError, StaleReplyError):
+                if self._once("get_fresh_mode", ()) in (0, 1) and not self._drain(QUIET):
+                    return
+        raise ConnectionLostError(f"{self.address}: answers are out of step")
+
+    def _reopen(self, cause: RobotError, deadline: float) -> None:
+        """Connect again; ConnectionLostError if that fails, PowerLostError if the arm lost its power meanwhile."""
+        while True:
             try:
                 self._connect()
                 break
             except ConnectionLostError as error:
-                if attempt == REOPEN_ATTEMPTS - 1:
+                if time.monotonic() + REOPEN_PAUSE > deadline:
                     raise ConnectionLostError(f"{cause}; connecting again failed: {error}") from cause
-                time.sleep(REOPEN_PAUSE)
+                pause(REOPEN_PAUSE)
         self._prepare(power_on=False)
 
     def _connect(self) -> None:
@@ -155,7 +213,7 @@ class VendorLink:
             if isinstance(self.address, TcpAddress):
                 with socket.create_connection((self.address.host, self.address.port), PROBE_PATIENCE):
                     pass  # the client itself would wait for minutes
-            self._client = _make_client(self.address)
+            self._client = make_client(self.address)
         except (*_BROKEN, ValueError) as error:
             raise ConnectionLostError(
                 f"nothing answers at {self.address} ({first_line(error)}); is the arm switched on, its server running, "
@@ -163,45 +221,34 @@ class VendorLink:
             ) from error
 
     def _prepare(self, *, power_on: bool) -> None:
-        if self._once("is_power_on", ()) != 1:
+        if self._confirm("is_power_on") != 1 and self._confirm("is_power_on") != 1:  # one wrong byte is no news
             if not power_on:
-                raise ConnectionLostError(f"{self.address}: the arm lost its power; support it, then start again")
-            self._once("power_on", ())
+                raise PowerLostError(f"{self.address}: the arm lost its power; support it, then start again")
+            self._confirm("power_on")
             self._await_power()
-        if self._once("get_fresh_mode", ()) == 1:
+        if self._confirm("get_fresh_mode") == 1:
             return
         try:
             self._once("set_fresh_mode", (1,))
         except (NoReplyError, StaleReplyError):
             # The vendor's server swallows acknowledgements that equal their order, as this one does.
-            time.sleep(RELAY_BUSY)
-        if self._once("get_fresh_mode", ()) != 1:
+            pause(RELAY_BUSY)
+        if self._confirm("get_fresh_mode") != 1:
             raise NoReplyError(f"{self.address}: the arm does not take up fresh mode; update its firmware to 7.3")
+
+    def _confirm(self, method: str) -> object:
+        """Ask during the preparation of a connection, which must not be made anew by itself."""
+
+        def recover(error: RobotError, deadline: float) -> None:
+            if isinstance(error, ConnectionLostError):
+                raise error
+            self._resynchronise(deadline)
+
+        return self._persist(lambda: self._once(method, ()), recover)
 
     def _await_power(self) -> None:
         deadline = time.monotonic() + POWER_UP
-        while self._once("is_power_on", ()) != 1:
+        while self._confirm("is_power_on") != 1:
             if time.monotonic() > deadline:
                 raise NoReplyError(f"{self.address}: the servos do not power on; check supply and emergency stop")
-            time.sleep(0.1)
-
-
-def _make_client(address: TcpAddress | SerialAddress) -> MyCobot280 | MyCobot280Socket:
-    """Construct the vendor's client, and take back what it does to the logging of the whole process."""
-    root = logging.getLogger()
-    handlers, level = root.handlers[:], root.level
-    try:
-        if isinstance(address, TcpAddress):
-            return MyCobot280Socket(address.host, address.port)
-        return MyCobot280(address.device, address.baud)
-    finally:
-        root.handlers[:], root.level = handlers, level
-        logging.getLogger("pymycobot").setLevel(logging.CRITICAL)  # failures become errors here
-
-
-@contextlib.contextmanager
-def _silenced() -> Iterator[None]:
-    """Keep what the client prints, and a deprecation that it raises, from the user."""
-    with contextlib.redirect_stdout(io.StringIO()), warnings.catch_warnings():
-        warnings.simplefilter("ignore", DeprecationWarning)
-        yield
+            pause(0.1)

@@ -11,21 +11,18 @@ the emulator sends.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array
 from rejoint.control.robot import JointState, Mask
-from rejoint.errors import ImpossibleReplyError, InputError, NoReplyError, RobotError
+from rejoint.errors import InputError, RobotError
+from rejoint.robots.health import Health
 from rejoint.robots.link import VendorLink
-from rejoint.robots.plausibility import Continuity, read_angles, read_bytes
+from rejoint.robots.plausibility import Continuity, insist, read_angles
 from rejoint.robots.vendor import HIGHEST_DEG, LOWEST_DEG
-
-T = TypeVar("T")
+from rejoint.stopping import pause
 
 DEFAULT_PERIOD = (0.050, 0.050)
 """[s] shortest cycle of control and feedback that the vendor names (its FAQ)"""
@@ -40,7 +37,8 @@ class DriverSettings:
     speed_percent: int = 100
     """of the firmware's own speed limit"""
     health_interval: float = 1.0
-    """[s] between questions for temperatures and for servo faults, which take turns (chosen)"""
+    """[s] at most between questions for servo faults and for temperatures, which take turns (chosen); where the period
+    leaves time for it, one is asked in every cycle"""
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -64,12 +62,8 @@ class MyCobotRobot:
         self._continuity = Continuity(arm)
         self._command: Array | None = None
         self._state: JointState | None = None
-        self._temperature: Array | None = None
-        self._fault: NDArray[np.bool_] | None = None
+        self._health = Health(link, arm.joints, self._settings.health_interval)
         self._read_cost: float | None = None
-        self._health_due = 0.0
-        self._health_turn = 0
-        self._reports_health = False
 
     @property
     def arm(self) -> Arm:
@@ -92,8 +86,8 @@ class MyCobotRobot:
         Raises NoReplyError, StaleReplyError, ImpossibleReplyError or ConnectionLostError.
         """
         if self._state is None:
-            self._find_health()
-        return _insist(self._read_once)
+            self._health.find()
+        return insist(self._read_once)
 
     def step(self, command: Array, active: Mask | None = None) -> JointState:
         """Send ``command`` (1, n) [rad], let the period pass, read.
@@ -109,9 +103,9 @@ class MyCobotRobot:
         period = self._rng.uniform(*self._settings.period)
         due = max(float(last.time[0]), time.monotonic() - period / 2) + period  # even a late command gets half of it
         self._send(command[0])
-        if self._reports_health and time.monotonic() >= self._health_due:
-            _insist(self._check_health)
-        time.sleep(max(0.0, due - (self._read_cost or 0.0) - time.monotonic()))
+        ask_at = due - (self._read_cost or 0.0)
+        self._health.poll(ask_at - time.monotonic())
+        pause(ask_at - time.monotonic())
         return self.read()
 
     def true_tcp(self) -> Array:
@@ -145,29 +139,9 @@ class MyCobotRobot:
         self._read_cost = cost if self._read_cost is None else 0.8 * self._read_cost + 0.2 * cost
         self._state = JointState(
             time=np.array([now]), position=position[None], age=np.array([age]),
-            temperature=self._temperature, fault=self._fault,
+            temperature=self._health.temperature, fault=self._health.fault,
         )  # fmt: skip
         return self._state
-
-    def _find_health(self) -> None:
-        """Learn whether this firmware reports temperatures and faults; older ones are silent."""
-        try:
-            _insist(self._check_health)
-            _insist(self._check_health)
-        except NoReplyError:
-            self._temperature = self._fault = None
-        else:
-            self._reports_health = True
-
-    def _check_health(self) -> None:
-        """Ask for temperatures and servo status in turn; seldom, for each costs as much as a read."""
-        n = self._arm.joints
-        if self._health_turn == 0:
-            self._temperature = read_bytes(self._link.ask("get_servo_temps"), n)[None]
-        else:
-            self._fault = _faults(self._link.ask("get_servo_status"), n)[None]
-        self._health_turn = 1 - self._health_turn
-        self._health_due = time.monotonic() + self._settings.health_interval
 
 
 def wire_angles(position: Array) -> list[float]:
@@ -178,18 +152,3 @@ def wire_angles(position: Array) -> list[float]:
     hundredths = np.round(np.degrees(position) * 100.0)
     degrees = (hundredths + 0.25 * np.sign(hundredths)) / 100.0
     return [float(value) for value in np.clip(degrees, LOWEST_DEG, HIGHEST_DEG)]
-
-
-def _insist(question: Callable[[], T]) -> T:
-    """Ask once more after an impossible answer: a single bad byte on the servo bus is no reason to end."""
-    try:
-        return question()
-    except ImpossibleReplyError:
-        return question()
-
-
-def _faults(reply: object, count: int) -> NDArray[np.bool_]:
-    """Whether each servo reports a fault: 0, or a list of set bits (or a bit mask)."""
-    if not isinstance(reply, list) or len(reply) != count:
-        raise ImpossibleReplyError(f"expected the status of {count} servos, got {reply!r}")
-    return np.array([bool(status) for status in reply])

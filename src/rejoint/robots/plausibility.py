@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import TypeVar
+
 import numpy as np
 
 from rejoint.arms import Arm, Array
 from rejoint.errors import ImpossibleReplyError, StaleReplyError
+
+T = TypeVar("T")
 
 UNREADABLE_DEG = 180.08
 """[deg] what a joint shows whose servo cannot be read (elephantrobotics/pymycobot, issue 43)"""
@@ -46,6 +51,14 @@ def read_bytes(reply: object, count: int) -> Array:
     if not isinstance(reply, list) or len(reply) != count or not all(_is_number(value) for value in reply):
         raise ImpossibleReplyError(f"expected {count} numbers, got {reply!r}")
     return np.array(reply, dtype=float)
+
+
+def insist(question: Callable[[], T]) -> T:
+    """Ask once more after an impossible answer: a single bad byte on the servo bus is no reason to end."""
+    try:
+        return question()
+    except ImpossibleReplyError:
+        return question()
 
 
 class Continuity:

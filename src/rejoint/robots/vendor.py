@@ -1,4 +1,4 @@
-"""What is used of the vendor's package: two clients and their table of limits.
+"""What is used of the vendor's package: two clients, their table of limits, and what keeps them quiet.
 
 Importing pymycobot 4.0.7 asks the locale in a way that Python has deprecated; the user can do
 nothing about it and does not hear of it.
@@ -6,7 +6,13 @@ nothing about it and does not hear of it.
 
 from __future__ import annotations
 
+import contextlib
+import io
+import logging
 import warnings
+from collections.abc import Iterator
+
+from rejoint.robots.address import SerialAddress, TcpAddress
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore", DeprecationWarning)
@@ -18,4 +24,29 @@ LOWEST_DEG: tuple[float, ...] = tuple(RobotLimit.robot_limit["MyCobot280"]["angl
 HIGHEST_DEG: tuple[float, ...] = tuple(RobotLimit.robot_limit["MyCobot280"]["angles_max"])
 """[deg] highest joint angles that the clients accept"""
 
-__all__ = ["HIGHEST_DEG", "LOWEST_DEG", "MyCobot280", "MyCobot280Socket"]
+
+def make_client(address: TcpAddress | SerialAddress) -> MyCobot280 | MyCobot280Socket:
+    """Construct the vendor's client, and take back what it does to the logging of the whole process.
+
+    Its constructor connects, and then sleeps for 1.5 s.
+    """
+    root = logging.getLogger()
+    handlers, level = root.handlers[:], root.level
+    try:
+        if isinstance(address, TcpAddress):
+            return MyCobot280Socket(address.host, address.port)
+        return MyCobot280(address.device, address.baud)
+    finally:
+        root.handlers[:], root.level = handlers, level
+        logging.getLogger("pymycobot").setLevel(logging.CRITICAL)  # failures become errors in `rejoint.robots.link`
+
+
+@contextlib.contextmanager
+def silenced() -> Iterator[None]:
+    """Keep what the client prints, and a deprecation that it raises, from the user."""
+    with contextlib.redirect_stdout(io.StringIO()), warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)
+        yield
+
+
+__all__ = ["HIGHEST_DEG", "LOWEST_DEG", "MyCobot280", "MyCobot280Socket", "make_client", "silenced"]
