@@ -302,3 +302,65 @@ def test_targets_of_a_wrong_shape_are_named(shape):
 def test_bad_schedules_are_refused(settings):
     with pytest.raises(InputError, match="schedule"):
         Schedule(**settings)
+
+
+class PausingRobot(LaggingRobot):
+    """Answers stay away for ``pause`` [s] at step ``at``; the arm goes on to its command meanwhile, or to ``moved``."""
+
+    def __init__(self, *, at, pause, moved=None):
+        super().__init__([0.05])
+        self.at, self.pause, self.moved = at, pause, moved
+
+    def step(self, command, active=None):
+        state = super().step(command, active)
+        if self.steps[0] != self.at:
+            return state
+        self.time = self.time + self.pause
+        self.position[:] = command if self.moved is None else self.moved
+        return self.read()
+
+
+NOWHERE = np.full((1, 1, 3), np.nan)
+
+
+class Eager:
+    """Wants to be far away at once."""
+
+    name = "eager"
+
+    def __init__(self):
+        self.resets = []
+
+    def reset(self, situation, where):
+        assert where.all()
+        self.resets.append(float(situation.state.time[0]))
+
+    def command(self, situation):
+        return situation.sent + 1.0
+
+
+def test_after_a_gap_an_arm_goes_on_from_where_it_is_as_from_a_start():
+    robot, eager = PausingRobot(at=5, pause=3.0), Eager()
+    rec = run(robot, eager, NOWHERE, Schedule(dwell=6.0))
+    gaps = np.flatnonzero(rec.reasons[:, 0] & np.uint16(Reason.GAP.value))
+    assert gaps.tolist() == [5]
+    assert eager.resets == [0.0, rec.time[5, 0]]
+    steps = np.abs(np.diff(rec.command[:, 0], axis=0)).max(axis=1)
+    first = np.abs(rec.command[0, 0] - ARM.rest).max()
+    assert steps[4] == pytest.approx(0.2 * first), "the first step after a gap is smaller than that of a start"
+    eased = rec.time[1:, 0] < rec.time[5, 0] + 1.0
+    assert steps[4:][eased[4:]].max() <= 0.2 * 0.05 * ARM.max_speed.max() + 1e-9
+    assert steps[np.argmin(eased[4:]) + 5] > 0.2 * 0.05 * ARM.max_speed.max()
+
+
+def test_an_arm_that_was_moved_during_a_gap_is_not_sent_back_at_once():
+    elsewhere = ARM.rest + 0.6
+    rec = run(PausingRobot(at=5, pause=3.0, moved=elsewhere), Straight(), NOWHERE, Schedule(dwell=6.0))
+    assert np.abs(rec.command[5:, 0] - elsewhere).max() < 0.2
+
+
+def test_a_cycle_that_is_merely_late_allows_no_longer_step_than_usual():
+    rec = run(PausingRobot(at=5, pause=0.3), Eager(), NOWHERE, Schedule(dwell=1.0))
+    assert not (rec.reasons & np.uint16(Reason.GAP.value)).any()
+    steps = np.abs(np.diff(rec.command[:, 0], axis=0)).max(axis=1)
+    assert steps.max() <= 0.05 * ARM.max_speed.max() + 1e-9

@@ -62,6 +62,8 @@ class Reason(IntFlag):
     """a servo is too hot"""
     SERVO_FAULT = 256
     """a servo reports a fault"""
+    GAP = 512
+    """no answers came for a while; the arm held, and goes on as from a start (flagged by the control loop)"""
 
 
 TRIPS = Reason.NOT_FINITE | Reason.STALE | Reason.OUT_OF_RANGE | Reason.TEMPERATURE | Reason.SERVO_FAULT

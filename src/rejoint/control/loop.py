@@ -8,7 +8,6 @@ clock and its own target; an arm that is done is not stepped any more.
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -18,10 +17,24 @@ from rejoint.control.controller import Controller, Situation
 from rejoint.control.guard import TRIPS, GuardLimits, Reason, Reasons, guard, reason_names, warm_up
 from rejoint.control.recording import Cycle, OnCycle, Recorder, Recording, attach
 from rejoint.control.robot import JointState, Mask, Robot
-from rejoint.errors import GuardTripError, InputError, RejointError
+from rejoint.errors import GuardTripError, InputError, RejointError, first_line
+from rejoint.stopping import check, noted, shielded
 
 FIRST_PERIOD = 0.02
 """[s] period assumed before one has been measured (chosen: the shortest regular one, so the smallest first step)."""
+
+GAP = 0.5
+"""[s] without an answer after which an arm goes on as from a start (chosen: ten periods of the slowest regular wire)"""
+GAP_PERIODS = 3.0
+"""Times the usual period that a gap also exceeds (chosen: where periods of half a second were asked for)"""
+LATE_PERIODS = 2.0
+"""Times the usual period from which a cycle is late: the arm may move as far as in a usual one, not farther (chosen)"""
+_SMOOTHING = 0.1  # share of the newest period in that mean (chosen)
+
+EASE = 1.0
+"""[s] after a gap during which an arm may move at `EASE_SHARE` of its speed only (chosen: long enough to be seen)"""
+EASE_SHARE = 0.2
+"""(chosen: the share that `move` takes by default)"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -57,8 +70,9 @@ def run(
     """Drive ``robot`` to its ``targets`` (B, K, 3) [m], one after the other.
 
     The last command carries over between targets. A target of NaN is no target: it lasts its whole
-    dwell. Whatever ends the run early (a trip of the guard, an error of the robot, Ctrl-C) first
-    stops the robot; the recording so far is on the error, see `recording_of`.
+    dwell. Whatever ends the run early (a trip of the guard, an error of the robot, a signal) first
+    stops the robot; the recording so far is on the error, see `recording_of`, and a note of what
+    became of the arm. After a gap in its answers an arm goes on from where it is, slowly at first.
     """
     targets = np.asarray(targets, dtype=float)
     if targets.ndim != 3 or targets.shape[0] != robot.count or targets.shape[1] == 0 or targets.shape[2] != 3:
@@ -68,22 +82,43 @@ def run(
     loop = _Loop(
         robot=robot, controller=controller, schedule=schedule, limits=limits, recorder=recorder, on_cycle=on_cycle
     )
-    progress: _Progress | None = None
     warm_up(limits)
+    with noted():
+        return _drive(loop, targets)
+
+
+def _drive(loop: _Loop, targets: Array) -> Recording:
+    robot, recorder = loop.robot, loop.recorder
+    progress: _Progress | None = None
     try:
-        progress = _Progress.begin(_own(robot.read()), targets, schedule.sent)
-        controller.reset(progress.situation(), np.ones(robot.count, dtype=bool))
+        check()
+        progress = _Progress.begin(_own(robot.read()), targets, loop.schedule.sent)
+        loop.controller.reset(progress.situation(), np.ones(robot.count, dtype=bool))
         while loop.cycle(progress):
-            pass
+            check()
         if progress.tripped.any():
             robot.stop()
     except BaseException as error:
-        with suppress(RejointError, OSError):  # the first error is the one to report
-            robot.stop()
+        held = _hold(robot)
         if progress is not None:
             attach(error, recorder.recording(progress.tripped))
+        if robot.count == 1:
+            error.add_note(held)
         raise
     return recorder.recording(progress.tripped)
+
+
+def _hold(robot: Robot) -> str:
+    """Stop the robot, whatever else happens, and say what became of it."""
+    with shielded():
+        try:
+            robot.stop()
+        except (RejointError, OSError) as error:  # the first error is the one to report
+            return (
+                f"The order to stop did not arrive ({first_line(error)}). By itself the arm goes to the last command "
+                "and holds there; nothing was powered off. Look at it before you go on."
+            )
+    return "The arm was stopped and holds its position; nothing was powered off. Look at it before you go on."
 
 
 def play(
@@ -151,9 +186,18 @@ class _Progress:
     tripped: Reasons
     period: Array
     last_time: Array = field(init=False)
+    usual: Array = field(init=False)
+    """(B,) [s] running mean of the periods; NaN before one has been measured"""
+    gap: Mask = field(init=False)
+    """(B,) whether the state came after a gap"""
+    eased_until: Array = field(init=False)
+    """(B,) [s]"""
 
     def __post_init__(self) -> None:
         self.last_time = self.state.time
+        count = len(self.sent)
+        self.usual, self.eased_until = np.full(count, np.nan), np.full(count, -np.inf)
+        self.gap = np.zeros(count, dtype=bool)
 
     @classmethod
     def begin(cls, state: JointState, targets: Array, sent: Array | None) -> _Progress:
@@ -188,9 +232,28 @@ class _Progress:
         """Take over what the robot was sent and what it answered."""
         self.sent = np.where(self.active[:, None], command, self.sent)
         elapsed = state.time - self.last_time
+        self.gap = elapsed > np.fmax(GAP, GAP_PERIODS * self.usual)
+        late = elapsed > LATE_PERIODS * self.usual  # NaN: not known yet
         # A repeated answer has no news of the clock: the last period stands.
-        self.period = np.where(elapsed > 0.0, elapsed, self.period)
+        self.period = np.where(elapsed > 0.0, np.where(late, self.usual, elapsed), self.period)
+        known = np.where(np.isnan(self.usual), elapsed, self.usual)
+        self.usual = np.where(elapsed > 0.0, known + _SMOOTHING * (np.minimum(elapsed, GAP) - known), self.usual)
         self.state, self.last_time = state, state.time
+        if np.count_nonzero(self.gap):
+            self._begin_again(self.gap)
+
+    def _begin_again(self, where: Mask) -> None:
+        """After a gap, nothing is known of what happened: go on as from a start."""
+        self.period = np.where(where, FIRST_PERIOD, self.period)
+        self.eased_until = np.where(where, self.state.time + EASE, self.eased_until)
+        # An arm that sags keeps its command; one that stands elsewhere no longer knows it.
+        elsewhere = where[:, None] & (np.abs(self.sent - self.state.position) > GuardLimits.max_lead)
+        self.sent = np.where(elsewhere, self.state.position, self.sent)
+
+    @property
+    def allowed_period(self) -> Array:
+        """(B,) [s] for which the guard allows motion: less of it after a gap."""
+        return np.where(self.state.time < self.eased_until, EASE_SHARE, 1.0) * self.period
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -236,11 +299,13 @@ class _Loop:
         if not active.any():
             return progress.sent, np.zeros(len(active), dtype=np.uint16)
         situation = progress.situation()
-        if renewed.any():
-            self.controller.reset(situation, renewed)
+        fresh = renewed | progress.gap
+        if fresh.any():
+            self.controller.reset(situation, fresh)
         wanted = self.controller.command(situation)
-        guarded = guard(self.limits, wanted, progress.sent, progress.state, progress.period)
-        return np.where(active[:, None], guarded.command, progress.sent), guarded.reasons * active
+        guarded = guard(self.limits, wanted, progress.sent, progress.state, progress.allowed_period)
+        reasons = guarded.reasons + progress.gap * np.uint16(Reason.GAP.value)
+        return np.where(active[:, None], guarded.command, progress.sent), reasons * active
 
     def _stop_tripped(self, progress: _Progress, reasons: Reasons) -> None:
         trips = reasons & np.uint16(TRIPS.value)

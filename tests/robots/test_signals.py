@@ -1,0 +1,150 @@
+"""Whoever asks a driven arm to stop is heard: signals at random moments, through the vendor's unmodified client."""
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import threading
+import time
+
+import numpy as np
+import pytest
+
+from rejoint import stopping
+from rejoint.arms import mycobot280
+from rejoint.control.integrator import IntegratorController
+from rejoint.control.loop import Schedule, run
+from rejoint.control.recording import recording_of
+from rejoint.emulator import Timing, build_firmware, serve_pty, serve_tcp
+from rejoint.emulator.orders import SWITCHES
+from rejoint.robots import open_robot
+from rejoint.stopping import Interrupted
+
+ARM = mycobot280()
+PERIOD, STOP = 0.02, 0x29
+HEARD = (
+    "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler); from rejoint.cli import main; main()"
+)
+TARGETS = np.array([[[0.20, 0.05, 0.20], [0.18, -0.05, 0.22]]])
+
+
+@pytest.fixture(autouse=True)
+def heard():
+    """Background jobs ignore SIGINT from their start on, and SIGTERM ends a process that does not handle it."""
+    before = {signum: signal.getsignal(signum) for signum in stopping.SIGNALS}
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    stopping.install()
+    yield
+    for signum, handler in before.items():
+        signal.signal(signum, handler)
+
+
+@pytest.fixture
+def stops(monkeypatch):
+    """When the firmware was ordered to stop."""
+    times, stop = [], SWITCHES[STOP]
+
+    def noticed(firmware):
+        times.append(time.monotonic())
+        stop(firmware)
+
+    monkeypatch.setitem(SWITCHES, STOP, noticed)
+    return times
+
+
+@pytest.mark.parametrize(("transport", "signals"), [("tcp", 120), ("pty", 80)])
+def test_every_signal_stops_the_arm_within_one_control_period(transport, signals, stops):
+    rng = np.random.default_rng(5)
+    timing = Timing(state=0.004, acknowledgement=0.003)
+    firmware = build_firmware(ARM, "worn")
+    serve = serve_pty(firmware, timing=timing) if transport == "pty" else serve_tcp(firmware, port=0, timing=timing)
+    late = []
+    with serve as server:
+        robot = open_robot(server.address, period=(PERIOD, PERIOD))
+        for _ in range(signals):
+            stops.clear()
+            asked = signal.SIGINT if rng.random() < 0.5 else signal.SIGTERM
+            sent = []
+
+            def send(asked=asked, sent=sent):
+                sent.append(time.monotonic())
+                os.kill(os.getpid(), asked)
+
+            timer = threading.Timer(rng.uniform(0.0, 0.1), send)
+
+            def begin(_cycle, timer=timer):
+                if timer.ident is None:
+                    timer.start()
+
+            with pytest.raises(Interrupted) as caught:
+                run(robot, IntegratorController(ARM), TARGETS, Schedule(dwell=10.0), on_cycle=begin)
+            timer.join()
+            assert caught.value.signum == asked
+            assert stops, "the arm was never told to stop"
+            assert "was stopped" in caught.value.__notes__[-1]
+            if stops[0] - sent[0] > PERIOD + 2 * (timing.state + timing.acknowledgement):
+                late.append(stops[0] - sent[0])
+        robot.close()
+    # The wish is looked at after every question; what delays it further is a busy machine.
+    assert len(late) <= 0.1 * signals, late
+    assert max(late, default=0.0) < 1.0
+
+
+def test_a_signal_between_runs_is_heard_by_the_next_one(stops):
+    with serve_tcp(build_firmware(ARM, "worn"), port=0) as server, stopping.noted():
+        robot = open_robot(server.address, period=(PERIOD, PERIOD))
+        os.kill(os.getpid(), signal.SIGTERM)
+        with pytest.raises(Interrupted) as caught:
+            run(robot, IntegratorController(ARM), TARGETS, Schedule(dwell=10.0))
+        robot.close()
+    assert recording_of(caught.value) is None, "nothing was driven"
+    assert stops
+
+
+def test_what_nobody_looked_at_is_raised_at_the_end():
+    with pytest.raises(Interrupted) as caught, stopping.noted():
+        os.kill(os.getpid(), signal.SIGTERM)
+    assert caught.value.exit_code == 143
+    stopping.check()  # and is over then
+
+
+def test_what_brings_an_arm_to_rest_is_not_interrupted():
+    with stopping.noted():
+        with stopping.shielded():
+            os.kill(os.getpid(), signal.SIGINT)
+            stopping.pause(0.01)
+        with pytest.raises(Interrupted):
+            stopping.pause(10.0)
+
+
+def test_handlers_are_given_back():
+    before = [signal.getsignal(signum) for signum in stopping.SIGNALS]
+    with stopping.noted(), stopping.noted():
+        pass
+    assert [signal.getsignal(signum) for signum in stopping.SIGNALS] == before
+
+
+@pytest.mark.parametrize(("signum", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_deployment_ends_with_the_exit_code_of_its_signal(tmp_path, signum, code):
+    from rejoint import opening
+
+    opening.begin(tmp_path / "run", "tcp://127.0.0.1:1", ARM, 0)
+    with serve_tcp(build_firmware(ARM, "worn"), port=0) as server:
+        words = ["deploy", server.address, str(tmp_path / "run"), "--controller", "integrator", "--dwell", "30"]
+        process = subprocess.Popen(
+            [sys.executable, "-c", HEARD, *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        )
+        logs = tmp_path / "run" / "logs"
+        firmware = server._session._firmware
+        begin, until = firmware.planned_angles, time.monotonic() + 60.0
+        while np.abs(firmware.planned_angles - begin).max() < 0.02 and time.monotonic() < until:
+            time.sleep(0.02)
+        time.sleep(0.3)
+        process.send_signal(signum)
+        _, said = process.communicate(timeout=30)
+    assert process.returncode == code, said
+    assert f"interrupted by {signum.name}" in said
+    assert "was stopped" in said
+    assert re.search(r"What was recorded until then: .*\.parquet", said)
+    assert list(logs.glob("deploy-*.parquet"))
