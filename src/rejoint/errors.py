@@ -69,6 +69,10 @@ class PowerLostError(ConnectionLostError):
     """The arm lost its power: nobody but its owner may switch it on again."""
 
 
+class NotReadyError(RobotError):
+    """The robot is in no state to be driven; nothing was moved."""
+
+
 class GuardTripError(RejointError):
     """The guard stopped the motion; `reason` names why."""
 

@@ -1,0 +1,101 @@
+"""How every drive of an arm begins: it is looked at first, and then moved slowly."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rejoint.arms import Arm, Array, gravity_torque
+from rejoint.control.guard import GuardLimits
+from rejoint.control.loop import move
+from rejoint.control.recording import Recording
+from rejoint.control.robot import JointState, Robot
+from rejoint.errors import NotReadyError
+from rejoint.stopping import pause
+
+BEYOND = np.radians(3.0)
+"""[rad] that a joint may stand beyond its limit at the start (chosen: sag and play of a worn arm left there)"""
+WARMTH = 5.0
+"""[deg C] below what trips the guard that every servo must be at the start (chosen: a drive of minutes warms it)"""
+COLDEST, HOTTEST = -20.0, 120.0
+"""[deg C] outside of which a temperature is no temperature (chosen: what servos of this class survive)"""
+LOOK = 0.3
+"""[s] for which an arm is looked at before it is moved (chosen: longer than a worn joint rings)"""
+STILL = np.radians(5.0)
+"""[rad] that a joint may be away after it (chosen: a joint that hunts in its play stays within)"""
+STANCE = np.radians(15.0)
+"""[rad] that a joint may stand off from where its twin expects it (chosen: what friction, and a weak motor that starts
+late, leave on worn arms, is two thirds of it)"""
+
+
+def begin(robot: Robot) -> Recording:
+    """Look at the robot, then bring it slowly to its rest posture; NotReadyError before it moves if that is unwise."""
+    check_ready(robot)
+    return move(robot, robot.arm.rest)
+
+
+def check_ready(robot: Robot) -> None:
+    """Raise NotReadyError unless the arms rest inside their limits, cool and without faults."""
+    first = robot.read()
+    state = robot.read()
+    if (state.time > first.time).any():  # virtual time stands still
+        pause(LOOK)
+        state = robot.read()
+    for problem in (_moving(robot.arm, first, state), _outside(robot.arm, state), _unwell(robot.arm, state)):
+        if problem:
+            raise NotReadyError(f"{robot.address}: {problem}; nothing was moved")
+
+
+def check_stance(arm: Arm, state: JointState, command: Array, stiffness: Array, offset: Array) -> None:
+    """Raise NotReadyError unless the arms stand where a twin expects them.
+
+    A servo of ``stiffness`` (n,) [N m/rad] and ``offset`` (n,) [rad] that was sent ``command`` (B, n) [rad] and has
+    come to rest gives way by the weight that it carries; ``state`` is what was measured then.
+    """
+    expected = command + offset - gravity_torque(arm, state.position) / stiffness
+    away = np.abs(state.position - expected)
+    b, j = np.unravel_index(np.argmax(away), away.shape)
+    if away[b, j] > STANCE:
+        raise NotReadyError(
+            f"{arm.joint_names[j]} stands {np.degrees(away[b, j]):.0f} deg from where the twin of this run expects it, "
+            f"{np.degrees(STANCE):.0f} at most were expected: another arm or load, or something in its way? If it "
+            "is the same arm and free, run `rejoint diagnose` and `rejoint identify` again"
+        )
+
+
+def _moving(arm: Arm, first: JointState, state: JointState) -> str:
+    away = np.abs(state.position - first.position)
+    j = int(np.argmax(away.max(axis=0)))
+    if away[:, j].max() <= STILL:
+        return ""
+    return f"{arm.joint_names[j]} is moving by itself; wait until the arm rests, and end what else drives it"
+
+
+def _outside(arm: Arm, state: JointState) -> str:
+    believed = GuardLimits.of(arm, margin=-BEYOND)
+    beyond = (state.position < believed.lower) | (state.position > believed.upper)
+    if not beyond.any():
+        return ""
+    b, j = np.argwhere(beyond)[0]
+    low, angle, high = np.degrees([arm.lower[j], state.position[b, j], arm.upper[j]])
+    return (
+        f"{arm.joint_names[j]} stands at {angle:.1f} deg, outside its limits of {low:.0f} to {high:.0f} deg; bring it "
+        "inside by hand, or correct the arm's zero"
+    )
+
+
+def _unwell(arm: Arm, state: JointState) -> str:
+    if state.fault is not None and state.fault.any():
+        faulty = ", ".join(np.array(arm.joint_names)[state.fault.any(axis=0)])
+        return f"{faulty} reports a servo fault; free the arm and clear the fault"
+    if state.temperature is None:
+        return ""
+    if not ((state.temperature > COLDEST) & (state.temperature < HOTTEST)).all():
+        return f"temperatures of {np.round(state.temperature).tolist()} deg C are not believed; check the servo bus"
+    warmest = GuardLimits.max_temperature - WARMTH
+    hot = int(np.argmax(state.temperature.max(axis=0)))
+    if state.temperature[:, hot].max() <= warmest:
+        return ""
+    return (
+        f"{arm.joint_names[hot]} is at {state.temperature[:, hot].max():.0f} deg C, expected at most {warmest:.0f} at "
+        "the start; let it cool"
+    )

@@ -1,0 +1,95 @@
+"""An arm is looked at before it is moved, and moved slowly then."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from rejoint.arms import gravity_torque, mycobot280
+from rejoint.control.robot import JointState
+from rejoint.control.start import STANCE, begin, check_ready, check_stance
+from rejoint.errors import NotReadyError
+from rejoint.plant.wear import load_wear
+from rejoint.robots import open_robot
+
+ARM = mycobot280()
+
+
+class Standing:
+    """One arm that stands where it is put, on a clock that goes on."""
+
+    arm, address, count = ARM, "test:standing", 1
+
+    def __init__(self, position=ARM.rest, drift=0.0, **health):
+        self.position, self.drift, self.health, self.time, self.sent = np.array(position), drift, health, 0.0, []
+
+    def read(self):
+        self.time += 0.01
+        self.position = self.position + self.drift
+        position = self.position[None].copy()
+        return JointState(time=np.array([self.time]), position=position, age=np.zeros(1), **self.health)
+
+    def step(self, command, active):
+        assert active.all()
+        self.sent.append(command[0].copy())
+        self.position = command[0].copy()
+        self.time += 0.04
+        return self.read()
+
+    def true_tcp(self):
+        return np.full((1, 3), np.nan)
+
+    def stop(self):
+        pass
+
+
+def heat(joint, degrees):
+    return np.where(np.arange(6) == joint, degrees, 30.0)[None]
+
+
+@pytest.mark.parametrize(
+    ("robot", "why"),
+    [
+        (Standing(np.where(np.arange(6) == 1, ARM.upper + 0.2, ARM.rest)), "joint2 stands at .* outside its limits"),
+        (Standing(drift=np.eye(6)[3] * 0.1), "joint4 is moving by itself"),
+        (Standing(temperature=heat(2, 62.0)), "joint3 is at 62 deg C, expected at most 60"),
+        (Standing(temperature=heat(2, 255.0)), "not believed"),
+        (Standing(fault=np.eye(6, dtype=bool)[4:5]), "joint5 reports a servo fault"),
+    ],
+)
+def test_an_arm_in_no_state_to_be_driven_is_not_moved(robot, why):
+    with pytest.raises(NotReadyError, match=why):
+        begin(robot)
+    assert robot.sent == []
+
+
+def test_the_first_motion_is_slow():
+    robot = Standing(ARM.rest + 0.5)
+    recording = begin(robot)
+    steps = np.abs(np.diff([ARM.rest + 0.5, *robot.sent], axis=0)).max(axis=1)
+    assert steps.max() <= 0.5 * 0.05 + 1e-9  # half a radian per second
+    np.testing.assert_allclose(recording.command[-1, 0], ARM.rest)
+
+
+@pytest.mark.parametrize("wear", [*(f"worn?seed={seed}" for seed in range(4)), "healthy", "play-in-loop", "worn"])
+def test_worn_arms_stand_where_a_rough_twin_expects_them(wear):
+    robot = open_robot(f"emulated:{wear}")
+    recording = begin(robot)
+    found = load_wear(wear, ARM)
+    for error in (0.8, 1.0, 1.25):
+        check_stance(ARM, robot.read(), recording.command[-1], error * found.position_gain, np.zeros(6))
+
+
+def test_an_arm_that_stands_elsewhere_is_not_the_one_of_the_twin():
+    stiffness = np.full(6, 8.0)
+    command = ARM.rest[None]
+    settled = command - gravity_torque(ARM, command) / stiffness
+    state = Standing(settled[0]).read()
+    check_stance(ARM, state, command, stiffness, np.zeros(6))
+    wrong = replace(state, position=state.position + np.eye(6)[2] * (STANCE + 0.1))
+    with pytest.raises(NotReadyError, match=r"joint3 stands .* from where the twin of this run expects it"):
+        check_stance(ARM, wrong, command, stiffness, np.zeros(6))
+
+
+def test_virtual_time_is_not_waited_for():
+    check_ready(open_robot("emulated:worn", count=3))
