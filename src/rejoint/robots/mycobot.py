@@ -27,6 +27,9 @@ from rejoint.stopping import pause
 DEFAULT_PERIOD = (0.050, 0.050)
 """[s] shortest cycle of control and feedback that the vendor names (its FAQ)"""
 
+SENT = 3
+"""Times that a command is sent before its refusal is believed: one wrong byte on the wire looks the same (chosen)"""
+
 
 @dataclass(frozen=True, kw_only=True)
 class DriverSettings:
@@ -123,10 +126,12 @@ class MyCobotRobot:
 
     def _send(self, command: Array) -> None:
         self._command = command.copy()
-        answer = self._link.ask("send_angles", wire_angles(command), self._settings.speed_percent)
-        if answer != 1:
-            error = self._link.ask("get_error_information")
-            raise RobotError(f"{self.address}: the arm refused a command (answer {answer}, error code {error})")
+        for _ in range(SENT):
+            answer = self._link.ask("send_angles", wire_angles(command), self._settings.speed_percent)
+            if answer == 1:
+                return
+        error = self._link.ask("get_error_information")
+        raise RobotError(f"{self.address}: the arm refused a command (answer {answer}, error code {error})")
 
     def _read_once(self) -> JointState:
         began = time.monotonic()
