@@ -7,7 +7,7 @@ repeated, resumed, replaced, or run on another machine.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -212,6 +212,8 @@ def compare_stage(
     )
     factories = _factories(run, trials.controllers, period or default_period(robot))
     result = compare(connect, factories, targets, settings, on_progress=on_progress, on_trial=keep)
+    file = "" if trials.file is None else str(trials.file)
+    result = replace(result, targets_file=file, period=period)
     set_aside(run.folder.comparison)
     write_json(run.folder.comparison, result)
     return result, recommend(result)

@@ -16,6 +16,7 @@ from rejoint.diagnosis import (
     record,
     reference_from,
 )
+from rejoint.diagnosis.diagnosis import ringing_most
 from rejoint.diagnosis.excitation import SHORT
 from rejoint.errors import InputError
 from rejoint.plant.wear import Wear, load_wear
@@ -34,6 +35,13 @@ def with_joint(joint: int, *, play_in_loop: bool = False, **values: float) -> We
     return dataclasses.replace(HEALTHY, play_in_loop=play_in_loop, **changed)
 
 
+def worn_and_ringing(joint: int) -> Wear:
+    """The worn arm, one joint of it with a third of its damping."""
+    damping = np.array(WORN.damping_gain)
+    damping[joint - 1] *= 0.3
+    return dataclasses.replace(WORN, damping_gain=damping)
+
+
 WEARS = {
     "healthy 1": HEALTHY,
     "healthy 2": HEALTHY,
@@ -50,6 +58,8 @@ WEARS = {
     "late joint 3": with_joint(3, damping_gain=4.0),
     "ringing joint 4": with_joint(4, damping_gain=0.03),
     "worn": WORN,
+    "worn, joint 2 rings": worn_and_ringing(2),
+    "worn, joint 5 rings": worn_and_ringing(5),
     "loose behind the encoders": dataclasses.replace(HEALTHY, play=WORN.play, link_stiffness=WORN.link_stiffness),
 }
 
@@ -146,6 +156,32 @@ def test_everything_worn(found):
         if finding.kind == "weak_gain":
             truth = WORN.position_gain[int(finding.joint[-1]) - 1]
             assert 0.8 * finding.measured.low < truth < 1.25 * finding.measured.high
+
+
+@pytest.mark.parametrize("joint", [2, 5])
+def test_the_joint_that_rings_most_is_named_beside_those_that_cost_most(found, joint):
+    """A joint that rings costs little at rest; joint 2 moreover reaches its torque limit now and then."""
+    diagnosis = found[f"worn, joint {joint} rings"]
+    (ringing,) = (finding for finding in diagnosis.findings if finding.kind == "low_damping")
+    assert ringing.joint == f"joint{joint}"
+    assert 0.2 < ringing.measured.value < 0.35
+    assert f"joint{joint} rings (damping ratio {ringing.measured.value:.2f}, a healthy one 0." in diagnosis.verdict
+    assert "Because: joint2 is soft" in diagnosis.verdict
+    others = {finding.joint for finding in diagnosis.findings} - {"joint1", "joint2", "joint3", ringing.joint}
+    assert f" {len(others)} more joint" in diagnosis.verdict
+
+
+@pytest.mark.parametrize("name", ["healthy 1", "soft joint 2", "weak joint 2", "weak joint 3", "late joint 3", "worn"])
+def test_no_joint_is_said_to_ring_that_does_not(found, name):
+    assert "rings" not in found[name].verdict
+
+
+def test_the_one_that_rings_most_has_the_lowest_damping_ratio(found):
+    worst, other = (found[f"worn, joint {joint} rings"].findings for joint in (2, 5))
+    both = (*worst, *(finding for finding in other if finding.kind == "low_damping"))
+    least = min((f for f in both if f.kind == "low_damping"), key=lambda finding: finding.measured.value)
+    assert ringing_most(both) == least
+    assert ringing_most(found["healthy 1"].findings) is None
 
 
 def test_what_lies_behind_the_encoders_is_said_to_be_unseen(found):

@@ -8,6 +8,7 @@ import numpy as np
 
 from rejoint.arms import Array
 from rejoint.cli.console import Terminal
+from rejoint.comparison.failure import failure
 from rejoint.comparison.recommend import Recommendation
 from rejoint.comparison.result import Comparison
 from rejoint.control.default import DefaultController
@@ -59,6 +60,9 @@ def comparison(terminal: Terminal, result: Comparison, advice: Recommendation) -
     trials = f"{plural(sets, 'set')} of {plural(count, 'target')}, {plural(result.repetitions, 'repetition')}"
     title = f"{result.robot}: {trials}"
     terminal.table(title, headers, rows, bold=result.controllers.index(advice.controller))
+    for line in filter(None, map(failure, result.rows)):
+        if not any(line in reason for reason in advice.why):
+            terminal.result(f"  ! {line}")
     terminal.result(f"Recommended: {advice.controller}")
     for reason in advice.why:
         terminal.result(f"  - {reason}")

@@ -110,6 +110,7 @@ def train(
         opening.begin(run, "emulated:worn", load_arm("mycobot280"), seed or 0)
     job = opt.seeded(opening.open_run(run), seed)
     from rejoint.report.sections.training import draw_training
+    from rejoint.report.words import once
 
     if not job.folder.twin.exists():
         terminal.say(f"{run} has no twin.toml: training on broad ranges instead of on this arm.")
@@ -118,7 +119,7 @@ def train(
     terminal.say(f"Curves: {draw_training(job.folder)}")
     show.training(terminal, result)
     robot = "ROBOT" if job.info.robot.startswith(LOGS) else job.info.robot  # logs cannot be driven
-    terminal.result(f"Next: rejoint compare {robot} {run}")
+    terminal.result(f"Next: rejoint compare {robot} {run}{once(robot)}")
     terminal.finish(result)
 
 

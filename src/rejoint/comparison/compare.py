@@ -2,17 +2,19 @@
 
 On emulated arms all trials of a controller run side by side as one batch of equal arms with
 different noise, the same for every controller. On a real arm the trials run one after the other, the
-controllers interleaved in random order, so that a warming or loosening arm favours none of them.
+controllers interleaved in random order, so that a warming or loosening arm favours none of them; one that fails is
+driven no further (`rejoint.comparison.elimination`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from rejoint.arms import Arm, Array
+from rejoint.comparison.elimination import Elimination, Watched
 from rejoint.comparison.protocols import KINDS, Kind, measure_crossings, measure_holds, schedule
 from rejoint.comparison.result import Comparison, Protocol
 from rejoint.comparison.summary import Tally, summarise
@@ -86,7 +88,7 @@ def compare(
     """Compare ``controllers`` by name on ``targets`` (S, K, 3) [m].
 
     Trials of a batch that the guard ends count as failures; on a single arm the trip ends the
-    comparison, as does an error of the robot.
+    comparison, as does an error of the robot. A command that is not a number costs its controller the trial in both.
     """
     targets = np.asarray(targets, dtype=float)
     if targets.ndim != 3 or targets.shape[2] != 3 or 0 in targets.shape or not np.isfinite(targets).all():
@@ -131,16 +133,22 @@ class _Session:
         """Run the trials one after the other on one arm; returns it, closed."""
         rng = np.random.default_rng(self.settings.seed)
         sets, repetitions, _ = self.shape
+        left = Elimination(self.settings.protocol)
         robot = self.open_robot(1, self.settings.seed)
         try:
             sent = None
             for r in range(repetitions):
                 for s in range(sets):
-                    for name in rng.permutation(list(self.controllers)):
+                    for name in map(str, rng.permutation(list(self.controllers))):
                         for kind in KINDS:
+                            if left.out(name):
+                                self.progress.skip(self.shape[2])
+                                continue
                             start = move(robot, robot.arm.rest, sent=sent).command[-1]
-                            controller = self.controllers[str(name)](robot.arm)
-                            sent = self._drive(robot, controller, str(name), kind, [(s, r)], start)
+                            controller = left.watch(name, self.controllers[name](robot.arm), robot.arm, kind)
+                            sent = self._drive(robot, controller, name, kind, [(s, r)], start)
+                            left.note(name, kind, (s, r), self.tallies[name].crossed[s, r], controller.failed)
+                            self.tallies[name].out = left.out(name)
         finally:
             robot.close()
         return robot
@@ -153,13 +161,17 @@ class _Session:
         targets = self.targets[[s for s, _ in places]]
         plan = schedule(kind, self.settings.protocol, keep_going=self.settings.batched, sent=sent)
         on_cycle = self.progress.watch(f"{name}: {kind} protocol", targets.shape[0] * targets.shape[1])
+        if isinstance(controller, Watched):
+            plan = replace(plan, give_up=controller.give_up)
         recording = run(robot, controller, targets, plan, on_cycle=on_cycle)
+        if isinstance(controller, Watched):
+            recording = controller.mark(recording)
         tally, protocol = self.tallies[name], self.settings.protocol
         if kind == "crossing":
             tally.add_crossings(places, measure_crossings(robot.arm, recording, targets, protocol))
         else:
             tally.add_holds(places, measure_holds(robot.arm, recording, targets, protocol))
-        tally.add_guard(recording)
+        tally.add_guard(kind, places, recording)
         for b, (s, r) in enumerate(places):
             if self.on_trial is not None:
                 trial = Trial(controller=name, kind=kind, target_set=s, repetition=r, recording=recording, arm_index=b)
@@ -184,6 +196,10 @@ class _Progress:
         self._done += self._size
         if self._report is not None:
             self._report(self._done, self._total, self._text)
+
+    def skip(self, size: int) -> None:
+        self._size = size
+        self.finish()
 
     def _see(self, cycle: Cycle) -> None:
         if self._cycles % _PROGRESS_CYCLES == 0 and self._report is not None:

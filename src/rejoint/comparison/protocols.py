@@ -31,7 +31,8 @@ class Crossings:
     """Results of the crossing protocol, each (B, K)."""
 
     crossed: Array
-    """1 or 0; a target that a trip cut short or prevented is not crossed"""
+    """1 or 0; a target that a trip cut short or prevented is not crossed. NaN for one that was not driven although no
+    trip prevented it: that says nothing about the controller"""
     error: Array
     """[m] encoder error at the crossing or the time-out; NaN where a trip came first"""
     true_error: Array
@@ -75,7 +76,11 @@ def measure_crossings(arm: Arm, recording: Recording, targets: Array, protocol: 
     """Results of a recording of the crossing protocol with ``targets`` (B, K, 3) [m]."""
     error, true_error = _errors(arm, recording)
     shape = targets.shape[:2]
-    result = Crossings(crossed=np.zeros(shape), error=_unknown(shape), true_error=_unknown(shape), time=_unknown(shape))
+    last = np.where(recording.active, recording.target_index, -1).max(axis=0, initial=-1)
+    spared = (np.arange(shape[1]) > last[:, None]) & (recording.tripped == 0)[:, None]
+    result = Crossings(
+        crossed=np.where(spared, np.nan, 0.0), error=_unknown(shape), true_error=_unknown(shape), time=_unknown(shape)
+    )
     for b, k, rows in _segments(recording, targets):
         end = crossing(recording.since_target[rows, b], error[rows, b], protocol.threshold)
         if end.reached or end.time >= protocol.dwell:

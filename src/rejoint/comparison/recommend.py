@@ -2,7 +2,9 @@
 
 Controllers are compared result by result on the same targets. The criteria count in this order:
 targets reached, settled encoder error, time to come and stay within the narrowest distance. A
-difference whose 95 % interval contains zero is a tie, and a tie goes to the simpler controller.
+difference whose 95 % interval contains zero is a tie, and a tie goes to the simpler controller. Where there are too
+few results for an interval, only what an owner would see counts: a target missed, or more than the narrowest
+distance. A controller that was driven no further is out, unless all are.
 """
 
 from __future__ import annotations
@@ -13,9 +15,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from rejoint.arms import Array
+from rejoint.comparison.failure import failure
 from rejoint.comparison.result import Comparison, ControllerRow, Estimate
-from rejoint.comparison.statistics import cluster, paired_difference
+from rejoint.comparison.statistics import FEWEST_CLUSTERS, above_zero, cluster, paired_difference
 from rejoint.control.catalogue import CONTROLLERS
+
+NO_INTERVAL = "too few trials for an interval"
+"""What stands where an interval would"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,12 +41,15 @@ class _Criterion:
     missing: float
     """what counts where there is no result: the worst"""
     show: Callable[[float], str]
+    plain: float
+    """difference above which one is worse where there is no interval"""
 
 
 def recommend(comparison: Comparison) -> Recommendation:
     """Recommend a controller of ``comparison``."""
-    left = list(comparison.rows)
-    decided: list[str] = []
+    left = [row for row in comparison.rows if not row.out] or list(comparison.rows)
+    decided = [failure(row) for row in comparison.rows if row.out]
+    nobody = ["Every controller was stopped; this one got farthest."] if len(decided) == len(comparison.rows) else []
     for criterion in _criteria(comparison):
         best = min(left, key=lambda row: (_mean(criterion, row), _complexity(row)))
         tied = [row for row in left if _tie(criterion, best, row)]
@@ -48,8 +57,13 @@ def recommend(comparison: Comparison) -> Recommendation:
         left = tied
     chosen = min(left, key=_complexity)
     others = [row.controller for row in left if row is not chosen]
-    why = [_achieves(chosen, comparison)]
-    if others:
+    why = [*nobody, _achieves(chosen, comparison)]
+    if others and _uncertain(chosen, comparison):
+        why.append(
+            f"Too few trials to tell {chosen.controller} from {_listed(others)} measurably; {chosen.controller} is "
+            "simpler."
+        )
+    elif others:
         why.append(f"No measurable difference from {_listed(others)}; {chosen.controller} is simpler.")
     why += reversed(decided)
     return Recommendation(controller=chosen.controller, why=(*why, *_hidden(chosen)))
@@ -70,16 +84,16 @@ def _criteria(comparison: Comparison) -> tuple[_Criterion, ...]:
     return (
         _Criterion(
             name="of the targets missed", results=lambda row: 1.0 - row.outcomes.array("crossed").ravel(), missing=1.0,
-            show=lambda share: f"{100 * share:.0f} %",
+            show=lambda share: f"{100 * share:.0f} %", plain=0.0,
         ),
         _Criterion(
             name="settled error", results=lambda row: row.outcomes.array("settled").ravel(), missing=np.inf,
-            show=lambda metres: f"{1e3 * metres:.2f} mm",
+            show=lambda metres: f"{1e3 * metres:.2f} mm", plain=protocol.within[narrow],
         ),
         _Criterion(
             name=f"to stay within {1e3 * protocol.within[narrow]:g} mm",
             results=lambda row: row.outcomes.array("stay")[narrow].ravel(), missing=protocol.hold,
-            show=lambda seconds: f"{seconds:.2f} s",
+            show=lambda seconds: f"{seconds:.2f} s", plain=np.inf,
         ),
     )  # fmt: skip
 
@@ -98,13 +112,18 @@ def _tie(criterion: _Criterion, best: ControllerRow, row: ControllerRow) -> bool
     else:
         ours, theirs = (np.where(np.isfinite(part), part, criterion.missing) for part in (ours, theirs))
     estimate = paired_difference(theirs, ours, cluster(row.outcomes.shape)[1])
-    return estimate is None or estimate.low <= 0.0
+    if estimate is not None and estimate.low is None:
+        return estimate.value <= criterion.plain
+    return estimate is None or not above_zero(estimate)
 
 
 def _beaten(criterion: _Criterion, best: ControllerRow, row: ControllerRow) -> str:
-    means = [_mean(criterion, each) for each in (row, best)]
-    worse, better = (criterion.show(mean) if np.isfinite(mean) else "holds cut short by the guard" for mean in means)
-    return f"{row.controller}: {worse} {criterion.name}, against {better} of {best.controller}."
+    worse, better = _mean(criterion, row), _mean(criterion, best)
+    short = f"{row.controller}: holds cut short, so that no {criterion.name} is known."
+    if np.isfinite(worse):
+        against = criterion.show(better) if np.isfinite(better) else "fewer holds"
+        short = f"{row.controller}: {criterion.show(worse)} {criterion.name}, against {against} of {best.controller}."
+    return f"{short} {failure(row)}" if row.failures else short
 
 
 def _achieves(row: ControllerRow, comparison: Comparison) -> str:
@@ -113,10 +132,17 @@ def _achieves(row: ControllerRow, comparison: Comparison) -> str:
         text += f" ({row.crossing.cycle_time.mean.value:.1f} s for {len(comparison.targets[0])})"
     if row.hold.settled is not None:
         mean = row.hold.settled.mean
-        text += (
-            f" and settles at {1e3 * mean.value:.2f} mm ({1e3 * mean.low:.2f} to {1e3 * mean.high:.2f}) by its encoders"
-        )
+        likely = NO_INTERVAL
+        if mean.low is not None and mean.high is not None and mean.low < mean.high:
+            likely = f"{1e3 * mean.low:.2f} to {1e3 * mean.high:.2f}"
+        text += f" and settles at {1e3 * mean.value:.2f} mm ({likely}) by its encoders"
     return text + "."
+
+
+def _uncertain(row: ControllerRow, comparison: Comparison) -> bool:
+    """Tell whether there are too few results for any interval."""
+    _, labels = cluster(row.outcomes.shape)
+    return len(comparison.rows) > 1 and len(np.unique(labels)) < FEWEST_CLUSTERS
 
 
 def _hidden(row: ControllerRow) -> tuple[str, ...]:

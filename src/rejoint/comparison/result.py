@@ -18,11 +18,11 @@ Values = tuple[float | None, ...]
 
 @dataclass(frozen=True, kw_only=True)
 class Estimate:
-    """A mean or a share with its 95 % interval."""
+    """A mean or a share with its 95 % interval; both ends are None where too few results give one."""
 
     value: float
-    low: float
-    high: float
+    low: float | None
+    high: float | None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,7 +30,8 @@ class Spread:
     """A mean with its interval, and how single values scatter around it."""
 
     mean: Estimate
-    std: float
+    std: float | None
+    """standard deviation; None for a single value"""
     p95: float
     """95th percentile"""
     count: int
@@ -71,7 +72,7 @@ class HoldRow:
     settled_true: Spread | None
     """[m] true error over the same time"""
     stays: tuple[Stay, ...]
-    """from the widest distance to the narrowest"""
+    """from the widest distance to the narrowest; empty where nothing was held"""
     oscillation: Spread | None
     """[m] root mean square distance of the encoder TCP from its mean, last part of each hold"""
 
@@ -111,11 +112,25 @@ class Outcomes:
     stay: tuple[Values, ...]
     """[s] per distance; the length of the hold where the error does not stay below it"""
     stayed: tuple[Values, ...]
-    """per distance: 1 where the error stays below it, else 0"""
+    """per distance: 1 where the error stays below it, else 0; None where the target was not held"""
 
     def array(self, name: str) -> Array:
         """Return one field as (S, R, K), or (W, S, R, K) for ``stay`` and ``stayed``; NaN for None."""
         return np.array(getattr(self, name), dtype=float).reshape((-1, *self.shape) if "stay" in name else self.shape)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ended:
+    """Why a run, which is a trial under one protocol, ended before its last target was done."""
+
+    protocol: str
+    """``crossing`` or ``hold``"""
+    target_set: int
+    repetition: int
+    target: int
+    """index of the target in force"""
+    why: str
+    """such as ``not finite``, a trip of the guard, in the words of `Guarded.reasons`"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -128,8 +143,13 @@ class ControllerRow:
     guard: tuple[GuardCount, ...]
     """reasons that occurred, the most frequent first"""
     failures: int
-    """runs (a trial under one protocol) that the guard ended early"""
+    """runs (a trial under one protocol) that ended early by a fault: a trip of the guard, or a command that is none"""
     outcomes: Outcomes
+    ended: tuple[Ended, ...] = ()
+    """all runs that ended early, in the order in which they were driven"""
+    out: str = ""
+    """why the controller was not driven to the end of the comparison, such as ``3 missed targets in a row``; what it
+    did not drive counts neither for nor against it. Empty where it was driven to the end"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -176,6 +196,10 @@ class Comparison:
     clusters: str
     """what the intervals resample: ``target sets``, ``trials`` or ``targets``"""
     rows: tuple[ControllerRow, ...]
+    targets_file: str = ""
+    """file that the targets were read from, as it was named; empty where they were drawn"""
+    period: tuple[float, float] | None = None
+    """[s] shortest and longest control period that was asked for; None: the robot's own"""
 
     def row(self, controller: str) -> ControllerRow:
         """Return the row of a controller; InputError names those there are."""

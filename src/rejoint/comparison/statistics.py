@@ -4,7 +4,8 @@ Errors at targets of one set resemble each other, and repetitions of a set even 
 errors must not be counted as independent. Means get a bootstrap that resamples whole clusters
 (Davison and Hinkley, Bootstrap Methods and Their Application, 1997, section 3.8); shares get the
 interval of Wilson (J. Am. Stat. Assoc. 22, 1927) with the number of trials reduced by the design
-effect of the clusters (Kish, Survey Sampling, 1965, section 8.2).
+effect of the clusters (Kish, Survey Sampling, 1965, section 8.2). Where there are too few clusters for a
+bootstrap, there is no interval.
 """
 
 from __future__ import annotations
@@ -21,7 +22,8 @@ CONFIDENCE = 0.95
 RESAMPLES = 4000
 """Bootstrap resamples (chosen: ends of the interval repeat within 2 % of its width)."""
 FEWEST_CLUSTERS = 5
-"""Fewer clusters than these are split into the next smaller unit (chosen: below, percentiles mean little)."""
+"""Fewer clusters than these are split into the next smaller unit, and of fewer there is no interval: all resamples lie
+between the least and the greatest of n clusters, which hold the median with a chance of 1 - 2^(1 - n), 94 % for 5."""
 
 _QUANTILE = 1.959963984540054  # of the normal distribution at (1 + CONFIDENCE) / 2
 
@@ -40,19 +42,29 @@ def cluster(shape: tuple[int, int, int]) -> tuple[str, Labels]:
     return "targets", index
 
 
-def bootstrap_mean(values: Array, labels: Labels, *, seed: int = 0) -> Estimate:
-    """Mean of ``values`` (N,) and its interval over clusters ``labels`` (N,); NaN values are left out."""
+def bootstrap_mean(values: Array, labels: Labels, *, seed: int = 0, fewest: int = FEWEST_CLUSTERS) -> Estimate:
+    """Mean of ``values`` (N,) and its interval over clusters ``labels`` (N,); NaN values are left out.
+
+    Without interval where fewer than ``fewest`` clusters have a value.
+    """
     known = np.isfinite(values)
     values, labels = values[known], labels[known]
     if len(values) == 0:
         raise ValueError("a mean needs at least one finite value")
     _, groups = np.unique(labels, return_inverse=True)
     sums, counts = np.bincount(groups, weights=values), np.bincount(groups)
+    mean = float(values.mean())
+    if len(counts) < fewest:
+        return Estimate(value=mean, low=None, high=None)
     picks = np.random.default_rng(seed).integers(0, len(sums), (RESAMPLES, len(sums)))
     means = sums[picks].sum(axis=1) / counts[picks].sum(axis=1)
     low, high = np.quantile(means, [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2])
-    mean = float(values.mean())
     return Estimate(value=mean, low=min(float(low), mean), high=max(float(high), mean))
+
+
+def above_zero(estimate: Estimate) -> bool:
+    """Tell whether the whole interval lies above zero; without an interval nobody knows."""
+    return estimate.low is not None and estimate.low > 0.0
 
 
 def spread(values: Array, labels: Labels, *, seed: int = 0) -> Spread | None:
@@ -62,7 +74,7 @@ def spread(values: Array, labels: Labels, *, seed: int = 0) -> Spread | None:
         return None
     return Spread(
         mean=bootstrap_mean(values, labels, seed=seed),
-        std=float(known.std(ddof=1)) if len(known) > 1 else 0.0,
+        std=float(known.std(ddof=1)) if len(known) > 1 else None,
         p95=float(np.quantile(known, 0.95)),
         count=len(known),
     )

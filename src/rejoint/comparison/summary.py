@@ -6,11 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Array
-from rejoint.comparison.protocols import Crossings, Holds
+from rejoint.comparison.protocols import Crossings, Holds, Kind
 from rejoint.comparison.result import (
     Comparison,
     ControllerRow,
     CrossingRow,
+    Ended,
     GuardCount,
     HoldRow,
     Outcomes,
@@ -34,7 +35,9 @@ class Tally:
         self.crossed, self.crossing_error, self.crossing_true, self.crossing_time = _unknown(4, shape)
         self.settled, self.settled_true, self.oscillation = _unknown(3, shape)
         self.stay = _unknown(len(protocol.within), shape)
-        self.cycles, self.failures = 0, 0
+        self.held = np.zeros(shape, dtype=bool)
+        self.cycles, self.out = 0, ""
+        self.ended: list[Ended] = []
         self.reasons = dict.fromkeys(Reason, 0)
 
     def add_crossings(self, places: Places, result: Crossings) -> None:
@@ -46,13 +49,19 @@ class Tally:
     def add_holds(self, places: Places, result: Holds) -> None:
         """Take over results (B, K) of the trials (set, repetition) in ``places``."""
         at = _index(places)
+        self.held[at] = True
         self.settled[at], self.settled_true[at] = result.settled, result.settled_true
         self.oscillation[at], self.stay[(slice(None), *at)] = result.oscillation, result.stay
 
-    def add_guard(self, recording: Recording) -> None:
-        """Count what the guard did."""
+    def add_guard(self, kind: Kind, places: Places, recording: Recording) -> None:
+        """Count what the guard did in the trials (set, repetition) in ``places``."""
         self.cycles += int(recording.active.sum())
-        self.failures += int(np.count_nonzero(recording.tripped))
+        for b in np.flatnonzero(recording.tripped):
+            why = ", ".join(reason_names(int(recording.tripped[b])))
+            target, (target_set, repetition) = int(recording.target_index[-1, b]), places[b]
+            self.ended.append(
+                Ended(protocol=kind, target_set=target_set, repetition=repetition, target=target, why=why)
+            )
         for reason in self.reasons:
             self.reasons[reason] += int(np.count_nonzero(recording.reasons & np.uint16(reason.value)))
 
@@ -64,8 +73,10 @@ class Tally:
             crossing=self._crossing_row(labels),
             hold=self._hold_row(labels),
             guard=self._guard_counts(),
-            failures=self.failures,
+            failures=len(self.ended),
             outcomes=self._outcomes(),
+            ended=tuple(self.ended),
+            out=self.out,
         )
 
     def _crossing_row(self, labels: Labels) -> CrossingRow:
@@ -79,11 +90,12 @@ class Tally:
 
     def _hold_row(self, labels: Labels) -> HoldRow:
         stays = []
-        for within, time in zip(self.protocol.within, self.stay, strict=True):
+        held = self.held.ravel()
+        for within, time in zip(self.protocol.within, self.stay, strict=True) if held.any() else ():
             # A hold that was cut short did not stay.
-            finite = np.isfinite(time.ravel())
-            median = float(np.median(np.where(finite, time.ravel(), np.inf)))
-            share = clustered_share(finite.astype(float), labels)
+            finite = np.isfinite(time.ravel()[held])
+            median = float(np.median(np.where(finite, time.ravel()[held], np.inf)))
+            share = clustered_share(finite.astype(float), labels[held])
             stays.append(Stay(within=within, share=share, median=median if np.isfinite(median) else None))
         return HoldRow(
             settled=spread(self.settled.ravel(), labels),
@@ -101,8 +113,8 @@ class Tally:
         return tuple(sorted(counts, key=lambda count: -count.cycles))
 
     def _outcomes(self) -> Outcomes:
-        stayed = np.isfinite(self.stay)
-        stay = np.where(stayed, self.stay, np.where(np.isnan(self.stay), np.nan, self.protocol.hold))
+        stayed = np.where(self.held, np.isfinite(self.stay), np.nan)
+        stay = np.where(np.isfinite(self.stay), self.stay, np.where(np.isnan(self.stay), np.nan, self.protocol.hold))
         return Outcomes(
             shape=self.shape,
             within=self.protocol.within,
@@ -114,7 +126,7 @@ class Tally:
             settled_true=_values(self.settled_true),
             oscillation=_values(self.oscillation),
             stay=tuple(_values(part) for part in stay),
-            stayed=tuple(_values(part.astype(float)) for part in stayed),
+            stayed=tuple(_values(part) for part in stayed),
         )
 
 

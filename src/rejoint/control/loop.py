@@ -50,6 +50,9 @@ class Schedule:
     sent: Array | None = None
     """(B, n) [rad] command in force before the run; None: the measured position. An arm that sags drops by
     its sag where this is forgotten."""
+    give_up: Callable[[Situation], Mask] | None = None
+    """asked once per cycle with what was read: arms (B,) that are done, whatever is left of their targets. They stay
+    where they are, at the last command"""
 
     def __post_init__(self) -> None:
         if not 0.0 < self.dwell < np.inf:
@@ -270,7 +273,9 @@ class _Loop:
     def cycle(self, progress: _Progress) -> bool:
         """Do one control cycle; returns whether there is another one."""
         before, fresh, index = progress.situation(), progress.active, progress.index
-        renewed = progress.advance(fresh & self._finished(before))
+        if self.schedule.give_up is not None:
+            progress.active = fresh & ~self.schedule.give_up(before)
+        renewed = progress.advance(progress.active & self._finished(before))
         command, reasons = self._decide(progress, renewed)
         cycle = Cycle(
             time=before.state.time, position=before.state.position, command=command, target=before.target,

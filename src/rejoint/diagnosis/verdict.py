@@ -26,6 +26,10 @@ al. 2024, section IV-B); goes with the reach."""
 RINGING_RATIO = 0.4
 """Damping ratio below which a joint is said to ring without a reference: 25 % overshoot (second order)."""
 
+SWINGING_RATIO = 0.5
+"""Damping ratio from which on no joint is said to ring, whatever a healthy one has: 16 % overshoot (second order), and
+less with friction."""
+
 QUIET_COUNTS = 2.0
 """Encoder counts of rms motion at rest that flicker between two counts cannot explain (one count gives half of one)."""
 
@@ -234,14 +238,22 @@ def torque_limit(case: _Case) -> Iterator[Finding]:
 
 
 def low_damping(case: _Case) -> Iterator[Finding]:
-    """Tell whether the joint rings after a move; one at its torque limit swings for that reason and is left out."""
-    ratio = case.row.damping_ratio
-    if ratio is None or ratio.high is None or case.row.torque_limit_nm is not None or not case.moves:
+    """Tell whether the joint rings after a move.
+
+    One at its torque limit swings for that reason, but only where weight pulls it: it rings if it shoots over in every
+    step.
+    """
+    ratio, overshoot = case.row.damping_ratio, case.row.overshoot
+    if ratio is None or ratio.high is None or overshoot is None or not case.moves:
         return
-    if not (case.below("damping_ratio") if case.healthy is not None else ratio.high < RINGING_RATIO):
+    if ratio.high >= RINGING_RATIO if case.healthy is None else not case.below("damping_ratio"):
         return
-    over = 0.0 if case.row.overshoot is None else case.row.overshoot.value
+    if ratio.high >= SWINGING_RATIO:
+        return
+    over = overshoot.value
     if over < OVERSHOOT_ALLOWED:  # friction stops it: nothing that an owner would see
+        return
+    if case.row.torque_limit_nm is not None and (overshoot.low is None or overshoot.low < OVERSHOOT_ALLOWED):
         return
     yield case.finding(
         "low_damping", "damping_ratio", ratio, case.lever * over * 0.2,

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from rejoint.arms import Array
+from rejoint.comparison.result import Estimate
 from rejoint.evaluation.family import FAMILY_SIZE
 from rejoint.evaluation.outcome import Outcome
 from rejoint.evaluation.paired import NEVER_RATIO
@@ -52,16 +53,21 @@ def _verdict(evaluation: Evaluation) -> list[str]:
         speed = f"(median ratio {ratio.value:.2f})"
         if ratio.value >= NEVER_RATIO:
             speed = "(mostly it never stays there)"
-        faster = "sooner" if ratio.high < 1 else "later" if ratio.low > 1 else "neither clearly sooner nor later"
-        nearer = (
-            "nearer" if settled.high < 0 else "farther off" if settled.low > 0 else "neither nearer nor farther off"
-        )
+        faster = _side(ratio, 1.0, ("sooner", "later", "neither clearly sooner nor later"))
+        nearer = _side(settled, 0.0, ("nearer", "farther off", "neither nearer nor farther off"))
         lines.append(
             f"{evaluation.meanings[pair.variant]}: {pair.controller} is within "
             f"{1e3 * evaluation.protocol.within[-1]:g} mm {faster} than {pair.rival} {speed} "
             f"and settles {nearer} ({1e3 * settled.value:+.2f} mm)."
         )
     return [f"{line[:1].upper()}{line[1:]}" for line in lines] or ["No learned policy took part."]
+
+
+def _side(estimate: Estimate, middle: float, words: tuple[str, str, str]) -> str:
+    """Pick the first word for an interval below ``middle``, the second above, the third for all others."""
+    if estimate.low is None or estimate.high is None:
+        return words[2]
+    return words[0] if estimate.high < middle else words[1] if estimate.low > middle else words[2]
 
 
 def _variant_section(evaluation: Evaluation, name: str, pooled: Pooled) -> Section:

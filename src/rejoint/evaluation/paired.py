@@ -10,7 +10,7 @@ import numpy as np
 
 from rejoint.arms import Array
 from rejoint.comparison.result import Estimate
-from rejoint.comparison.statistics import CONFIDENCE, paired_difference
+from rejoint.comparison.statistics import CONFIDENCE, FEWEST_CLUSTERS, paired_difference
 
 NEVER_RATIO = 100.0
 """Ratio where only one of two ever stays: no time within a hold is as many times another (chosen)"""
@@ -26,9 +26,14 @@ def difference(first: Array, second: Array, *, seed: int = 0) -> Estimate | None
 
 
 def time_ratio(first: Array, second: Array, *, seed: int = 0) -> Estimate:
-    """Median of ``first / second`` (A, K) for times that may be infinite or NaN (stopped: counts as never)."""
+    """Median of ``first / second`` (A, K) for times that may be infinite or NaN (stopped: counts as never).
+
+    Without interval where there are too few arms.
+    """
     ratio = ratios(first, second)  # (A, K)
     median = float(np.median(ratio))
+    if len(ratio) < FEWEST_CLUSTERS:
+        return Estimate(value=median, low=None, high=None)
     rng = np.random.default_rng(seed)
     picks = rng.integers(0, len(ratio), (RESAMPLES, len(ratio)))
     medians = np.median(ratio[picks].reshape(RESAMPLES, -1), axis=1)

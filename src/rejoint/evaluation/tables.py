@@ -85,7 +85,7 @@ def _cycle(row: Row) -> Cell:
 
 
 def _interval(value: Estimate, factor: float, digits: int = 3) -> str:
-    return interval(value.low * factor, value.high * factor, digits)
+    return interval(value.low, value.high, digits, factor=factor)
 
 
 def _signed(value: Estimate | None, factor: float) -> Cell:
@@ -95,7 +95,9 @@ def _signed(value: Estimate | None, factor: float) -> Cell:
 
 
 def _ratio(value: Estimate) -> Cell:
-    low, middle, high = (
-        NEVER if end >= NEVER_RATIO else number(end, 2) for end in (value.low, value.value, value.high)
-    )
-    return Cell(middle, f"{low} to {high}")
+    def shown(end: float) -> str:
+        return NEVER if end >= NEVER_RATIO else number(end, 2)
+
+    if value.low is None or value.high is None:
+        return Cell(shown(value.value))
+    return Cell(shown(value.value), f"{shown(value.low)} to {shown(value.high)}")

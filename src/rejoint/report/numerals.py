@@ -28,10 +28,15 @@ def spread(mean: float | None, std: float | None, digits: int = 3, unit: str = "
     return text + _suffix(unit)
 
 
-def interval(low: float | None, high: float | None, digits: int = 3, unit: str = "") -> str:
-    """Return ``low to high``; both with the decimals of the larger one; empty if an end is missing."""
-    if low is None or high is None or not (math.isfinite(low) and math.isfinite(high)):
+def interval(low: float | None, high: float | None, digits: int = 3, unit: str = "", factor: float = 1.0) -> str:
+    """Return ``low to high`` times ``factor``; both with the decimals of the larger one.
+
+    Empty if an end is missing, or if both are the same: earlier versions wrote such ends where there was a single
+    result, which says nothing about another one.
+    """
+    if low is None or high is None or low == high or not (math.isfinite(low) and math.isfinite(high)):
         return ""
+    low, high = low * factor, high * factor
     places = _places(max(abs(low), abs(high)), digits)
     return f"{_zero(low, places)} to {_zero(high, places)}{_suffix(unit)}"
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from rejoint.comparison.result import Comparison, ControllerRow, Spread, Stay
+from rejoint.comparison.statistics import FEWEST_CLUSTERS
 from rejoint.report.numerals import NEVER, UNKNOWN, interval, number, spread
 from rejoint.report.palette import LOOKS, look_of
 from rejoint.report.view import Cell, Row, Table
@@ -82,7 +83,7 @@ def _cells(row: ControllerRow, comparison: Comparison) -> list[Cell]:
     nothing = PaperRow(success="", error="", cycle="")
     paper = PAPER.get(row.controller, nothing) if comparison.arm == PAPER_ARM else nothing
     cycle = paper.cycle if _count(comparison) == PAPER_TARGETS else ""
-    likely = interval(success.low * PERCENT, success.high * PERCENT, 2)
+    likely = interval(success.low, success.high, 2, factor=PERCENT)
     return [
         Cell(number(success.value * PERCENT, 3), _small_print(likely, paper.success)),
         Cell(_spread(crossing.error, MM), _small_print("", paper.error)),
@@ -104,11 +105,13 @@ def _mean(value: Spread | None, factor: float, digits: int) -> str:
 
 
 def _range(value: Spread | None, factor: float, digits: int = 3) -> str:
-    return "" if value is None else interval(value.mean.low * factor, value.mean.high * factor, digits)
+    return "" if value is None else interval(value.mean.low, value.mean.high, digits, factor=factor)
 
 
 def _spread(value: Spread | None, factor: float) -> str:
-    return UNKNOWN if value is None else spread(value.mean.value * factor, value.std * factor)
+    if value is None:
+        return UNKNOWN
+    return spread(value.mean.value * factor, None if value.std is None else value.std * factor)
 
 
 def _stays(stays: tuple[Stay, ...]) -> Cell:
@@ -119,9 +122,21 @@ def _stays(stays: tuple[Stay, ...]) -> Cell:
 
 def _guard(row: ControllerRow) -> Cell:
     reasons = [f"{number(count.share * PERCENT, 2)} % {count.reason}" for count in row.guard]
-    stopped = f"{plural(row.failures, 'trial')} stopped"
-    parts = [*([stopped] if row.failures else []), *(reasons or ([] if row.failures else [NEVER]))]
+    stopped = [f"{plural(row.failures, 'trial')} stopped"] if row.failures else []
+    out = [f"stopped: {row.out}"] if row.out else []
+    parts = [*out, *stopped, *reasons] or [NEVER]
     return Cell(parts[0], "\n".join(parts[1:]))
+
+
+def _without(comparison: Comparison) -> str:
+    """Say what has no interval."""
+    trials = len(comparison.targets) * comparison.repetitions
+    if trials >= FEWEST_CLUSTERS:
+        return ""
+    whole = f"; none for the time of {plural(_count(comparison), 'target')}"
+    if trials * _count(comparison) < FEWEST_CLUSTERS:
+        whole = "; none where they would be"
+    return f"{whole}: {plural(trials, 'trial')} of it say{'s' * (trials == 1)} too little about another one"
 
 
 def _notes(comparison: Comparison) -> tuple[str, ...]:
@@ -130,7 +145,7 @@ def _notes(comparison: Comparison) -> tuple[str, ...]:
     notes = [
         f"{plural(sets, 'set')} of {plural(_count(comparison), 'target')}, "
         f"{plural(comparison.repetitions, 'repetition')}, {how}. Small print: 95 % intervals, resampled over "
-        f"{comparison.clusters}.",
+        f"{comparison.clusters}{_without(comparison)}.",
         "Success, error at the crossing and time for the targets: the protocol of Park et al. 2024. The next target is "
         f"set at the first crossing of {protocol.threshold * MM:g} mm or after {protocol.dwell:g} s; the error is the "
         "one at that moment, mean ± standard deviation.",

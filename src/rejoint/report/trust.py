@@ -8,7 +8,7 @@ import numpy as np
 
 from rejoint.arms import Array
 from rejoint.comparison.result import Estimate
-from rejoint.comparison.statistics import bootstrap_mean
+from rejoint.comparison.statistics import above_zero, bootstrap_mean
 from rejoint.report.numerals import interval, number
 from rejoint.report.words import listed, plural
 from rejoint.twin.judge import NO_TWIN, Error, Judgement
@@ -35,9 +35,7 @@ class Score:
         known = values[np.isfinite(values)]
         if not len(known):
             return None
-        if len(known) < FEWEST:
-            return Estimate(value=float(known.mean()), low=float("nan"), high=float("nan"))
-        return bootstrap_mean(known, np.arange(len(known)))
+        return bootstrap_mean(known, np.arange(len(known)), fewest=FEWEST)
 
 
 def scores(judgement: Judgement) -> tuple[Score, ...]:
@@ -77,7 +75,7 @@ def gap(one: Score, other: Score, where: str = "free") -> Estimate | None:
     """Mean of how much larger ``other``'s error is, motion by motion [mm], with its interval over motions."""
     difference = getattr(other, f"{where}_mm") - getattr(one, f"{where}_mm")
     known = difference[np.isfinite(difference)]
-    return bootstrap_mean(known, np.arange(len(known))) if len(known) >= FEWEST else None
+    return bootstrap_mean(known, np.arange(len(known)), fewest=FEWEST) if len(known) >= FEWEST else None
 
 
 def _free(judgement: Judgement, found: tuple[Score, ...]) -> list[str]:
@@ -96,7 +94,7 @@ def _free(judgement: Judgement, found: tuple[Score, ...]) -> list[str]:
             f"Trust none of them: the command alone predicts better, within {number(mean.value, 3, 'mm')} ({motions})."
         ]
     lines.append(f"The others: {rest}.")
-    close = [score.name for score, _ in others if (apart := gap(best, score)) is None or apart.low <= 0.0]
+    close = [score.name for score, _ in others if (apart := gap(best, score)) is None or not above_zero(apart)]
     if close:
         names = listed([f"“{name}”" for name in close], "and")
         lines.append(f"{names} {'is' if len(close) == 1 else 'are'} not measurably worse in these motions.")

@@ -42,3 +42,11 @@ def short(name: str, width: int = 24) -> str:
 def sentence(text: str) -> str:
     """Begin with a capital letter and end with a full stop."""
     return f"{text[:1].upper()}{text[1:].removesuffix('.')}."
+
+
+def once(robot: str) -> str:
+    """Return the options with which `rejoint compare` is done in minutes on a real arm: its defaults take hours there.
+
+    Empty for an emulated arm, whose time costs nothing.
+    """
+    return "" if robot.startswith("emulated:") else " --sets 1 --repetitions 1"

@@ -10,7 +10,7 @@ import numpy as np
 
 from rejoint.arms import Arm
 from rejoint.comparison.compare import Settings, Trial, compare
-from rejoint.comparison.result import Comparison, ControllerRow
+from rejoint.comparison.result import Comparison, ControllerRow, Estimate
 from rejoint.comparison.statistics import Labels, cluster, clustered_share
 from rejoint.comparison.targets import draw_targets
 from rejoint.control.catalogue import BASELINES
@@ -116,9 +116,9 @@ def _numbers(label: str, rows: list[ControllerRow], paper: tuple[str, str, str])
     )
     error_mm, cycle = 1e3 * error[np.isfinite(error)], time.sum(axis=-1)
     success = clustered_share(crossed.ravel(), _clusters(len(rows), rows[0].outcomes.shape))
-    low, mean, high = 100 * success.low, 100 * success.value, 100 * success.high
+    mean = 100 * success.value
     return [
-        Number(what=f"{label}: success rate", ours=f"{mean:.1f} % ({low:.0f} to {high:.0f})", paper=f"{paper[0]} %",
+        Number(what=f"{label}: success rate", ours=f"{mean:.1f} %{_likely(success, 100, 0)}", paper=f"{paper[0]} %",
                value=mean),
         Number(what=f"{label}: error at the crossing", ours=f"{error_mm.mean():.2f} ± {error_mm.std():.2f} mm",
                paper=f"{paper[1]} mm", value=float(error_mm.mean())),
@@ -138,9 +138,7 @@ def _held(result: Comparison) -> Grid:
     for row in result.rows:
         settled, true, shake = row.hold.settled, row.hold.settled_true, row.hold.oscillation
         cells = [
-            "-"
-            if one is None
-            else f"{1e3 * one.mean.value:.2f} ({1e3 * one.mean.low:.2f} to {1e3 * one.mean.high:.2f})"
+            "-" if one is None else f"{1e3 * one.mean.value:.2f}{_likely(one.mean, 1e3, 2)}"
             for one in (settled, true, shake)
         ]
         rows.append((NAMES[row.controller], *cells, str(row.failures)))
@@ -150,6 +148,12 @@ def _held(result: Comparison) -> Grid:
         headers=headers,
         rows=tuple(rows),
     )
+
+
+def _likely(estimate: Estimate, factor: float, places: int) -> str:
+    if estimate.low is None or estimate.high is None:
+        return ""
+    return f" ({factor * estimate.low:.{places}f} to {factor * estimate.high:.{places}f})"
 
 
 def _figure(bench: Bench, result: Comparison) -> Drawing:

@@ -88,7 +88,8 @@ def _error(what: str, paper: float | None, error_mm: Array) -> Number:
     found = spread(error_mm.ravel(), cluster((*error_mm.shape[:1], 1, error_mm.shape[1]))[1])
     assert found is not None  # noqa: S101 - for the type checker; an open-loop run ends no target early
     mean = found.mean
-    ours = f"{mean.value:.2f} ± {found.std:.1f} mm ({mean.low:.1f} to {mean.high:.1f})"
+    likely = "" if mean.low is None or mean.high is None else f" ({mean.low:.1f} to {mean.high:.1f})"
+    ours = f"{mean.value:.2f}{'' if found.std is None else f' ± {found.std:.1f}'} mm{likely}"
     return Number(what=what, ours=ours, paper="" if paper is None else f"{paper:g} mm", value=mean.value)
 
 

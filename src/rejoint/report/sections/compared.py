@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from rejoint.arms import Array
+from rejoint.comparison.failure import failure
+from rejoint.comparison.recommend import NO_INTERVAL
 from rejoint.comparison.result import Comparison, ControllerRow, Spread
 from rejoint.report.figures import Series, error_per_target, intervals
 from rejoint.report.gallery import Gallery
@@ -23,8 +25,10 @@ def comparison_section(comparison: Comparison, best: str, healthy: Series | None
     """Build the section; ``healthy`` is the error [mm] of a healthy arm open loop, where that is known."""
     per_target = _per_target(comparison, best, healthy, gallery)
     means = (_settled(comparison, gallery), _cycles(comparison, gallery))
+    failed = tuple(line for row in comparison.rows if (line := failure(row)))
     parts = (
         Part(tables=(comparison_view(comparison, best),)),
+        *((Part(heading="What failed, and why", lines=failed),) if failed else ()),
         Part(heading="Error per target", figures=(per_target,)),
         Part(heading="Accuracy and speed", figures=means, columns=2),
     )
@@ -73,7 +77,7 @@ def _over_repetitions(values: Array) -> tuple[Array, Array, Array]:
 def _settled(comparison: Comparison, gallery: Gallery) -> Picture:
     rows = [_settled_row(row) for row in comparison.rows]
     words = "; ".join(f"{one.label}: {number(one.value[0], 3, 'mm')}" for one in rows)
-    caption = "Filled: encoder error with its 95 % interval."
+    caption = f"Filled: encoder error{_bars_of([row.hold.settled for row in comparison.rows])}."
     if comparison.true_known:
         caption += " Hollow: true error of the tool, which holds play and flex behind the encoders."
     return gallery.show(
@@ -92,8 +96,14 @@ def _cycles(comparison: Comparison, gallery: Gallery) -> Picture:
     return gallery.show(
         "cycle-time", intervals(rows, f"time for {count} [s]", log=True),
         alt=f"Time for {count} with each controller. {words}.",
-        caption=f"Time for {count}, sent on at the first crossing, with its 95 % interval.",
+        caption=f"Time for {count}, sent on at the first crossing"
+        f"{_bars_of([row.crossing.cycle_time for row in comparison.rows])}.",
     )  # fmt: skip
+
+
+def _bars_of(spreads: list[Spread | None]) -> str:
+    known = any(one is not None and one.mean.low is not None for one in spreads)
+    return " with its 95 % interval" if known else f" ({NO_INTERVAL})"
 
 
 def _settled_row(row: ControllerRow) -> Series:
@@ -107,4 +117,7 @@ def _settled_row(row: ControllerRow) -> Series:
 
 
 def _ends(one: Spread | None) -> tuple[float, float, float]:
-    return (np.nan, np.nan, np.nan) if one is None else (one.mean.value, one.mean.low, one.mean.high)
+    """Return mean, lower and upper end; NaN where there is none, and so nothing is drawn."""
+    if one is None or one.mean.low is None or one.mean.high is None:
+        return np.nan if one is None else one.mean.value, np.nan, np.nan
+    return one.mean.value, one.mean.low, one.mean.high

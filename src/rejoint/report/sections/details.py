@@ -12,11 +12,16 @@ from rejoint.comparison.result import Comparison
 from rejoint.report.contents import Contents
 from rejoint.report.numerals import UNKNOWN
 from rejoint.report.view import Cell, Command, Part, Row, Section, Table
+from rejoint.report.words import once
+from rejoint.robots import DEFAULT_ARM
 from rejoint.runs import LOGS
 
 KEY, SHORT, HEADING = "details", "Details", "Details"
 
 _PACKAGES = ("numpy", "mujoco", "torch", "skrl", "onnxruntime", "pymycobot", "matplotlib")
+
+LEARNERS = ("sac", "td3", "ddpg")
+"""Values of `--learner` besides that of the presets"""
 
 _FILES = (
     ("run.json", "robot, arm, seed"),
@@ -96,20 +101,62 @@ def _files(contents: Contents) -> Table:
 
 
 def commands(contents: Contents) -> dict[str, Command]:
-    """Return the command line of every stage."""
+    """Return the command line of every stage, with all that it takes to repeat what was done."""
     run = shlex.quote(str(contents.folder.path))
     info = contents.info
     robot, seed = ("ROBOT", 0) if info is None else (shlex.quote(info.robot), info.seed)
-    diagnose = f"rejoint diagnose {robot} --run {run} --seed {seed}"
+    arm = "" if info is None or info.arm == DEFAULT_ARM else f" --arm {shlex.quote(_arm(contents))}"
+    diagnose = f"rejoint diagnose {robot} --run {run}{arm} --seed {seed}"
+    paper = recipe if (recipe := _recipe(contents)).startswith(" --preset") else ""
+    repair = f"rejoint repair {robot}{arm}{paper}{_asked(contents)} --seed {seed}"
     identify = f"rejoint identify {run}"
     if info is not None and info.robot.startswith(LOGS):
         given = f"--logs {shlex.quote(info.robot.removeprefix(LOGS))} --arm {shlex.quote(_arm(contents))} --run {run}"
         robot, diagnose, identify = "ROBOT", f"rejoint diagnose {given}", f"rejoint identify {given}"
+        repair = f"rejoint repair ROBOT{arm} --seed {seed}"
     return {
-        "repair": Command("Everything, from the beginning:", f"rejoint repair {robot} --seed {seed}"),
+        "repair": Command("Everything, from the beginning:", repair),
         "diagnose": Command("Measure and judge the arm:", diagnose),
         "identify": Command("Fit the twin:", identify),
-        "train": Command("Train the policy:", f"rejoint train {run}"),
-        "compare": Command("Try every controller on the arm:", f"rejoint compare {robot} {run}"),
+        "train": Command("Train the policy:", f"rejoint train {run}{recipe}"),
+        "compare": Command("Try every controller on the arm:", _compare(contents, robot, run)),
         "report": Command("Make this page again:", f"rejoint report {run}"),
     }
+
+
+def _compare(contents: Contents, robot: str, run: str) -> str:
+    """Return the command of the comparison that was made, or of the one that is to be made."""
+    info, comparison = contents.info, contents.comparison
+    if comparison is None:
+        return f"rejoint compare {robot} {run}{once('ROBOT' if info is None else info.robot)}"
+    other = info is None or comparison.seed != info.seed
+    seed = f" --seed {comparison.seed}" if other else ""
+    return f"rejoint compare {shlex.quote(comparison.robot)} {run}{_options(comparison)}{seed}"
+
+
+def _asked(contents: Contents) -> str:
+    """Return the options of `rejoint repair` that lead to the comparison at hand, if it is one of this robot."""
+    info, comparison = contents.info, contents.comparison
+    if info is None or comparison is None or comparison.robot != info.robot or comparison.seed != info.seed:
+        return ""
+    return _options(comparison)
+
+
+def _options(comparison: Comparison) -> str:
+    """Return everything that a comparison was asked for, since what is left out is another comparison."""
+    drawn = f" --sets {len(comparison.targets)}"
+    targets = f" --targets {shlex.quote(comparison.targets_file)}" if comparison.targets_file else drawn
+    names = shlex.quote(",".join(comparison.controllers))
+    period = "" if comparison.period is None else f" --period {_milliseconds(comparison.period)}"
+    return f"{targets} --repetitions {comparison.repetitions} --controllers {names}{period}"
+
+
+def _milliseconds(period: tuple[float, float]) -> str:
+    """Write a period [s] as `--period` reads it."""
+    return "-".join(f"{1e3 * end:.9g}" for end in dict.fromkeys(period))
+
+
+def _recipe(contents: Contents) -> str:
+    """Return the options of `rejoint train` that name the recipe of the policy at hand, where it is not the default."""
+    name = "" if contents.contract is None else contents.contract.preset
+    return f" --preset {name}" if name == "paper" else f" --learner {name}" if name in LEARNERS else ""

@@ -50,7 +50,7 @@ def _means(kind: str, found: tuple[Score, ...], looks: dict[str, Look], gallery:
         mean = score.mean(kind)
         if mean is None:
             continue
-        low, high = (np.array([end]) if np.isfinite(end) else None for end in (mean.low, mean.high))
+        low, high = (None if end is None else np.array([end]) for end in (mean.low, mean.high))
         value = np.array([mean.value])
         series.append(Series(label=score.name, look=looks[score.name], value=value, low=low, high=high))
         words.append(f"{score.name} {number(mean.value, 3)}")

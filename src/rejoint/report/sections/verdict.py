@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from rejoint.comparison.recommend import Recommendation, difference
+from rejoint.comparison.failure import failure
+from rejoint.comparison.recommend import NO_INTERVAL, Recommendation, difference
 from rejoint.comparison.result import Comparison, ControllerRow, Spread
+from rejoint.comparison.statistics import above_zero
 from rejoint.report.contents import Contents
 from rejoint.report.numerals import UNKNOWN, interval, number
 from rejoint.report.sections.diagnosed import error_range, mean_error
 from rejoint.report.trust import answer
 from rejoint.report.view import KeyNumber, Page, Section, Told
-from rejoint.report.words import plural
-from rejoint.runs import LOGS, RunInfo
+from rejoint.report.words import listed, plural, sentence
+from rejoint.runs import LOGS
 
 MM, PERCENT = 1e3, 1e2
 BEFORE = "default"
@@ -48,12 +50,12 @@ def _verdict(contents: Contents, advice: Recommendation | None) -> tuple[str, ..
     if advice is None or contents.comparison is None:
         untried = "No controller has been tried on this arm yet, so none is recommended."
         return (*wrong, untried) if wrong else (untried,)
-    return (_headline(advice, contents.comparison, contents.info), *wrong, *_policy(advice, contents.comparison))
+    return (_headline(advice, contents, contents.comparison), *wrong, *_policy(advice, contents.comparison))
 
 
-def _headline(advice: Recommendation, comparison: Comparison, info: RunInfo | None) -> str:
+def _headline(advice: Recommendation, contents: Contents, comparison: Comparison) -> str:
     """Say what to use, and on which arm that was found if not on the one of this run."""
-    best, name = comparison.row(advice.controller), advice.controller
+    best, name, info = comparison.row(advice.controller), advice.controller, contents.info
     here = info is None or comparison.robot == info.robot
     arm = "this arm" if here else f"the arm at {comparison.robot}, which is not the one of this run,"
     after = _millimetres(best.hold.settled)
@@ -61,6 +63,9 @@ def _headline(advice: Recommendation, comparison: Comparison, info: RunInfo | No
         return f"Leave {arm} as it is: no controller that was tried does measurably better than its own ({after})."
     before = comparison.row(BEFORE).hold.settled if BEFORE in comparison.controllers else None
     gain = "" if before is None else f"; its own controller leaves {_millimetres(before)}{_gain(before, best)}"
+    if before is None and here and contents.diagnosis is not None and contents.diagnosis.open_loop is not None:
+        found = number(contents.diagnosis.open_loop.error_mm.value, 3, "mm")
+        gain = f"; its own controller left {found} at the targets of the diagnosis"
     return f"Use the controller “{name}”: it brings {arm} to {after} of its targets by its encoders{gain}."
 
 
@@ -74,18 +79,17 @@ def _policy(advice: Recommendation, comparison: Comparison) -> tuple[str, ...]:
     """Say plainly how the learned policy did where it is not the one to use."""
     if advice.controller == "policy" or "policy" not in comparison.controllers:
         return ()
-    gap = difference(comparison, "policy", advice.controller)
-    name = advice.controller
+    row, name = comparison.row("policy"), advice.controller
+    if row.out or row.failures:
+        return (f"The learned policy was tried and failed. {sentence(failure(row))}",)
+    gap = difference(comparison, "policy", name)
     if gap is None:
         return (f"The learned policy was tried and gave no result to compare with “{name}”.",)
-    if gap.low > 0:
-        by = f"settles {number(gap.value * MM, 2, 'mm')} farther from the targets ({_ends(gap.low, gap.high)})"
-        return (f"The learned policy was tried and is not the best here: it {by} than “{name}”.",)
+    if above_zero(gap):
+        by = f"settles {number(gap.value * MM, 2, 'mm')} farther from the targets"
+        likely = f"95 % interval {interval(gap.low, gap.high, 2, 'mm', factor=MM)}"
+        return (f"The learned policy was tried and is not the best here: it {by} ({likely}) than “{name}”.",)
     return (f"The learned policy was tried and is not measurably better than the simpler “{name}”.",)
-
-
-def _ends(low: float, high: float) -> str:
-    return f"95 % interval {interval(low * MM, high * MM, 2, 'mm')}"
 
 
 def _millimetres(spread: Spread | None) -> str:
@@ -112,8 +116,9 @@ def _keys(contents: Contents, advice: Recommendation | None) -> tuple[KeyNumber,
 
 def _outcomes(best: ControllerRow, before: ControllerRow | None, comparison: Comparison) -> list[KeyNumber]:
     settled, name = best.hold.settled, best.controller
-    likely = "" if settled is None else interval(settled.mean.low * MM, settled.mean.high * MM, 2)
-    keys = [KeyNumber(f"settled error with “{name}”", _millimetres(settled), f"95 %: {likely}" if likely else "")]
+    likely = "" if settled is None else interval(settled.mean.low, settled.mean.high, 2, factor=MM)
+    note = f"95 %: {likely}" if likely else "" if settled is None else NO_INTERVAL
+    keys = [KeyNumber(f"settled error with “{name}”", _millimetres(settled), note)]
     success = number(best.crossing.success.value * PERCENT, 3, "%")
     was = "" if before is None else f"before: {number(before.crossing.success.value * PERCENT, 3, '%')}"
     keys.append(KeyNumber("targets reached", success, was))
@@ -181,9 +186,14 @@ def _done(contents: Contents) -> tuple[str, ...]:
         lines.append(
             f"{plural(len(comparison.rows), 'controller')} drove the arm to the same targets, "
             f"{plural(trials, 'trial')} of {plural(len(comparison.targets[0]), 'target')} each, twice over: sent on at "
-            "the first crossing, and held."
+            f"the first crossing, and held.{_stopped(comparison)}"
         )
     return tuple(lines)
+
+
+def _stopped(comparison: Comparison) -> str:
+    names = [f"“{row.controller}”" for row in comparison.rows if row.out]
+    return f" {listed(names, 'and')} {'was' if len(names) == 1 else 'were'} stopped on the way." if names else ""
 
 
 def _unknown(contents: Contents) -> tuple[str, ...]:
