@@ -19,7 +19,8 @@ from rejoint.errors import FileError
 from rejoint.runs import RunLog, read_log
 
 if TYPE_CHECKING:
-    from rejoint.twin.judge import Candidate, Errors, Judgement
+    from rejoint.twin.judge import Candidate
+    from rejoint.twin.judgement import Errors, Judgement
 
 Logs = Annotated[Path, typer.Option(help="Folder of run logs (.parquet), such as `rejoint import` writes.")]
 Published = Annotated[
