@@ -16,6 +16,7 @@ from rich.console import Console
 
 from rejoint.cli import chain, evaluation, foreign, offline, reproducing, serving, stages
 from rejoint.errors import GuardTripError, RejointError
+from rejoint.extras import explain
 
 app = typer.Typer(
     name="rejoint",
@@ -55,6 +56,11 @@ def main() -> None:
             _say("The arm was held and stopped. Nothing was powered off; look at it before you go on.")
         for note in getattr(error, "__notes__", ()):
             _say(note)
+    except ImportError as error:
+        line = explain(error)
+        if line is None:  # not of an extra: the installation or the program is broken, and where is worth telling
+            raise
+        code = _fail(line, "MissingExtraError", 2, json=json)
     except typer.TyperException as error:
         told = getattr(error, "format_message", error.__str__)()  # names the option, which str() does not
         code = _fail(told, "UsageError", 2, json=json)
