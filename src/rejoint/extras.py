@@ -18,6 +18,9 @@ EXTRAS: dict[str, tuple[str, ...]] = {
 """Modules that this package imports, by the extra that installs them"""
 
 
+_NAMED = 3  # missing modules that a line names (chosen: it stays one line)
+
+
 def installed(module: str) -> bool:
     """Tell whether a module could be imported, without doing so."""
     return find_spec(module) is not None
@@ -43,8 +46,9 @@ def explain(error: ImportError) -> str | None:
 
 def _line(what: str, missing: Iterable[str]) -> str:
     missing = list(missing)
+    named = ", ".join(missing[:_NAMED]) + (f" and {len(missing) - _NAMED} more" if len(missing) > _NAMED else "")
     extras = [extra for extra, modules in EXTRAS.items() if not set(modules).isdisjoint(missing)]
     return (
-        f"{what} needs more than the base installation (missing: {', '.join(missing)}); "
+        f"{what} needs more than the base installation (missing: {named}); "
         f"add it with: pip install 'rejoint[{','.join(extras)}]'"
     )
