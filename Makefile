@@ -1,16 +1,20 @@
-# `make repair` and `make test` set up everything they need.
+# `make repair`, `make test` and `make wheel-test` set up everything they need.
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/ready
 
-.PHONY: repair test check bench format clean
+.PHONY: repair test wheel-test check bench format clean
 
 repair: $(READY)
 	$(BIN)/rejoint repair emulated:worn
 
 test: $(READY)
 	$(BIN)/python -m pytest
+
+# The wheel in a fresh environment without extras: it deploys, and names the extra that other commands need.
+wheel-test: $(READY)
+	$(BIN)/python -m pytest wheeltest
 
 check: $(READY)
 	$(BIN)/ruff format --check .

@@ -39,6 +39,10 @@ class FileError(RejointError):
         super().__init__(f"{path}: {problem}; {remedy}")
 
 
+class MissingExtraError(RejointError):
+    """Something needs packages that the base installation does not bring."""
+
+
 class ContractError(RejointError):
     """A policy file does not fit the arm or the robot it is to drive."""
 

@@ -82,7 +82,7 @@ def test_a_reference_for_an_unknown_arm_is_measured_on_demand(monkeypatch):
     assert found is not None
     assert (found.arm, found.source) == ("mine", "4 emulated arms with wear profile 'healthy'")
     assert 1.5 < found.error_mm.value < 5.0
-    monkeypatch.setattr("rejoint.diagnosis.healthy.SIMULATOR", ("a_module_that_nobody_has",))
+    monkeypatch.setattr("rejoint.diagnosis.healthy.SIMULATOR", "a_module_that_nobody_has")
     assert healthy_reference(arm) is None
 
 

@@ -11,7 +11,7 @@ from plant_logs import ARM, HEALTHY, record_motions, with_joint
 from rejoint.cli import main
 from rejoint.diagnosis import Diagnosis
 from rejoint.runs import LOGS, RunFolder, RunInfo, read_json, write_log
-from rejoint.twin.judge import NO_TWIN, Judgement
+from rejoint.twin.judgement import NO_TWIN, Judgement
 
 PUBLISHED = "stiffness = 998.22\ndamping = 3.331\ncoulomb = 0.052\narmature = 0.028\n"
 

@@ -15,7 +15,7 @@ from rejoint.runs import RunFolder
 from rejoint.training.train import TrainingOptions, train
 from rejoint.twin.file import write_twin
 from rejoint.twin.parameters import nominal_parameters, pack, vector_names
-from rejoint.twin.replay import PredictionError
+from rejoint.twin.prediction import PredictionError
 from rejoint.twin.twin import HeldOut, Twin
 
 ARM = mycobot280()

@@ -18,7 +18,7 @@ from rejoint.diagnosis.verdict import Finding
 from rejoint.runs import RunFolder, RunInfo, write_json, write_log
 from rejoint.twin.file import write_twin
 from rejoint.twin.parameters import nominal_parameters, prior
-from rejoint.twin.replay import PredictionError
+from rejoint.twin.prediction import PredictionError
 from rejoint.twin.twin import HeldOut, Twin
 
 

@@ -13,7 +13,7 @@ from rejoint.report.replay import CAVEAT, write_replay
 from rejoint.report.trust import answer, gap, scores
 from rejoint.runs import RunFolder, RunInfo, read_json, write_json
 from rejoint.twin.file import write_twin
-from rejoint.twin.judge import NO_TWIN, Error, Errors, Judgement, MotionErrors, Trace
+from rejoint.twin.judgement import NO_TWIN, Error, Errors, Judgement, MotionErrors, Trace
 from rejoint.twin.repeatability import Repeatability
 
 JOINTS = tuple(f"joint{i}" for i in range(1, 7))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from rejoint.control.robot import Robot
-from rejoint.errors import AddressError, InputError
+from rejoint.errors import AddressError, InputError, MissingExtraError
 from rejoint.robots import default_period, open_robot
 from rejoint.robots.address import EmulatedAddress, SerialAddress, TcpAddress, parse_address
 
@@ -59,8 +59,8 @@ def test_emulated_robots_are_opened_as_a_batch():
 
 
 def test_a_missing_extra_is_named(monkeypatch):
-    monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
-    with pytest.raises(AddressError, match=r"rejoint\[train\]"):
+    monkeypatch.setattr("rejoint.extras.find_spec", lambda _: None)
+    with pytest.raises(MissingExtraError, match=r"emulated:worn needs .*mujoco.*pip install 'rejoint\[train\]'"):
         open_robot("emulated:worn")
 
 

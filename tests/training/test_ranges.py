@@ -9,7 +9,7 @@ from rejoint.training.presets import DEFAULT, PAPER
 from rejoint.training.ranges import BroadRanges, IdentifiedRanges, MixedRanges, PaperRanges
 from rejoint.training.train import TrainingOptions, know_stiffness, train, training_ranges
 from rejoint.twin.parameters import nominal_parameters, pack, prior, vector_names
-from rejoint.twin.replay import PredictionError
+from rejoint.twin.prediction import PredictionError
 from rejoint.twin.twin import HeldOut, Twin
 
 ARM = mycobot280()

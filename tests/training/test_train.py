@@ -2,10 +2,12 @@ import dataclasses
 import sys
 
 import numpy as np
+import onnx
 import onnxruntime as ort
 import pyarrow.parquet as pq
 import pytest
 import torch
+from onnx import numpy_helper
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 from torch import nn
 
@@ -148,6 +150,38 @@ def test_exported_network_agrees_with_the_trained_one():
     got = session.run((OUTPUT,), {INPUT: observations})[0]
     assert np.abs(got - expected).max() <= 1e-5
     assert (np.abs(expected) < 1.0).mean() > 0.5  # the clip does not hide the comparison
+
+
+def test_torch_multiplies_coarsely_while_it_trains_and_not_a_moment_longer(tmp_path):
+    learner, seen = small_learner(), []
+    look = lambda *_: seen.append((torch.get_float32_matmul_precision(), torch.get_num_threads()))  # noqa: E731
+    hooks = [net.register_forward_pre_hook(look) for net in (learner.actor.net, learner.critic.net)]
+    torch.set_num_threads(2)
+    learner.iterate()
+    assert {precision for precision, _ in seen} == {"medium"}
+    assert {threads for _, threads in seen} == {1}
+    assert (torch.get_float32_matmul_precision(), torch.get_num_threads()) == ("highest", 2)
+    for hook in hooks:
+        hook.remove()
+    learner.crews[0].task.step = lambda _: 1 / 0
+    with pytest.raises(ZeroDivisionError):
+        learner.iterate()
+    assert (torch.get_float32_matmul_precision(), torch.get_num_threads()) == ("highest", 2)
+
+
+def test_after_a_training_its_exported_network_is_compared_in_full_precision(tmp_path):
+    precisions = []
+    watch = lambda *_: precisions.append(torch.get_float32_matmul_precision())  # noqa: E731
+    result = train(ARM, None, out=tmp_path, options=options(iterations=2), on_progress=watch)
+    assert precisions == ["highest"] * 2
+    layers = [numpy_helper.to_array(tensor) for tensor in onnx.load(result.policy).graph.initializer][:4]
+    network = perceptron((75, 16, 6))
+    with torch.no_grad():
+        for parameter, layer in zip(network.parameters(), layers, strict=True):
+            parameter.copy_(torch.from_numpy(layer.copy()))
+        seen = np.random.default_rng(0).normal(0.0, 3.0, (500, 75)).astype(np.float32)
+        expected = network(torch.from_numpy(seen)).clamp(-1.0, 1.0).numpy()
+    assert np.abs(load_policy(result.policy, ARM).act(seen) - expected).max() <= 1e-5
 
 
 def test_only_perceptrons_are_exported():

@@ -6,8 +6,7 @@ import pytest
 from rejoint.arms import mycobot280
 from rejoint.runs import RunLog
 from rejoint.twin.batch import TwinBatch
-from rejoint.twin.model import STICTION
-from rejoint.twin.parameters import TwinParameters
+from rejoint.twin.parameters import STICTION, TwinParameters
 from rejoint.twin.reference import Reference
 
 

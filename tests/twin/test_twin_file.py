@@ -11,7 +11,7 @@ from rejoint.arms import mycobot280
 from rejoint.errors import ContractError, FileError, InputError
 from rejoint.twin.file import read_twin, write_twin
 from rejoint.twin.parameters import pack, prior, unpack
-from rejoint.twin.replay import PredictionError
+from rejoint.twin.prediction import PredictionError
 from rejoint.twin.twin import HeldOut, Twin
 
 ARM = mycobot280()

@@ -11,7 +11,7 @@ from rejoint.errors import InputError
 from rejoint.twin.file import read_twin, write_twin
 from rejoint.twin.fit import Problem
 from rejoint.twin.fromlogs import FITTED, HEALTHY, LogSettings, hold_out, identify_logs
-from rejoint.twin.judge import NO_TWIN
+from rejoint.twin.judgement import NO_TWIN
 from rejoint.twin.parameters import pack, unpack, vector_names
 from rejoint.twin.replay import Replay, cut
 from rejoint.twin.structure import EARLIER, find_acceleration, simplest

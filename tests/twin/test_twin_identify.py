@@ -10,7 +10,8 @@ from rejoint.twin.file import read_twin, write_twin
 from rejoint.twin.fit import HUBER, Problem, correlation_time, fit, influence, loss
 from rejoint.twin.identify import IdentifySettings, identify
 from rejoint.twin.parameters import pack, prior
-from rejoint.twin.replay import Replay, cut, divide, predict, prediction_error
+from rejoint.twin.prediction import prediction_error
+from rejoint.twin.replay import Replay, cut, divide, predict
 
 QUICK = IdentifySettings(starts=16, iterations=10, threads=1)
 

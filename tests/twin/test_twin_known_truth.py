@@ -11,7 +11,7 @@ from motion_logs import ARM, PERIOD, STEP, TRUTH, record, wandering
 from rejoint.exclusions import find_exclusions
 from rejoint.plant.wear import load_wear
 from rejoint.twin.fromlogs import FITTED, HEALTHY, LogSettings, fit_motions, identify_logs, independent
-from rejoint.twin.judge import NO_TWIN
+from rejoint.twin.judgement import NO_TWIN
 from rejoint.twin.parameters import pack, vector_names
 from rejoint.twin.uncertainty import uncertainty
 

@@ -14,7 +14,7 @@ from rejoint.arms import so101
 from rejoint.exclusions import find_exclusions, table_height
 from rejoint.logs import import_logs
 from rejoint.twin.fromlogs import FITTED, HEALTHY, LogSettings, identify_logs
-from rejoint.twin.judge import NO_TWIN
+from rejoint.twin.judgement import NO_TWIN
 from rejoint.twin.repeatability import repeatability
 
 ARM = so101()

@@ -19,7 +19,8 @@ from rejoint.arms.arm import Array
 from rejoint.arms.chain import Body, Joint, Site, Tree
 from rejoint.arms.inertia import NOTHING, Lump, ball, inertia_matrix, usable
 from rejoint.arms.rotations import pose_of, rotation_of
-from rejoint.errors import FileError, InputError
+from rejoint.errors import FileError
+from rejoint.extras import require
 
 _KINDS = {0: "free", 1: "ball", 2: "slide", 3: "hinge"}
 """mjtJoint"""
@@ -29,7 +30,7 @@ _PREFIX = re.compile(r"(</?|\s)([A-Za-z_][\w.-]*):(?=[A-Za-z_][\w.-]*[\s=/>])")
 
 
 def read_tree(path: Path) -> Tree:
-    """Read a URDF or MJCF file. FileError names what is wrong with it, InputError a missing installation."""
+    """Read a URDF or MJCF file. FileError names what is wrong with it, MissingExtraError a missing installation."""
     root = _parse(path)
     mujoco = _mujoco()
     try:
@@ -76,13 +77,9 @@ def _parse(path: Path) -> ET.Element:
 
 
 def _mujoco() -> ModuleType:
-    try:
-        import mujoco
-    except ImportError as error:
-        raise InputError(
-            "reading a URDF or MJCF file needs MuJoCo, which is not installed; install rejoint[train], or write "
-            "the arm to a TOML file on a machine that has it and give that"
-        ) from error
+    require("reading a URDF or MJCF file (a TOML file would do without)", "mujoco")
+    import mujoco
+
     return mujoco
 
 

@@ -19,12 +19,13 @@ from rich.console import Console
 
 from rejoint.cli import chain, evaluation, foreign, offline, reproducing, serving, stages
 from rejoint.errors import RejointError
+from rejoint.extras import explain
 from rejoint.stopping import Interrupted, install, interruption
 
 Given = ParamSpec("Given")
 
 
-class Ended(Exception):  # noqa: N818 - no error of ours: somebody asked for the end
+class Carried(Exception):  # noqa: N818 - no error of ours: somebody asked for the end
     """Carries an interruption through the framework, which would turn it into a bare exit code."""
 
 
@@ -34,7 +35,7 @@ def _carried(command: Callable[Given, None]) -> Callable[Given, None]:
         try:
             command(*arguments, **options)
         except Interrupted as error:
-            raise Ended from error
+            raise Carried from error
 
     return carrying
 
@@ -66,12 +67,17 @@ def main() -> None:
         code = result if isinstance(result, int) else 0
         if code == 128 + signal.SIGINT:
             code = _interrupted(interruption(), json=json)
-    except (Ended, Interrupted) as error:
-        cause = error.__cause__ if isinstance(error, Ended) else error
+    except (Carried, Interrupted) as error:
+        cause = error.__cause__ if isinstance(error, Carried) else error
         code = _interrupted(cause, json=json) if isinstance(cause, Interrupted) else 1
     except RejointError as error:
         code = _fail(str(error), type(error).__name__, error.exit_code, json=json)
         _say_notes(error)
+    except ImportError as error:
+        line = explain(error)
+        if line is None:  # not of an extra: the installation or the program is broken, and where is worth telling
+            raise
+        code = _fail(line, "MissingExtraError", 2, json=json)
     except typer.TyperException as error:
         told = getattr(error, "format_message", error.__str__)()  # names the option, which str() does not
         code = _fail(told, "UsageError", 2, json=json)

@@ -16,6 +16,7 @@ from rejoint.cli.console import Terminal
 from rejoint.comparison.recommend import Recommendation, recommend
 from rejoint.comparison.result import Comparison
 from rejoint.diagnosis.diagnosis import Diagnosis
+from rejoint.extras import require
 from rejoint.runs import read_json
 
 
@@ -40,6 +41,7 @@ def repair(
 
     Example: `rejoint repair serial:///dev/ttyAMA0`
     """
+    require("rejoint repair", "train", "report")
     terminal = Terminal(json=json)
     emulated = robot.startswith("emulated:")
     trials = work.Trials(

@@ -13,6 +13,7 @@ from rejoint.arms import load_arm
 from rejoint.cli.console import Terminal
 from rejoint.cli.options import Json, Seed, controller_names
 from rejoint.errors import InputError
+from rejoint.extras import require
 from rejoint.runs import read_json, write_json
 
 if TYPE_CHECKING:
@@ -55,6 +56,7 @@ def evaluate(
     Example: `rejoint evaluate --family --policy runs/a/policy.onnx --policy runs/b/policy.onnx`, or what a twin of
     one's own buys: `rejoint evaluate --identification 6 --policy runs/broad/policy.onnx --out runs/identified`
     """
+    require("rejoint evaluate", "train", "report")
     from rejoint.comparison.result import Protocol
     from rejoint.evaluation.contestants import classical, known_names, learned
     from rejoint.evaluation.evaluate import evaluate as run
@@ -104,6 +106,7 @@ def tune(
 
     Example: `rejoint tune tuned-feedforward --out gains.json`, then `rejoint evaluate --family --gains gains.json`
     """
+    require("rejoint tune", "train")
     from rejoint.rivals.catalogue import find_rival
     from rejoint.rivals.tuning import TuningSettings
     from rejoint.rivals.tuning import tune as search

@@ -16,10 +16,12 @@ from rejoint.cli import show
 from rejoint.cli.console import Terminal
 from rejoint.cli.options import ArmOption, Base, Json, Tip, choose_arm
 from rejoint.errors import FileError
+from rejoint.extras import require
 from rejoint.runs import RunLog, read_log
 
 if TYPE_CHECKING:
-    from rejoint.twin.judge import Candidate, Errors, Judgement
+    from rejoint.twin.judge import Candidate
+    from rejoint.twin.judgement import Errors, Judgement
 
 Logs = Annotated[Path, typer.Option(help="Folder of run logs (.parquet), such as `rejoint import` writes.")]
 Published = Annotated[
@@ -71,6 +73,7 @@ def replay(
 
     Example: `rejoint replay runs/so101/twin.toml --logs logs/so101 --published maker.toml --out replay`
     """
+    require("rejoint replay", "train", "report")
     from rejoint.report.replay import write_replay
     from rejoint.twin.file import read_twin
     from rejoint.twin.judge import Candidate, judge

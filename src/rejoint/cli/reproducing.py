@@ -10,6 +10,7 @@ import typer
 from rejoint.arms import mycobot280
 from rejoint.cli.console import Terminal
 from rejoint.cli.options import Json, Seed
+from rejoint.extras import require
 
 if TYPE_CHECKING:
     from rejoint.reproduction.experiment import Experiment, Finished
@@ -42,6 +43,7 @@ def reproduce(
 
     Example: `rejoint reproduce table-1 fig-9 fig-10`
     """
+    require("rejoint reproduce", "train", "report")
     from rejoint.reproduction.campaign import run_experiments
     from rejoint.reproduction.experiment import FULL, QUICK, Bench
     from rejoint.reproduction.page import write_page

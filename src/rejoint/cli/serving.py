@@ -10,6 +10,8 @@ import typer
 from rejoint.arms import load_arm
 from rejoint.cli.console import Terminal
 from rejoint.cli.options import Json, Seed
+from rejoint.extras import require
+from rejoint.robots import SIMULATOR
 
 
 def emulate(
@@ -26,6 +28,7 @@ def emulate(
     Example: `rejoint emulate --wear worn --port 9000`, then in another terminal
     `rejoint repair tcp://127.0.0.1:9000`.
     """
+    require("rejoint emulate", SIMULATOR)
     from rejoint.emulator.emulate import emulate as serve
 
     terminal = Terminal(json=json)

@@ -15,6 +15,7 @@ from rejoint.cli import options as opt
 from rejoint.cli.console import Terminal
 from rejoint.comparison.targets import draw_targets, read_targets
 from rejoint.errors import InputError
+from rejoint.extras import require
 from rejoint.runs import LOGS, RunFolder
 
 
@@ -73,6 +74,7 @@ def identify(
     terminal = Terminal(json=json)
     if (run is None) == (logs is None):
         raise InputError("identify takes either a run folder or --logs FOLDER")
+    require("rejoint identify", "train", *(() if logs is None else ("report",)))  # logs end in a report at once
     if logs is not None:
         job = opt.run_of_logs(opt.choose_arm(terminal, arm, base, tip), logs, folder, seed or 0)
         offline.identify_from_logs(terminal, job, logs, published)
@@ -103,6 +105,7 @@ def train(
 
     Example: `rejoint train runs/mine`
     """
+    require("rejoint train", "train", "report")
     terminal = Terminal(json=json)
     if broad:
         if RunFolder(run).twin.exists():
@@ -179,6 +182,7 @@ def report(run: opt.Run, json: opt.Json = False) -> None:
 
     Example: `rejoint report runs/mine`
     """
+    require("rejoint report", "report")
     from rejoint.report.page import write_report
 
     terminal = Terminal(json=json)

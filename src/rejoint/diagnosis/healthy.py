@@ -11,7 +11,6 @@ known to be good is the better reference (`rejoint.diagnosis.knowngood.reference
 
 from __future__ import annotations
 
-import importlib.util
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.resources import files
@@ -25,6 +24,7 @@ from rejoint.diagnosis.open_loop import open_loop_errors
 from rejoint.diagnosis.record import DiagnosisLogs, record
 from rejoint.diagnosis.regression import Estimate
 from rejoint.errors import InputError
+from rejoint.extras import installed
 from rejoint.robots import SIMULATOR, open_robot
 from rejoint.runs import read_json
 
@@ -75,7 +75,7 @@ def load_healthy(arm: Arm) -> HealthyReference | None:
 def healthy_reference(arm: Arm) -> HealthyReference | None:
     """Return the package's reference for an arm, or measure one in virtual time; None without the simulator."""
     packaged = load_healthy(arm)
-    if packaged is not None or any(importlib.util.find_spec(name) is None for name in SIMULATOR):
+    if packaged is not None or not installed(SIMULATOR):
         return packaged
     return measure_healthy(arm, count=ARMS_ON_DEMAND)
 

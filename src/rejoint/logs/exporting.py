@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from rejoint.errors import InputError
+from rejoint.extras import require
 from rejoint.logs.mcapfile import COMMAND_TOPIC, METADATA, NANOSECONDS, POINT_TOPICS, STATE_TOPIC
 from rejoint.logs.table import AXES
 from rejoint.runs import RunLog, write_whole
@@ -94,10 +95,9 @@ def _stamps(log: RunLog) -> list[int]:
 
 
 def _write_mcap(log: RunLog, stamps: list[int], path: Path) -> None:
-    try:
-        from mcap_ros2.writer import Writer
-    except ImportError as error:
-        raise InputError("exporting MCAP needs mcap-ros2-support; install rejoint[logs], or export .csv") from error
+    require("exporting MCAP (a .csv file would do without)", "logs")
+    from mcap_ros2.writer import Writer
+
     with path.open("wb") as stream, Writer(stream) as writer:
         writer.add_metadata(
             METADATA, {"arm": log.arm, "robot": log.robot, "label": log.label, "extra": json.dumps(log.extra)}

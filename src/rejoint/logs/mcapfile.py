@@ -17,7 +17,8 @@ from typing import IO, Any, NamedTuple
 import numpy as np
 
 from rejoint.arms import Arm
-from rejoint.errors import FileError, InputError
+from rejoint.errors import FileError
+from rejoint.extras import require
 from rejoint.logs.joints import Match, match_joints, means_a_joint, radians
 from rejoint.logs.options import OPTIONS, ImportOptions
 from rejoint.logs.track import Motion, Points, Track
@@ -162,12 +163,11 @@ def _messages(file: Path, topics: set[str]) -> dict[str, list[tuple[int, Any]]]:
 @contextmanager
 def _reporting(file: Path) -> Iterator[None]:
     """Turn whatever the decoders raise on damaged bytes into a FileError."""
+    require(f"{file}: reading MCAP", "logs")
     try:
         yield
     except FileError:
         raise
-    except ImportError as error:
-        raise InputError(f"MCAP files need {error.name}, which is not installed; install rejoint[logs]") from error
     except FileNotFoundError as error:
         raise FileError(file, "no such file", "check the path") from error
     # Three decoders, two decompressors and a message compiler stand behind this; none lists what it raises.

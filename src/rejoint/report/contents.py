@@ -17,7 +17,7 @@ from rejoint.errors import FileError, InputError
 from rejoint.report.sections.training import Curves, read_curves
 from rejoint.runs import RunFolder, RunInfo, RunLog, read_json, read_log
 from rejoint.twin.file import read_twin
-from rejoint.twin.judge import Judgement
+from rejoint.twin.judgement import Judgement
 from rejoint.twin.twin import Twin
 
 T = TypeVar("T")

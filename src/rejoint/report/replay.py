@@ -12,7 +12,7 @@ from rejoint.report.trust import answer
 from rejoint.report.view import Page
 from rejoint.report.words import plural
 from rejoint.runs import write_json, write_whole
-from rejoint.twin.judge import Judgement
+from rejoint.twin.judgement import Judgement
 
 CAVEAT = "A motion that a twin was fitted to flatters it; which those are, neither the twin nor the logs tell."
 

@@ -11,7 +11,7 @@ from rejoint.comparison.result import Estimate
 from rejoint.comparison.statistics import above_zero, bootstrap_mean
 from rejoint.report.numerals import interval, number
 from rejoint.report.words import listed, plural
-from rejoint.twin.judge import NO_TWIN, Error, Judgement
+from rejoint.twin.judgement import NO_TWIN, Error, Judgement
 
 MM = 1e3
 

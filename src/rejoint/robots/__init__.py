@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import importlib.util
-
 from rejoint.arms import Arm, load_arm
 from rejoint.control.robot import Robot
-from rejoint.errors import AddressError, InputError
+from rejoint.errors import InputError
+from rejoint.extras import require
 from rejoint.robots.address import EmulatedAddress, parse_address
 
 DEFAULT_ARM = "mycobot280"
 """Arm behind an address that does not say: the vendor's client speaks to no other."""
-SIMULATOR = ("mujoco",)
-"""Modules that emulated arms need."""
+SIMULATOR = "mujoco"
+"""Module that emulated arms need."""
 _EMULATED_PERIOD = (0.020, 0.030)
 """[s] Park et al. 2024 name 20 ms; the wire adds up to half of it (chosen)"""
 
@@ -31,7 +30,8 @@ def open_robot(
     Without ``arm`` it is that of `default_arm`; most emulated profiles scale with the arm. ``count`` emulated
     arms of one profile form a batch. ``period`` [s] is the interval from which the length of every control
     cycle is drawn; by default the robot's own. A myCobot is powered on if it is off and put into fresh
-    mode; nothing moves. Raises AddressError if nothing usable is there.
+    mode; nothing moves. Raises AddressError if nothing usable is there, MissingExtraError for an emulated arm
+    without the simulator.
     """
     place = parse_address(address)
     arm = arm or load_arm(default_arm(address))
@@ -66,7 +66,7 @@ def default_arm(address: str) -> str:
     place = parse_address(address)
     if not isinstance(place, EmulatedAddress):
         return DEFAULT_ARM
-    _require_simulator(address)
+    require(address, SIMULATOR)
     from rejoint.plant.wear import wear_arm
 
     return wear_arm(place.profile) or DEFAULT_ARM
@@ -75,21 +75,12 @@ def default_arm(address: str) -> str:
 def _open_emulated(
     address: str, profile: str, arm: Arm, seed: int, count: int, period: tuple[float, float], threads: int
 ) -> Robot:
-    _require_simulator(address)
+    require(address, SIMULATOR)
     from rejoint.plant.wear import load_wear
     from rejoint.robots.emulated import EmulatedRobot
 
     wear = load_wear(profile, arm)
     return EmulatedRobot(arm, [wear] * count, address=address, seed=seed, period=period, threads=threads)
-
-
-def _require_simulator(address: str) -> None:
-    missing = [name for name in SIMULATOR if importlib.util.find_spec(name) is None]
-    if missing:
-        raise AddressError(
-            f"{address} needs {' and '.join(missing)}, which are not installed; "
-            "install the extra with: pip install 'rejoint[train]'"
-        )
 
 
 __all__ = ["DEFAULT_ARM", "SIMULATOR", "default_arm", "default_period", "open_robot"]

@@ -18,6 +18,7 @@ import torch
 
 from rejoint.errors import FileError, first_line
 from rejoint.runs import write_whole
+from rejoint.training.arithmetic import PRECISION, on_threads, products
 from rejoint.training.crew import Crew
 from rejoint.training.networks import Actor, Critic
 from rejoint.training.ppo import Losses, Ppo, Rollout, join
@@ -80,14 +81,20 @@ class Learner:
         start, s = time.perf_counter(), self.settings
         self.actor.ceiling = _ceiling(s, self.iteration)
         rate = _learning_rate(s, self.iteration)
-        workers = ThreadPoolExecutor(self.threads, initializer=partial(torch.set_num_threads, 1))
-        with workers, _switching(SWITCH_INTERVAL):
-            rollout = join(list(workers.map(lambda crew: crew.roll(self.actor, self.critic, s.rollout), self.crews)))
-        torch.set_num_threads(self.threads)
-        losses = self.ppo.learn(rollout, rate, iteration=self.iteration)
+        with products(PRECISION):
+            rollout = self._roll()
+            with on_threads(self.threads):
+                losses = self.ppo.learn(rollout, rate, iteration=self.iteration)
         point = self._point(rollout, losses, rate, time.perf_counter() - start)
         self.curve.append(point)
         return point
+
+    def _roll(self) -> Rollout:
+        """Let all crews act, each on one thread; torch's number of threads is each thread's own."""
+        workers = ThreadPoolExecutor(self.threads, initializer=partial(torch.set_num_threads, 1))
+        with workers, _switching(SWITCH_INTERVAL):
+            rolled = workers.map(lambda crew: crew.roll(self.actor, self.critic, self.settings.rollout), self.crews)
+            return join(list(rolled))
 
     def save(self, path: Path, identity: dict[str, Any]) -> None:
         """Write a checkpoint; ``identity`` names what it belongs to."""

@@ -27,6 +27,7 @@ from rejoint.arms import Arm
 from rejoint.errors import InputError
 from rejoint.runs import RunFolder
 from rejoint.training.actorcritic import ActionCritic, BoundedActor, SquashedActor, bounded
+from rejoint.training.arithmetic import on_threads
 from rejoint.training.export import export_policy
 from rejoint.training.learner import REACHED_DISTANCE, CurvePoint
 from rejoint.training.networks import unbounded
@@ -160,13 +161,13 @@ def train_offpolicy(
     arm: Arm, twin: Twin | None, *, out: Path, settings: OffPolicySettings, on_progress: OnProgress | None = None
 ) -> TrainingResult:
     """Train with SAC, TD3 or DDPG and write ``policy.onnx`` and the curves as `rejoint.training.train.train` does."""
-    torch.set_num_threads(1)
     recipe, folder = know_stiffness(settings.preset, arm, twin), RunFolder(out)
     ranges = training_ranges(arm, twin, recipe)
     task = ReachTask(arm, ranges, settings.agents, recipe.task, seed=settings.seed, threads=settings.threads)
     learner = OffPolicyLearner(task, settings)
     while learner.cycle < settings.cycles:
-        point = learner.learn()
+        with on_threads(1):
+            point = learner.learn()
         if on_progress is not None:
             on_progress(learner.cycle, settings.cycles, describe(point))
     name, curves = settings.algorithm, folder.training / "curves.parquet"

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-import torch
 from skrl.utils.tensorboard import SummaryWriter
 
 from rejoint import __version__
@@ -100,7 +99,6 @@ def train(
     options = TrainingOptions() if options is None else options
     recipe, folder = know_stiffness(options.recipe, arm, twin), RunFolder(out)
     checkpoint, curves = folder.training / "checkpoint.pt", folder.training / "curves.parquet"
-    torch.set_float32_matmul_precision("medium")  # products in bfloat16, where the processor has it, sums in float32
     learner = make_learner(arm, twin, recipe, options)
     identity = _identity(arm, twin, recipe, options.seed)
     if options.resume and checkpoint.exists() and not learner.load(checkpoint, identity):

@@ -16,7 +16,8 @@ from rejoint.arms import Arm, Array
 from rejoint.errors import InputError
 from rejoint.twin.model import FRICTION_SOFTNESS, TIMESTEP, friction_solref, model_fields, stribeck_friction, twin_model
 from rejoint.twin.parameters import TwinParameters, nominal_parameters
-from rejoint.twin.table import TIP, Table, table_fields, table_pose
+from rejoint.twin.table import Table
+from rejoint.twin.tablemodel import TIP, table_fields, table_pose
 
 Ids = NDArray[np.integer] | NDArray[np.bool_] | None
 

@@ -20,9 +20,8 @@ from tomlkit.items import Table as TomlTable
 from rejoint.arms import Arm, Array
 from rejoint.errors import FileError, InputError, first_line
 from rejoint.runs import write_whole
-from rejoint.twin.model import STICTION
-from rejoint.twin.parameters import PARAMETERS, TwinParameters
-from rejoint.twin.replay import PredictionError
+from rejoint.twin.parameters import PARAMETERS, STICTION, TwinParameters
+from rejoint.twin.prediction import PredictionError
 from rejoint.twin.table import Table
 from rejoint.twin.twin import HeldOut, Twin
 

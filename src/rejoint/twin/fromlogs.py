@@ -22,9 +22,11 @@ from rejoint.exclusions import Exclusions, find_exclusions, table_height
 from rejoint.runs import RunLog
 from rejoint.twin.fit import SCALES, Fit, Problem, fit
 from rejoint.twin.identify import fitted_twin
-from rejoint.twin.judge import NO_TWIN, TIMESTEP, Candidate, Judgement, judge
+from rejoint.twin.judge import TIMESTEP, Candidate, judge
+from rejoint.twin.judgement import NO_TWIN, Judgement
 from rejoint.twin.parameters import healthy_parameters, unpack
-from rejoint.twin.replay import PredictionError, Replay, Window
+from rejoint.twin.prediction import PredictionError
+from rejoint.twin.replay import Replay, Window
 from rejoint.twin.segments import by_motion, contact_windows, fastest, free_windows, merged, thin
 from rejoint.twin.structure import (
     STICTIONS,

@@ -27,7 +27,8 @@ from rejoint.twin.parameters import (
     unpack,
     vector_names,
 )
-from rejoint.twin.replay import PredictionError, Replay, cut, divide, measured_velocity, prediction_error
+from rejoint.twin.prediction import PredictionError, prediction_error
+from rejoint.twin.replay import Replay, cut, divide, measured_velocity
 from rejoint.twin.table import Table
 from rejoint.twin.twin import HeldOut, Twin
 from rejoint.twin.uncertainty import TORQUE_LIMIT, Uncertainty, uncertainty

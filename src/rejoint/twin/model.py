@@ -27,7 +27,7 @@ from rejoint.arms import Arm, Array
 from rejoint.arms.kinematics import GRAVITY
 from rejoint.errors import InputError
 from rejoint.twin.parameters import TwinParameters
-from rejoint.twin.table import add_table
+from rejoint.twin.tablemodel import add_table
 
 TIMESTEP = 0.005
 """[s] chosen: half of it changes predictions by less than an encoder step"""
@@ -39,10 +39,6 @@ FRICTION_SOFTNESS = 0.01
 friction constraints, and of no others here, is proportional (chosen: below it nothing changes)"""
 
 TCP_SITE = "tcp"
-
-STICTION = 2.0
-"""Friction of a joint at rest over that of a moving one (chosen: dry gears). Ordinary motion hardly tells it, but
-without it a twin lifts a load at which a weak joint really sticks"""
 
 STRIBECK_SPEED = 0.1
 """[rad/s] at which friction has fallen to that of motion (chosen: two encoder steps in a control period)"""

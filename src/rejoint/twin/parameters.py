@@ -147,6 +147,10 @@ REFERENCE_REACH = 0.5216700000000001
 REFERENCE_SPEED = float(np.radians(150.0))
 """[rad/s] joint speed of the same arm"""
 
+STICTION = 2.0
+"""Friction of a joint at rest over that of a moving one (chosen: dry gears). Ordinary motion hardly tells it, but
+without it a twin lifts a load at which a weak joint really sticks"""
+
 WRIST_INERTIA = 0.2
 """A joint is of the wrist below this fraction of the largest link inertia about a joint (chosen)."""
 

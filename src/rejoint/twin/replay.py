@@ -15,12 +15,12 @@ from itertools import pairwise
 
 import numpy as np
 
-from rejoint.arms import Arm, Array, tcp_position
+from rejoint.arms import Arm, Array
 from rejoint.errors import InputError
 from rejoint.runs import RunLog
 from rejoint.twin.batch import TwinBatch
-from rejoint.twin.model import STICTION, TIMESTEP
-from rejoint.twin.parameters import TwinParameters
+from rejoint.twin.model import TIMESTEP
+from rejoint.twin.parameters import STICTION, TwinParameters
 from rejoint.twin.profile import Profile
 from rejoint.twin.reference import Reference
 from rejoint.twin.table import Table
@@ -165,27 +165,6 @@ def predict(arm: Arm, parameters: TwinParameters, log: RunLog, timestep: float =
     """Positions (T, n) [rad] that the twin would have shown, from the first measured state on, open loop."""
     whole = Window(log=0, first=0, last=len(log))
     return Replay(arm, [log], [whole], timestep).predict(parameters.repeat(1))[0][0]
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class PredictionError:
-    """Distance between predicted and measured motion, root mean square over time."""
-
-    joints: Array
-    """(n,) [rad]"""
-    joint: float
-    """[rad] over all joints"""
-    tcp: float
-    """[m] of the TCP by forward kinematics of the encoders"""
-
-
-def prediction_error(arm: Arm, predicted: Array, measured: Array) -> PredictionError:
-    """Compare positions (T, n) [rad]; the error of "no twin" is that of the command as the prediction."""
-    difference = predicted - measured
-    joints = np.sqrt(np.mean(difference**2, axis=0))
-    gap = tcp_position(arm, predicted) - tcp_position(arm, measured)
-    tcp = np.sqrt(np.mean(np.sum(gap**2, axis=-1)))
-    return PredictionError(joints=joints, joint=float(np.sqrt(np.mean(difference**2))), tcp=float(tcp))
 
 
 def measured_velocity(log: RunLog) -> Array:

@@ -11,19 +11,18 @@ from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array
 from rejoint.errors import ContractError, InputError
-from rejoint.twin.model import STICTION
 from rejoint.twin.parameters import (
     JOINT_PARAMETERS,
     PARAMETERS,
+    STICTION,
     TwinParameters,
     pack,
     unpack,
     vector_is_log,
     vector_names,
 )
-from rejoint.twin.replay import PredictionError
+from rejoint.twin.prediction import PredictionError
 from rejoint.twin.table import Table
-from rejoint.twin.uncertainty import strong_correlations
 
 LEAST_SPREAD = 0.05
 """Extra spread of the logarithms when twins are drawn: no twin has the structure of the real arm (chosen)"""
@@ -142,7 +141,7 @@ class Twin:
 
         Without those of one joint that only share its common scale (`unknown_scale`).
         """
-        pairs = [(self.names[i], self.names[j], value) for i, j, value in strong_correlations(self.covariance)]
+        pairs = [(self.names[i], self.names[j], value) for i, j, value in _strong_correlations(self.covariance)]
         return tuple(pair for pair in pairs if not _share_a_scale(*pair))
 
     @property
@@ -199,6 +198,14 @@ def _root(twin: Twin, widen: float, least_spread: float) -> Array:
     values, vectors = np.linalg.eigh(covariance)
     root: Array = vectors * np.sqrt(np.maximum(values, 0.0))
     return root
+
+
+def _strong_correlations(covariance: Array, threshold: float = 0.9) -> list[tuple[int, int, float]]:
+    """Pairs (i, j, correlation) of parameters that the data can hardly tell apart, strongest first."""
+    sigma = np.sqrt(np.diag(covariance))
+    correlation = covariance / np.outer(sigma, sigma)
+    pairs = [(int(i), int(j), float(correlation[i, j])) for i, j in zip(*np.triu_indices(len(sigma), 1), strict=True)]
+    return sorted((pair for pair in pairs if abs(pair[2]) > threshold), key=lambda pair: -abs(pair[2]))
 
 
 def _share_a_scale(one: str, other: str, correlation: float) -> bool:

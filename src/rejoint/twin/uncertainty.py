@@ -162,14 +162,6 @@ def _steadied(problem: Problem, fit: Fit, jacobian: Array, covariance: Array) ->
     return steady
 
 
-def strong_correlations(covariance: Array, threshold: float = 0.9) -> list[tuple[int, int, float]]:
-    """Pairs (i, j, correlation) of parameters that the data can hardly tell apart, strongest first."""
-    sigma = np.sqrt(np.diag(covariance))
-    correlation = covariance / np.outer(sigma, sigma)
-    pairs = [(int(i), int(j), float(correlation[i, j])) for i, j in zip(*np.triu_indices(len(sigma), 1), strict=True)]
-    return sorted((pair for pair in pairs if abs(pair[2]) > threshold), key=lambda pair: -abs(pair[2]))
-
-
 def _central_differences(problem: Problem, x: Array) -> tuple[Array, Array]:
     """Residual (rows, n) at ``x`` and sensitivities (rows, n, q), one-sided where a bound is near.
 

@@ -15,7 +15,7 @@ from rejoint.report.palette import Look
 from rejoint.report.trust import MM, Score, answer, scores
 from rejoint.report.view import Cell, Part, Picture, Row, Section, Table
 from rejoint.report.words import joint_label
-from rejoint.twin.judge import NO_TWIN, Error, Judgement
+from rejoint.twin.judgement import NO_TWIN, Error, Judgement
 
 KEY, SHORT, HEADING = "trust", "Which fit to trust", "Which fit to trust"
 

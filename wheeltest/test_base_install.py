@@ -1,0 +1,123 @@
+"""What the base installation does: it deploys, compares and diagnoses, and for the rest says what it lacks."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from conftest import ROOT, Base
+from rejoint.extras import EXTRAS
+from rejoint.runs import RunFolder, read_log
+
+COMMANDS = (
+    "repair", "diagnose", "identify", "train", "compare", "deploy", "report", "replay", "import", "export", "emulate",
+    "reproduce", "evaluate", "tune",
+)  # fmt: skip
+
+
+@pytest.fixture
+def points(tmp_path: Path) -> Path:
+    path = tmp_path / "points.csv"
+    path.write_text("x,y,z\n170,0,200\n180,30,210\n")
+    return path
+
+
+def test_the_wheel_holds_every_file_of_the_package(wheel: Path) -> None:
+    listed = subprocess.run(
+        ["git", "ls-files", "src/rejoint"], cwd=ROOT, capture_output=True, text=True, check=True
+    ).stdout.split()
+    kept = {name.removeprefix("src/") for name in listed if (ROOT / name).exists()}
+    packed = {name for name in zipfile.ZipFile(wheel).namelist() if ".dist-info/" not in name}
+    assert packed == kept
+
+
+def test_no_extra_is_there(base: Base) -> None:
+    modules = [*(module for brought in EXTRAS.values() for module in brought), "pytest", "pandas"]
+    found = base.python(f"import importlib.util as u; print([m for m in {modules!r} if u.find_spec(m)])")
+    assert found.out.strip() == "[]", found.err
+
+
+def test_every_command_has_help(base: Base) -> None:
+    for name in COMMANDS:
+        ended = base.rejoint(name, "--help")
+        assert ended.code == 0, ended.err
+        assert "Example" in ended.out
+
+
+def test_it_deploys(base: Base, complete: RunFolder, arm_at: str, points: Path) -> None:
+    words = ("deploy", arm_at, str(complete.path), "--targets", str(points), "--dwell", "4", "--json")
+    ended = base.rejoint(*words)
+    assert ended.code == 0, ended.err
+    errors = json.loads(ended.out.splitlines()[-1])["error_mm"]
+    assert len(errors) == 2
+    assert max(errors) < 10.0  # what counts as reached; the same arm is about 20 mm off when a target is sent once
+    log = read_log(next(path for name, path in complete.logs().items() if name.startswith("deploy")))
+    assert log.label == "deploy/policy"
+    assert len(np.unique(log.target, axis=0)) == 2
+    assert log.time[-1] - log.time[0] == pytest.approx(8.0, abs=0.3)
+    assert np.isfinite(log.position).all()
+    assert np.isfinite(log.command).all()
+
+
+def test_it_compares(base: Base, complete: RunFolder, arm_at: str, tmp_path: Path) -> None:
+    (tmp_path / "one.csv").write_text("x,y,z\n170,0,200\n")
+    words = ("--targets", str(tmp_path / "one.csv"), "--repetitions", "1", "--controllers", "integrator,policy")
+    ended = base.rejoint("compare", arm_at, str(complete.path), *words)
+    assert ended.code == 0, ended.err
+    assert "Recommended: " in ended.out
+    assert json.loads(complete.comparison.read_text())["controllers"] == ["integrator", "policy"]
+
+
+def test_it_judges_and_converts_logs(base: Base, complete: RunFolder) -> None:
+    log = str(complete.log("excitation"))
+    for words in (
+        ("diagnose", "--logs", str(complete.path / "logs"), "--run", "judged"),
+        ("export", log, "log.csv"),
+        ("import", "log.csv", "imported", "--format", "csv"),
+    ):
+        ended = base.rejoint(*words)
+        assert ended.code == 0, ended.err
+
+
+@pytest.mark.parametrize(
+    ("words", "extras"),
+    [
+        ("repair {arm} --run new", "train,report"),
+        ("repair", "train,report"),
+        ("identify {run}", "train"),
+        ("identify --logs {run}/logs --run new", "train,report"),
+        ("train {run}", "train,report"),
+        ("train new --broad", "train,report"),
+        ("report {run}", "report"),
+        ("replay {run}/twin.toml --logs {run}/logs", "train,report"),
+        ("evaluate --family", "train,report"),
+        ("tune adaptive", "train"),
+        ("reproduce --list", "train,report"),
+        ("emulate", "train"),
+        ("diagnose emulated:worn", "train"),
+        ("deploy emulated:worn {run}", "train"),
+        ("compare emulated:worn {run}", "train"),
+        ("diagnose {arm} --arm arm.urdf", "train"),
+        ("export {run}/logs/excitation.parquet log.mcap", "logs"),
+        ("import log.mcap new", "logs"),
+    ],
+)
+def test_what_needs_more_says_so_in_a_line(
+    words: str, extras: str, base: Base, complete: RunFolder, arm_at: str
+) -> None:
+    (base.home / "arm.urdf").write_text('<robot name="x"><link name="a"/></robot>')
+    (base.home / "log.mcap").write_bytes(b"\x89MCAP0\r\n and nothing more")
+    before = sorted(complete.path.rglob("*"))
+    ended = base.rejoint(*words.format(arm=arm_at, run=complete.path).split())
+    assert ended.code == 2
+    assert ended.err.splitlines() == ended.errors
+    assert len(ended.errors) == 1
+    assert f"pip install 'rejoint[{extras}]'" in ended.errors[0]
+    assert not (base.home / "new").exists()
+    assert not (base.home / "runs").exists()
+    assert sorted(complete.path.rglob("*")) == before
