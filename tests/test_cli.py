@@ -19,8 +19,10 @@ from rejoint.cli.console import Terminal
 from rejoint.cli.options import controller_names, period_seconds
 from rejoint.control.robot import JointState
 from rejoint.errors import FileError, GuardTripError, InputError
+from rejoint.files import write_json
 from rejoint.robots.emulated import EmulatedRobot
-from rejoint.runs import RunFolder, RunInfo, read_log, write_json
+from rejoint.runlog import read_log
+from rejoint.runs import RunFolder, RunInfo
 from rejoint.training.train import TrainingOptions, train
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from rejoint.arms import mycobot280
-from rejoint.runs import RunLog
+from rejoint.runlog import RunLog
 from rejoint.twin.batch import TwinBatch
 from rejoint.twin.model import STICTION
 from rejoint.twin.parameters import TwinParameters
