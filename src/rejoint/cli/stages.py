@@ -145,7 +145,8 @@ def compare(
     trials = work.Trials(
         controllers=opt.controller_names(controllers), sets=sets, repetitions=repetitions, file=targets
     )
-    with terminal.progress("comparing") as update:
+    told = terminal.unsaved(lambda unsaved: show.comparison(terminal, *unsaved))
+    with told, terminal.progress("comparing") as update:
         result = work.compare_stage(job, robot, trials, period=opt.period_seconds(period), on_progress=update)
     show.comparison(terminal, *result)
     terminal.result(f"Next: rejoint report {run}")

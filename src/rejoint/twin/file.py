@@ -1,8 +1,8 @@
 """``twin.toml``: a twin as a file that people can read and programs can trust.
 
 Values are in SI units. The intervals are written for the reader and computed again when the file is
-read. One digest covers all that decides the twins drawn from this one, another, in the first line, the whole text, so that a
-changed or damaged file is noticed.
+read. One digest covers all that decides the twins drawn from this one; another, in the first line, covers the whole
+text, so that a changed or damaged file is noticed.
 """
 
 from __future__ import annotations
