@@ -12,7 +12,7 @@ from rejoint.control.loop import move, play
 from rejoint.logs import import_logs
 from rejoint.plant.wear import load_wear
 from rejoint.robots.emulated import EmulatedRobot
-from rejoint.runs import RunLog
+from rejoint.runlog import RunLog
 
 VARIABLE = "REJOINT_SO101"
 """Environment variable that names the folder of a real SO-101's SAGE motions"""

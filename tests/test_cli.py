@@ -19,8 +19,10 @@ from rejoint.cli.console import Terminal
 from rejoint.cli.options import controller_names, period_seconds
 from rejoint.control.robot import JointState
 from rejoint.errors import FileError, GuardTripError, InputError
+from rejoint.files import write_json
 from rejoint.robots.emulated import EmulatedRobot
-from rejoint.runs import RunFolder, RunInfo, read_log, write_json
+from rejoint.runlog import read_log
+from rejoint.runs import RunFolder, RunInfo
 from rejoint.training.train import TrainingOptions, train
 
 
@@ -343,7 +345,9 @@ def test_the_newest_unfinished_run_is_resumed(tmp_path: Path, monkeypatch: pytes
     info = RunInfo(robot="emulated:worn?seed=3", arm="mycobot280", seed=0, version="1", created="now")
     write_json(first / "run.json", info)
     assert opening.newest_or_new("emulated:worn?seed=3", mycobot280(), 0) == (first, True)
-    (first / "report.html").write_text("done")
+    (first / "report.html").write_text("of what there is")
+    assert opening.newest_or_new("emulated:worn?seed=3", mycobot280(), 0) == (first, True)
+    (first / "finished.json").write_text("{}")
     assert opening.newest_or_new("emulated:worn?seed=3", mycobot280(), 0) == (first.with_name("002"), False)
     with pytest.raises(FileError, match="it holds runs, name one of: 001"):
         opening.open_run(first.parent)

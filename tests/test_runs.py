@@ -15,7 +15,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from rejoint.errors import FileError, InputError
-from rejoint.runs import RunFolder, RunLog, locked, read_json, read_log, set_aside, write_json, write_log, write_whole
+from rejoint.files import read_json, set_aside, write_json, write_whole
+from rejoint.runlog import RunLog, read_log, write_log
+from rejoint.runs import RunFolder, locked
 
 
 def example(rows: int = 5) -> RunLog:

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, tcp_position
-from rejoint.runs import RunLog
+from rejoint.runlog import RunLog
 
 Rows = NDArray[np.bool_]
 

@@ -7,6 +7,7 @@ repeated, resumed, replaced, or run on another machine.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
@@ -27,10 +28,13 @@ from rejoint.control.loop import run as drive
 from rejoint.control.policy import PolicyController
 from rejoint.control.recording import Cycle, recording_of
 from rejoint.control.robot import Robot
-from rejoint.errors import FileError, InputError
+from rejoint.errors import FileError, InputError, saving
+from rejoint.files import read_json, require_space, set_aside, write_json
+from rejoint.journal import Journal
 from rejoint.opening import Run, alone, begin, forget
 from rejoint.robots import default_period, open_robot
-from rejoint.runs import LOGS, RunFolder, RunLog, read_json, read_log, set_aside, write_json, write_log
+from rejoint.runlog import RunLog, read_log, write_log
+from rejoint.runs import LOGS, RunFolder
 
 if TYPE_CHECKING:  # these need the simulator, which a Raspberry Pi does not have
     from rejoint.diagnosis.diagnosis import Diagnosis
@@ -88,19 +92,26 @@ def diagnose_stage(
         forget(run)
         raise
     try:
-        diagnosis, logs = diagnose(
-            robot,
-            healthy,
-            seed=run.info.seed,
-            on_progress=lambda what, share: on_progress(share, 1.0, what),
-        )
+        require_space(run.folder.path)
+        journal = _journal(run, "diagnosis", robot, "diagnosis")
+        try:
+            diagnosis, logs = diagnose(
+                robot, healthy, seed=run.info.seed, on_cycle=journal.see,
+                on_progress=lambda what, share: on_progress(share, 1.0, what),
+            )  # fmt: skip
+        except BaseException as error:
+            error.add_note(journal.rescue())
+            raise
+        journal.close()
     finally:
         robot.close()
-    for earlier in (run.folder.log("targets"), run.folder.log("excitation"), run.folder.diagnosis):
-        set_aside(earlier)
-    write_log(run.folder.log("targets"), logs.targets)
-    write_log(run.folder.log("excitation"), logs.excitation)
-    write_json(run.folder.diagnosis, diagnosis)
+    with saving(diagnosis):
+        for earlier in (run.folder.log("targets"), run.folder.log("excitation"), run.folder.diagnosis):
+            set_aside(earlier)
+        write_log(run.folder.log("targets"), logs.targets)
+        write_log(run.folder.log("excitation"), logs.excitation)
+        write_json(run.folder.diagnosis, diagnosis)
+    journal.discard()
     return diagnosis
 
 
@@ -118,8 +129,8 @@ def identify_stage(run: Run, *, on_progress: OnProgress = silent) -> Twin:
     twin = identify(
         run.arm, [log], IdentifySettings(seed=run.info.seed), lambda what, share: on_progress(share, 1.0, what)
     )
-    write_twin(run.folder.twin, twin)
     run.folder.judgement.unlink(missing_ok=True)  # it was of another twin
+    write_twin(run.folder.twin, twin)
     return twin
 
 
@@ -134,6 +145,7 @@ def _healthy(arm: Arm, good: Path | None) -> HealthyReference | None:
     )
 
 
+@alone
 def diagnose_logs_stage(
     run: Run, logs: Sequence[RunLog], *, good: Path | None = None, on_progress: OnProgress = silent
 ) -> Diagnosis:
@@ -149,6 +161,7 @@ def diagnose_logs_stage(
     return diagnosis
 
 
+@alone
 def identify_logs_stage(
     run: Run, logs: Sequence[RunLog], beside: Sequence[Candidate] = (), *, on_progress: OnProgress = silent
 ) -> LogIdentification:
@@ -158,6 +171,7 @@ def identify_logs_stage(
 
     found = identify_logs(run.arm, logs, on_progress=lambda what, share: on_progress(share, 1.0, what), beside=beside)
     begin(run.folder.path, run.info.robot, run.arm, run.info.seed)
+    run.folder.judgement.unlink(missing_ok=True)  # it was of another twin
     write_twin(run.folder.twin, found.twin)
     write_json(run.folder.judgement, found.judgement)
     return found
@@ -204,6 +218,7 @@ def compare_stage(
         if (trial.target_set, trial.repetition) == (0, 0):  # one of each suffices for the figures
             write_log(run.folder.log(trial.label), trial.log())
 
+    require_space(run.folder.path)
     settings = Settings(
         repetitions=trials.repetitions,
         seed=run.info.seed,
@@ -214,9 +229,11 @@ def compare_stage(
     result = compare(connect, factories, targets, settings, on_progress=on_progress, on_trial=keep)
     file = "" if trials.file is None else str(trials.file)
     result = replace(result, targets_file=file, period=period)
-    set_aside(run.folder.comparison)
-    write_json(run.folder.comparison, result)
-    return result, recommend(result)
+    found = result, recommend(result)
+    with saving(found):
+        set_aside(run.folder.comparison)
+        write_json(run.folder.comparison, result)
+    return found
 
 
 @alone
@@ -225,30 +242,51 @@ def deploy_stage(
 ) -> Array:
     """Drive a robot through the targets of ``job``; returns the encoder error (K,) [m] at the end of each.
 
-    Where something ends it early, what was recorded until then is kept.
+    Where something ends it early, what was recorded until then is kept, also where it is ``kill -9``. UnsavedError
+    with the result where the log cannot be written.
     """
     factories = _factories(run, (job.controller,), period or default_period(robot))
     controller = factories[job.controller](run.arm)
-    connection = open_robot(robot, arm=run.arm, seed=run.info.seed, period=period)
-    path, total = run.folder.log(f"deploy-{datetime.now():%Y%m%d-%H%M%S}"), len(job.targets)
+    require_space(run.folder.path)
+    total, rows = len(job.targets), int(len(job.targets) * job.dwell / min(period or default_period(robot)))
+    with closing(open_robot(robot, arm=run.arm, seed=run.info.seed, period=period)) as connection:
+        journal = _journal(run, "deploy", connection, f"deploy/{job.controller}", rows)
 
-    def watch(cycle: Cycle) -> None:
-        target, share = int(cycle.target_index[0]), float(cycle.since_target[0]) / job.dwell
-        on_progress(target + min(share, 1.0), total, f"target {target + 1} of {total}")
+        def watch(cycle: Cycle) -> None:
+            journal.see(cycle)
+            target, share = int(cycle.target_index[0]), float(cycle.since_target[0]) / job.dwell
+            on_progress(target + min(share, 1.0), total, f"target {target + 1} of {total}")
 
-    try:
-        recording = drive(connection, controller, job.targets[None], Schedule(dwell=job.dwell), on_cycle=watch)
-    except BaseException as error:
-        partial = recording_of(error)
-        if partial is not None and len(partial.time):
-            write_log(path, partial.log(0, f"deploy/{job.controller}/stopped"))
-            error.add_note(f"What was recorded until then: {path}")
-        raise
-    finally:
-        connection.close()
-    write_log(path, recording.log(0, f"deploy/{job.controller}"))
+        try:
+            recording = drive(connection, controller, job.targets[None], Schedule(dwell=job.dwell), on_cycle=watch)
+        except BaseException as error:
+            partial = recording_of(error)
+            if partial is not None and len(partial.time):
+                error.add_note(journal.keep(partial.log(0, f"deploy/{job.controller}/stopped")))
+            else:
+                journal.discard()
+            raise
     apart = np.linalg.norm(recording.target[:, 0] - tcp_position(run.arm, recording.position[:, 0]), axis=-1)
-    return np.array([apart[recording.target_index[:, 0] == k][-1] for k in range(len(job.targets))])
+    errors = np.array([apart[recording.target_index[:, 0] == k][-1] for k in range(len(job.targets))])
+    with saving(errors):
+        journal.finish(recording.log(0, f"deploy/{job.controller}"))
+    return errors
+
+
+@alone
+def report_stage(run: Run) -> Path:
+    """Write the report of all that a run folder holds; returns the page's path."""
+    from rejoint.report.page import write_report
+
+    return write_report(run.folder.path)
+
+
+def _journal(run: Run, name: str, robot: Robot, label: str, rows: int = 0) -> Journal:
+    """Begin the journal of a run log whose name ends with the time."""
+    path = run.folder.log(f"{name}-{datetime.now():%Y%m%d-%H%M%S}")
+    return Journal.begin(
+        path, arm=run.arm.name, joint_names=run.arm.joint_names, robot=robot.address, label=label, rows=rows
+    )
 
 
 def _twin(run: Run) -> Twin | None:

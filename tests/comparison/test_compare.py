@@ -13,7 +13,8 @@ from rejoint.control.integrator import IntegratorController
 from rejoint.control.loop import run
 from rejoint.control.robot import JointState
 from rejoint.errors import GuardTripError, InputError
-from rejoint.runs import read_json, read_log, write_json, write_log
+from rejoint.files import read_json, write_json
+from rejoint.runlog import read_log, write_log
 
 ARM = mycobot280()
 PROTOCOL = Protocol(dwell=4.0, hold=5.0)

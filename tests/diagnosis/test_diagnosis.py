@@ -19,9 +19,10 @@ from rejoint.diagnosis import (
 from rejoint.diagnosis.diagnosis import ringing_most
 from rejoint.diagnosis.excitation import SHORT
 from rejoint.errors import InputError
+from rejoint.files import read_json, write_json
 from rejoint.plant.wear import Wear, load_wear
 from rejoint.robots.emulated import EmulatedRobot
-from rejoint.runs import read_json, read_log, write_json, write_log
+from rejoint.runlog import read_log, write_log
 
 ARM = mycobot280()
 HEALTHY, WORN = load_wear("healthy", ARM), load_wear("worn", ARM)

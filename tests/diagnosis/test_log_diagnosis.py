@@ -16,7 +16,7 @@ from rejoint.diagnosis.logmetrics import slow_motion
 from rejoint.diagnosis.spans import FREE, HOLD, STEP, join_logs, log_of
 from rejoint.errors import InputError
 from rejoint.exclusions import Exclusions, find_exclusions
-from rejoint.runs import read_json, write_json
+from rejoint.files import read_json, write_json
 from rejoint.twin.table import Table
 
 WEARS = {

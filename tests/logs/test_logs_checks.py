@@ -10,7 +10,7 @@ from log_samples import ARM, Sample, sample
 from rejoint.errors import FileError
 from rejoint.logs.joining import to_log
 from rejoint.logs.track import Motion, Track
-from rejoint.runs import Array, RunLog
+from rejoint.runlog import Array, RunLog
 
 
 def motion(found: Sample, command_time: Array | None = None, unit: str = "rad") -> Motion:

@@ -14,7 +14,7 @@ from test_logs_mcap import write_foxglove, write_json
 
 from rejoint.errors import FileError
 from rejoint.logs import ImportOptions, export_log, import_logs
-from rejoint.runs import RunLog, read_log
+from rejoint.runlog import RunLog, read_log
 
 EXAMPLES = int(os.environ.get("REJOINT_EXAMPLES", "100"))
 

@@ -13,7 +13,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from rejoint.errors import InputError
 from rejoint.logs import export_log, import_logs
-from rejoint.runs import RunLog
+from rejoint.runlog import RunLog
 
 
 def run_log(seed: int = 0, time: np.ndarray | None = None) -> RunLog:

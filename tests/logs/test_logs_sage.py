@@ -10,7 +10,7 @@ from log_samples import ARM, recorded, sample, write_sage
 
 from rejoint.errors import FileError, InputError
 from rejoint.logs import ImportOptions, detect, import_logs
-from rejoint.runs import read_log
+from rejoint.runlog import read_log
 
 
 def test_recorded_logs_arrive_bit_for_bit(tmp_path: Path):

@@ -15,7 +15,9 @@ from rejoint.diagnosis.measurement import Measurement
 from rejoint.diagnosis.open_loop import OpenLoop, TargetError
 from rejoint.diagnosis.regression import Estimate
 from rejoint.diagnosis.verdict import Finding
-from rejoint.runs import RunFolder, RunInfo, write_json, write_log
+from rejoint.files import write_json
+from rejoint.runlog import write_log
+from rejoint.runs import RunFolder, RunInfo
 from rejoint.twin.file import write_twin
 from rejoint.twin.parameters import nominal_parameters, prior
 from rejoint.twin.prediction import PredictionError

@@ -19,7 +19,7 @@ from rejoint.comparison.result import (
 )
 from rejoint.comparison.statistics import cluster, clustered_share, spread
 from rejoint.diagnosis.regression import Estimate
-from rejoint.runs import RunLog
+from rejoint.runlog import RunLog
 
 SETS, REPETITIONS, TARGETS = 2, 3, 10
 

@@ -5,7 +5,7 @@ import pytest
 
 from rejoint.arms import load_arm, tcp_position
 from rejoint.report.motion import bounds, encoder_path, error_at, spread_over_time, visits
-from rejoint.runs import RunLog
+from rejoint.runlog import RunLog
 
 
 @pytest.fixture(scope="module")

@@ -12,9 +12,10 @@ from report_samples import SETTLED, make_comparison, write_curves
 
 from rejoint.comparison.recommend import recommend
 from rejoint.errors import FileError
+from rejoint.files import write_json
 from rejoint.report.page import write_report
 from rejoint.report.tables import comparison_table, comparison_view
-from rejoint.runs import RunFolder, RunInfo, write_json
+from rejoint.runs import RunFolder, RunInfo
 
 VOID = {"meta", "br", "img", "link", "input", "hr"}
 

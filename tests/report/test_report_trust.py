@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 from matplotlib.patches import Rectangle
 
+from rejoint.files import read_json, write_json
 from rejoint.report import palette, prediction
 from rejoint.report.figures import Series
 from rejoint.report.page import write_report
 from rejoint.report.replay import CAVEAT, write_replay
 from rejoint.report.trust import answer, gap, scores
-from rejoint.runs import RunFolder, RunInfo, read_json, write_json
+from rejoint.runs import RunFolder, RunInfo
 from rejoint.twin.file import write_twin
 from rejoint.twin.judgement import NO_TWIN, Error, Errors, Judgement, MotionErrors, Trace
 from rejoint.twin.repeatability import Repeatability

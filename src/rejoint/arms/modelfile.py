@@ -21,6 +21,7 @@ from rejoint.arms.inertia import NOTHING, Lump, ball, inertia_matrix, usable
 from rejoint.arms.rotations import pose_of, rotation_of
 from rejoint.errors import FileError
 from rejoint.extras import require
+from rejoint.files import MODEL_MOST, read_bounded
 
 _KINDS = {0: "free", 1: "ball", 2: "slide", 3: "hinge"}
 """mjtJoint"""
@@ -60,7 +61,7 @@ def read_tree(path: Path) -> Tree:
 
 def _parse(path: Path) -> ET.Element:
     try:
-        text = path.read_text(encoding="utf-8-sig")
+        text = read_bounded(path, MODEL_MOST, "check the path of the arm").decode("utf-8-sig")
         # Prefixes such as drake: are often used without being declared, which MuJoCo does not mind.
         root = ET.fromstring(_PREFIX.sub(r"\1\2_", text))  # noqa: S314 - expat expands no external entities
     except FileNotFoundError as error:

@@ -49,7 +49,7 @@ from rejoint.arms.draft import Draft
 from rejoint.arms.inertia import NOTHING, Lump, inertia_matrix, inertia_values
 from rejoint.arms.rotations import quaternion_of, rotation_of
 from rejoint.errors import FileError, InputError
-from rejoint.runs import write_whole
+from rejoint.files import TOML_MOST, read_bounded, write_whole
 
 _ARM_KEYS = ("name", "floor_m", "encoder_counts_per_turn", "servo_acceleration_rad_s2", "rest_deg", "targets", "tip",
              "joint")  # fmt: skip
@@ -69,13 +69,13 @@ def write_arm_toml(path: Path, arm: Arm, notes: Sequence[str] = ()) -> None:
 def read_draft(path: Path) -> Draft:
     """Read an arm's TOML file; FileError names the line and the key that cannot be used."""
     try:
-        text = path.read_text(encoding="utf-8")
+        text = read_bounded(path, TOML_MOST, "check the path of the arm").decode()
         data = tomllib.loads(text)
     except FileNotFoundError as error:
         raise FileError(path, "there is no such file", "check the path of the arm") from error
     except (OSError, UnicodeDecodeError) as error:
         raise FileError(path, f"it cannot be read ({error})", "check the path of the arm") from error
-    except tomllib.TOMLDecodeError as error:
+    except (RecursionError, tomllib.TOMLDecodeError) as error:
         raise FileError(path, f"it is not TOML: {error}", "correct the file") from error
     top = _Table(path=path, text=text, data=data, header="", index=0, known=_ARM_KEYS)
     name = top.string("name")

@@ -17,7 +17,7 @@ from rejoint.comparison.recommend import Recommendation, recommend
 from rejoint.comparison.result import Comparison
 from rejoint.diagnosis.diagnosis import Diagnosis
 from rejoint.extras import require
-from rejoint.runs import read_json
+from rejoint.files import read_json
 
 
 def repair(
@@ -58,6 +58,7 @@ def repair(
     chain.train(preset)
     comparison, advice = chain.compare(robot, trials)
     report = chain.report()
+    opening.finish(job)
     show.verdict(terminal, diagnosis, comparison, advice)
     terminal.result(str(report))
     terminal.finish({"run": str(path), "recommended": advice, "policy": str(job.folder.policy), "report": str(report)})
@@ -74,7 +75,8 @@ class _Chain:
         if self._done(self.job.folder.diagnosis):
             result = read_json(self.job.folder.diagnosis, Diagnosis)
         else:
-            with self.terminal.progress("diagnosing") as update:
+            told = self.terminal.unsaved(lambda unsaved: show.diagnosis(self.terminal, unsaved))
+            with told, self.terminal.progress("diagnosing") as update:
                 result = work.diagnose_stage(self.job, period=self.period, on_progress=update)
         show.diagnosis(self.terminal, result)
         return result
@@ -101,16 +103,15 @@ class _Chain:
             result = read_json(self.job.folder.comparison, Comparison)
             found = (result, recommend(result))
         else:
-            with self.terminal.progress("comparing") as update:
+            told = self.terminal.unsaved(lambda unsaved: show.comparison(self.terminal, *unsaved))
+            with told, self.terminal.progress("comparing") as update:
                 found = work.compare_stage(self.job, robot, trials, period=self.period, on_progress=update)
         show.comparison(self.terminal, *found)
         return found
 
     def report(self) -> Path:
-        from rejoint.report.page import write_report
-
         self.terminal.stage("5/5  Report")
-        return Path(os.path.relpath(write_report(self.job.folder.path)))
+        return Path(os.path.relpath(work.report_stage(self.job)))
 
     def _done(self, path: Path) -> bool:
         if path.exists():

@@ -10,12 +10,15 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
+
+from rejoint.errors import UnsavedError
 
 OnProgress = Callable[[float, float, str], None]
 """Called with (done, total, what is being done)."""
@@ -58,6 +61,15 @@ class Terminal:
         if self.json:
             sys.stdout.write(msgspec.json.encode(value, enc_hook=_plain).decode() + "\n")
             sys.stdout.flush()
+
+    @contextmanager
+    def unsaved(self, show: Callable[[Any], object]) -> Iterator[None]:
+        """Show the result of a stage that could not write it, by ``show``, before the error goes on."""
+        try:
+            yield
+        except UnsavedError as error:
+            show(error.result)
+            raise
 
     @contextmanager
     def progress(self, title: str) -> Iterator[OnProgress]:

@@ -14,7 +14,7 @@ from rejoint.cli.console import Terminal
 from rejoint.cli.options import Json, Seed, controller_names
 from rejoint.errors import InputError
 from rejoint.extras import require
-from rejoint.runs import read_json, write_json
+from rejoint.files import read_json, write_json
 
 if TYPE_CHECKING:
     from rejoint.evaluation.result import Evaluation

@@ -11,7 +11,7 @@ from rejoint.cli.console import Terminal
 from rejoint.cli.options import ArmOption, Base, Json, Tip, choose_arm
 from rejoint.errors import InputError
 from rejoint.logs import ANGLE_UNITS, FORMATS, STAMPS, TIME_UNITS, ImportOptions, export_log, import_logs
-from rejoint.runs import read_log
+from rejoint.runlog import read_log
 
 
 def import_(

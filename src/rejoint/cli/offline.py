@@ -17,7 +17,8 @@ from rejoint.cli.console import Terminal
 from rejoint.cli.options import ArmOption, Base, Json, Tip, choose_arm
 from rejoint.errors import FileError
 from rejoint.extras import require
-from rejoint.runs import RunLog, read_log
+from rejoint.runlog import RunLog, read_log
+from rejoint.runs import RunFolder, locked
 
 if TYPE_CHECKING:
     from rejoint.twin.judge import Candidate
@@ -42,15 +43,13 @@ def diagnose_from_logs(terminal: Terminal, job: opening.Run, logs: Path, good: P
 
 def identify_from_logs(terminal: Terminal, job: opening.Run, logs: Path, published: list[str] | None) -> None:
     """Fit a twin to the run logs in a folder, judge it, and write both and the report into a run folder."""
-    from rejoint.report.page import write_report
-
     beside = read_sets(published, job.arm)
     motions = read_folder(logs)
     with terminal.progress("identifying") as update:
         found = work.identify_logs_stage(job, motions, beside, on_progress=update)
     show.twin(terminal, found.twin)
     show_errors(terminal, found.judgement)
-    path = write_report(job.folder.path)
+    path = work.report_stage(job)
     terminal.result(f"Twin: {job.folder.twin}")
     terminal.result(f"Report: {path}")
     terminal.finish({
@@ -83,9 +82,10 @@ def replay(
     chosen = choose_arm(terminal, arm or found.arm, base, tip)
     found.require(chosen)
     candidates = [Candidate.of("twin", found), *read_sets(published, chosen)]
-    judgement = judge(chosen, candidates, read_folder(logs), threads=2)
-    show_errors(terminal, judgement)
-    page = write_replay(out, judgement, twin=str(twin), logs=str(logs))
+    with locked(RunFolder(out)):
+        judgement = judge(chosen, candidates, read_folder(logs), threads=2)
+        show_errors(terminal, judgement)
+        page = write_replay(out, judgement, twin=str(twin), logs=str(logs))
     terminal.result(f"Page: {page}")
     terminal.finish({**msgspec.to_builtins(judgement), "page": str(page)})
 

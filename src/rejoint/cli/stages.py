@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -16,7 +17,7 @@ from rejoint.cli.console import Terminal
 from rejoint.comparison.targets import draw_targets, read_targets
 from rejoint.errors import InputError
 from rejoint.extras import require
-from rejoint.runs import LOGS, RunFolder
+from rejoint.runs import LOGS, RunFolder, locked
 
 
 def diagnose(
@@ -49,7 +50,8 @@ def diagnose(
     chosen = opt.choose_arm(terminal, arm, base, tip, robot)
     path = run or opening.newest_or_new(robot, chosen, seed)[0]
     job = opening.begin(path, robot, chosen, seed)
-    with terminal.progress("diagnosing") as update:
+    told = terminal.unsaved(lambda unsaved: show.diagnosis(terminal, unsaved))
+    with told, terminal.progress("diagnosing") as update:
         diagnosis = work.diagnose_stage(job, period=opt.period_seconds(period), good=healthy, on_progress=update)
     show.diagnosis(terminal, diagnosis)
     terminal.result(f"Next: rejoint identify {path}")
@@ -119,7 +121,8 @@ def train(
         terminal.say(f"{run} has no twin.toml: training on broad ranges instead of on this arm.")
     with terminal.progress("training") as update:
         result = work.train_stage(job, preset=preset, learner=learner, resume=not restart, on_progress=update)
-    terminal.say(f"Curves: {draw_training(job.folder)}")
+    with locked(job.folder):
+        terminal.say(f"Curves: {draw_training(job.folder)}")
     show.training(terminal, result)
     robot = "ROBOT" if job.info.robot.startswith(LOGS) else job.info.robot  # logs cannot be driven
     terminal.result(f"Next: rejoint compare {robot} {run}{once(robot)}")
@@ -146,7 +149,8 @@ def compare(
     trials = work.Trials(
         controllers=opt.controller_names(controllers), sets=sets, repetitions=repetitions, file=targets
     )
-    with terminal.progress("comparing") as update:
+    told = terminal.unsaved(lambda unsaved: show.comparison(terminal, *unsaved))
+    with told, terminal.progress("comparing") as update:
         result = work.compare_stage(job, robot, trials, period=opt.period_seconds(period), on_progress=update)
     show.comparison(terminal, *result)
     terminal.result(f"Next: rejoint report {run}")
@@ -171,9 +175,10 @@ def deploy(
     job = opt.seeded(opening.open_run(run), seed)
     points = draw_targets(job.arm, sets=1, seed=job.info.seed)[0] if targets is None else read_targets(targets, job.arm)
     plan = work.Deployment(controller=controller, targets=points, dwell=dwell)
-    with terminal.progress("deploying") as update:
+    tell = partial(show.deployment, terminal, points)
+    with terminal.unsaved(tell), terminal.progress("deploying") as update:
         errors = work.deploy_stage(job, robot, plan, opt.period_seconds(period), on_progress=update)
-    show.deployment(terminal, points, errors)
+    tell(errors)
     terminal.finish({"run": str(run), "controller": controller, "error_mm": [1e3 * float(e) for e in errors]})
 
 
@@ -183,10 +188,8 @@ def report(run: opt.Run, json: opt.Json = False) -> None:
     Example: `rejoint report runs/mine`
     """
     require("rejoint report", "report")
-    from rejoint.report.page import write_report
 
     terminal = Terminal(json=json)
-    job = opening.open_run(run)
-    path = write_report(job.folder.path)
+    path = work.report_stage(opening.open_run(run))
     terminal.result(str(path.resolve()))
     terminal.finish({"run": str(run), "report": str(path.resolve())})

@@ -23,7 +23,7 @@ from rejoint.control.loop import move, run
 from rejoint.control.recording import Cycle, Recording
 from rejoint.control.robot import Robot
 from rejoint.errors import InputError
-from rejoint.runs import RunLog
+from rejoint.runlog import RunLog
 
 OpenRobot = Callable[[int, int], Robot]
 """Opens a robot of ``count`` arms with a noise ``seed``."""

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import csv
+import io
 from pathlib import Path
 
 import numpy as np
 
 from rejoint.arms import Arm, Array, solve_position
 from rejoint.errors import FileError, InputError
+from rejoint.files import read_bounded
 
 _HEADER = ["x", "y", "z"]
+_MOST = 250_000
+"""[bytes] largest file that is read (chosen: ten thousand targets, half a day of an arm)"""
 _REACHED = 1e-3
 """[m] a target that the inverse kinematics misses by more is out of reach (chosen)"""
 
@@ -33,10 +37,9 @@ def read_targets(path: Path, arm: Arm) -> Array:
     out of the arm's reach.
     """
     try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            lines = [
-                (number, line) for number, line in enumerate(csv.reader(file), start=1) if any(map(str.strip, line))
-            ]
+        text = read_bounded(path, _MOST, "give fewer targets").decode("utf-8-sig")
+        rows = enumerate(csv.reader(io.StringIO(text, newline="")), start=1)
+        lines = [(number, line) for number, line in rows if any(map(str.strip, line))]
     except FileNotFoundError as error:
         raise FileError(path, "no such file", "check the path") from error
     except (OSError, UnicodeDecodeError, csv.Error) as error:

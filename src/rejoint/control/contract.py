@@ -15,11 +15,12 @@ from rejoint.arms import Arm, Array
 from rejoint.control.observation import Layout, Slot, layout_slots
 from rejoint.control.residual import CommandLaw
 from rejoint.errors import ContractError
+from rejoint.files import digest
 
 FORMAT = 1
 """Version of the contract; a reader refuses others."""
 
-METADATA_KEY = "rejoint.contract"
+METADATA_KEY, DIGEST_KEY = "rejoint.contract", "rejoint.contract.digest"
 
 INPUT, OUTPUT = "observation", "action"
 """Names of the network's input (B, size) and output (B, n), both float32."""
@@ -95,6 +96,11 @@ def arm_digest(arm: Arm) -> str:
 def encode_contract(contract: PolicyContract) -> str:
     """Return the contract as JSON text."""
     return msgspec.json.encode(contract, enc_hook=float).decode()  # NumPy scalars become plain numbers
+
+
+def contract_digest(text: str) -> str:
+    """Fingerprint of a contract as it is written, by which damage is noticed; the network's answers tell its own."""
+    return digest(text.encode()).decode()
 
 
 def decode_contract(text: str) -> PolicyContract:

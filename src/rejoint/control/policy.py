@@ -10,12 +10,14 @@ from onnxruntime.capi import onnxruntime_pybind11_state as ort_errors
 
 from rejoint.arms import Arm, Array
 from rejoint.control.contract import (
+    DIGEST_KEY,
     INPUT,
     METADATA_KEY,
     OUTPUT,
     PROBE_TOLERANCE,
     PolicyContract,
     check_contract,
+    contract_digest,
     decode_contract,
     probe_observations,
 )
@@ -24,6 +26,7 @@ from rejoint.control.observation import Observation, Observer
 from rejoint.control.residual import Commander
 from rejoint.control.robot import Mask
 from rejoint.errors import ContractError, FileError
+from rejoint.files import MODEL_MOST, read_bounded
 
 _UNREADABLE = (
     ort_errors.Fail, ort_errors.InvalidArgument, ort_errors.InvalidGraph, ort_errors.InvalidProtobuf,
@@ -72,9 +75,17 @@ def load_policy(path: Path, arm: Arm) -> PolicyController:
     FileError: missing, damaged, or no policy at all. ContractError: a policy for something else.
     """
     session = _open(path)
-    text = session.get_modelmeta().custom_metadata_map.get(METADATA_KEY)
+    try:
+        told = session.get_modelmeta().custom_metadata_map
+    except UnicodeDecodeError as error:
+        raise FileError(path, "damaged (its metadata are no text)", "train the policy again") from error
+    text = told.get(METADATA_KEY)
     if text is None:
         raise FileError(path, "an ONNX file without the contract of a policy", "take a file written by `rejoint train`")
+    if told.get(DIGEST_KEY, contract_digest(text)) != contract_digest(
+        text
+    ):  # policies of before there was one have none
+        raise FileError(path, "damaged (its contract is not what was written)", "train the policy again")
     contract = decode_contract(text)
     check_contract(contract, arm)
     controller = PolicyController(arm, session, contract)
@@ -88,7 +99,7 @@ def _open(path: Path) -> ort.InferenceSession:
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     options.log_severity_level = 4
     try:
-        data = path.read_bytes()
+        data = read_bounded(path, MODEL_MOST, "train the policy again")
     except FileNotFoundError as error:
         raise FileError(path, "no such file", "train a policy first") from error
     except OSError as error:
@@ -108,7 +119,10 @@ def _check_network(path: Path, controller: PolicyController) -> None:
         raise ContractError(
             f"{path}: the network maps {found}, its contract says {INPUT} ({size}) to {OUTPUT} ({n}); train it again"
         )
-    answer = controller.act(probe_observations(size).astype(np.float32))
+    try:
+        answer = controller.act(probe_observations(size).astype(np.float32))
+    except _UNREADABLE as error:
+        raise FileError(path, "the network in it cannot be run, damaged", "train the policy again") from error
     recorded = np.array(contract.probe)
     if recorded.shape != answer.shape or not np.abs(recorded - answer).max() <= PROBE_TOLERANCE:
         raise FileError(path, "the network no longer gives the answers recorded in it", "train the policy again")

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from rejoint.arms import Array
 from rejoint.control.guard import Reasons
 from rejoint.control.robot import Mask, Robot
-from rejoint.runs import RunLog
+from rejoint.runlog import RunLog
 
 
 class Cycle(NamedTuple):

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from rejoint.arms import Arm
 from rejoint.arms.size import length_size
+from rejoint.control.recording import OnCycle
 from rejoint.control.robot import Robot
 from rejoint.diagnosis.evidence import Evidence
 from rejoint.diagnosis.excitation import FULL, Plan
@@ -37,7 +38,7 @@ KINDS = {
 
 @dataclass(frozen=True, kw_only=True)
 class Diagnosis:
-    """What is wrong with an arm; plain data that `rejoint.runs.write_json` can write."""
+    """What is wrong with an arm; plain data that `rejoint.files.write_json` can write."""
 
     arm: str
     robot: str
@@ -67,11 +68,12 @@ def diagnose(
     seed: int,
     plan: Plan = FULL,
     on_progress: OnProgress | None = None,
+    on_cycle: OnCycle | None = None,
 ) -> tuple[Diagnosis, DiagnosisLogs]:
     """Drive one arm through ten targets and the excitation, and judge what it did."""
     if robot.count != 1:
         raise InputError(f"a diagnosis is of one arm, {robot.address} has {robot.count}; use `record` for a batch")
-    logs = record(robot, seed=seed, plan=plan, on_progress=on_progress)[0]
+    logs = record(robot, seed=seed, plan=plan, on_progress=on_progress, on_cycle=on_cycle)[0]
     return judge(robot.arm, logs, healthy), logs
 
 

@@ -23,7 +23,7 @@ from rejoint.diagnosis.spans import join_logs
 from rejoint.diagnosis.verdict import Finding, find
 from rejoint.errors import InputError
 from rejoint.exclusions import Exclusions, find_exclusions, table_height
-from rejoint.runs import RunLog
+from rejoint.runlog import RunLog
 
 SHORTEST = 20.0
 """[s] of free motion below which a diagnosis is refused (chosen, as for an identification)"""

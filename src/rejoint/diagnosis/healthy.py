@@ -25,8 +25,8 @@ from rejoint.diagnosis.record import DiagnosisLogs, record
 from rejoint.diagnosis.regression import Estimate
 from rejoint.errors import InputError
 from rejoint.extras import installed
+from rejoint.files import read_json
 from rejoint.robots import SIMULATOR, open_robot
-from rejoint.runs import read_json
 
 TOLERANCE = 0.3
 """Relative spread allowed between healthy arms of a kind, on top of what was seen (chosen: vendors publish none)."""

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from rejoint.arms import Arm, Array, tcp_position
 from rejoint.diagnosis.regression import Estimate, mean_of
 from rejoint.errors import InputError
-from rejoint.runs import RunLog
+from rejoint.runlog import RunLog
 
 TARGETS = 10
 """Park et al. 2024, section IV-A"""

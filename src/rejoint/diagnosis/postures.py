@@ -10,7 +10,7 @@ import numpy as np
 from rejoint.arms import Array
 from rejoint.diagnosis.open_loop import settled_rows
 from rejoint.exclusions import Exclusions, joint_speed
-from rejoint.runs import RunLog
+from rejoint.runlog import RunLog
 
 AT_REST = 0.05
 """[rad/s] of the fastest joint and of the fastest command below which a row of a log counts as rest (chosen)"""

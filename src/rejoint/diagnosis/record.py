@@ -9,12 +9,12 @@ import numpy as np
 
 from rejoint.control.default import DefaultController
 from rejoint.control.loop import Schedule, move, play, run
-from rejoint.control.recording import Cycle
+from rejoint.control.recording import Cycle, OnCycle
 from rejoint.control.robot import Robot
 from rejoint.diagnosis.excitation import FULL, Plan, plan_excitation
 from rejoint.diagnosis.open_loop import DWELL, TARGETS, draw_targets
 from rejoint.diagnosis.segments import attach_segments
-from rejoint.runs import RunLog
+from rejoint.runlog import RunLog
 
 OnProgress = Callable[[str, float], object]
 """Called with what is being done and the share of it that is done, 0 to 1."""
@@ -34,12 +34,13 @@ class DiagnosisLogs:
 
 
 def record(
-    robot: Robot, *, seed: int, plan: Plan = FULL, on_progress: OnProgress | None = None
-) -> tuple[DiagnosisLogs, ...]:
+    robot: Robot, *, seed: int, plan: Plan = FULL, on_progress: OnProgress | None = None,
+    on_cycle: OnCycle | None = None,
+) -> tuple[DiagnosisLogs, ...]:  # fmt: skip
     """Drive every arm of ``robot`` through the diagnosis; returns the logs of each.
 
     GuardTripError or RobotError if the motion had to be ended. ``seed`` draws the targets and the
-    excitation; the arms of a batch get the same ones.
+    excitation; the arms of a batch get the same ones. ``on_cycle`` sees every cycle of both.
     """
     arm = robot.arm
     extra = {"seed": str(seed)}
@@ -47,13 +48,13 @@ def record(
     targets = np.tile(draw_targets(arm, seed), (robot.count, 1, 1))
     open_loop = run(
         robot, DefaultController(arm), targets, Schedule(dwell=DWELL),
-        on_cycle=_progress("ten targets", TARGETS * DWELL, on_progress, robot),
+        on_cycle=_progress("ten targets", TARGETS * DWELL, on_progress, on_cycle, robot),
     )  # fmt: skip
     move(robot, arm.rest)
     excitation = plan_excitation(arm, seed=seed, plan=plan)
     excited = play(
         robot, excitation.command, excitation.duration,
-        on_cycle=_progress("excitation", excitation.duration, on_progress, robot),
+        on_cycle=_progress("excitation", excitation.duration, on_progress, on_cycle, robot),
     )  # fmt: skip
     return tuple(
         DiagnosisLogs(
@@ -65,13 +66,14 @@ def record(
 
 
 def _progress(
-    what: str, duration: float, on_progress: OnProgress | None, robot: Robot
-) -> Callable[[Cycle], object] | None:
-    if on_progress is None:
-        return None
+    what: str, duration: float, on_progress: OnProgress | None, on_cycle: OnCycle | None, robot: Robot
+) -> OnCycle:
     begin = float(robot.read().time[0])
 
     def report(cycle: Cycle) -> None:
-        on_progress(what, min((float(cycle.time[0]) - begin) / duration, 1.0))
+        if on_cycle is not None:
+            on_cycle(cycle)
+        if on_progress is not None:
+            on_progress(what, min((float(cycle.time[0]) - begin) / duration, 1.0))
 
     return report

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, gravity_torque
 from rejoint.errors import InputError
-from rejoint.runs import RunLog
+from rejoint.runlog import RunLog
 
 _KEY = "segments"
 

@@ -14,7 +14,7 @@ import numpy as np
 from rejoint.arms import Arm, Array
 from rejoint.diagnosis.segments import ExcitationLog, Segment
 from rejoint.exclusions import Exclusions, Rows, free_runs
-from rejoint.runs import RunLog
+from rejoint.runlog import RunLog
 
 FREE, STEP, HOLD, STILL = "free", "step", "hold", "still"
 """Kinds of spans; the last three are those of an excitation"""

@@ -17,7 +17,7 @@ from rejoint.evaluation.page import write_page
 from rejoint.evaluation.result import Evaluation
 from rejoint.evaluation.summary import Outcomes, group, summarise
 from rejoint.evaluation.trials import TrialSettings, try_controller
-from rejoint.runs import write_json
+from rejoint.files import write_json
 
 OnProgress = Callable[[float, float, str], None]
 """Called with (done, total, what is being done)."""

@@ -12,7 +12,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from rejoint.arms import Array
-from rejoint.runs import write_whole
+from rejoint.errors import FileError
+from rejoint.files import write_whole
+from rejoint.runlog import read_parquet
 
 _METADATA_KEY = b"rejoint.evaluation"
 
@@ -61,13 +63,13 @@ def write_outcome(path: Path, outcome: Outcome, identity: dict[str, Any]) -> Non
     columns = {name: pa.array(list(array.reshape(len(array), -1))) for name, array in arrays.items()}
     header = {"identity": identity, "shapes": {name: array.shape[1:] for name, array in arrays.items()}}
     table = pa.table(columns).replace_schema_metadata({_METADATA_KEY: json.dumps(header).encode()})
-    write_whole(path, lambda temporary: pq.write_table(table, temporary, compression="zstd"))
+    write_whole(path, lambda temporary: pq.write_table(table, temporary, compression="zstd", write_page_checksum=True))
 
 
 def read_outcome(path: Path, identity: dict[str, Any]) -> Outcome | None:
     """Read an outcome; None where there is none, or one of something else, or a damaged one: it is made again."""
     try:
-        table = pq.read_table(path)
+        table = read_parquet(path, "delete it")
         header = json.loads((table.schema.metadata or {})[_METADATA_KEY])
         if header["identity"] != json.loads(json.dumps(identity)):
             return None
@@ -78,5 +80,5 @@ def read_outcome(path: Path, identity: dict[str, Any]) -> Outcome | None:
                 for f in fields(Outcome)
             }
         )
-    except (OSError, pa.ArrowException, KeyError, TypeError, ValueError):
+    except (OSError, pa.ArrowException, KeyError, TypeError, ValueError, RecursionError, FileError):
         return None

@@ -15,12 +15,12 @@ from rejoint.evaluation.outcome import Outcome
 from rejoint.evaluation.paired import NEVER_RATIO
 from rejoint.evaluation.result import Evaluation
 from rejoint.evaluation.tables import HEADERS, pair_cells, pair_headers, row_cells
+from rejoint.files import write_whole
 from rejoint.report.embed import inline_svg
 from rejoint.report.figures import HALF, canvas
 from rejoint.report.page import render
 from rejoint.report.palette import LOOKS
 from rejoint.report.view import Cell, Page, Part, Picture, Row, Section, Table
-from rejoint.runs import write_whole
 
 SHOWN_FAILURES = 200
 """Failures listed on the page; all are in ``evaluation.json`` (chosen: a page that still opens at once)"""

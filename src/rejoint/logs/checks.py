@@ -13,7 +13,7 @@ import numpy as np
 from rejoint.arms import Arm
 from rejoint.errors import FileError
 from rejoint.logs.track import Motion, Track
-from rejoint.runs import Array
+from rejoint.runlog import Array
 
 TWO_TURNS = 4.0 * np.pi
 """[rad] chosen: no joint of a serial arm is logged further from its zero; a log in degrees nearly always is."""

@@ -18,9 +18,10 @@ import numpy as np
 
 from rejoint.errors import InputError
 from rejoint.extras import require
+from rejoint.files import write_whole
 from rejoint.logs.mcapfile import COMMAND_TOPIC, METADATA, NANOSECONDS, POINT_TOPICS, STATE_TOPIC
 from rejoint.logs.table import AXES
-from rejoint.runs import RunLog, write_whole
+from rejoint.runlog import RunLog
 
 _SEPARATOR = "=" * 80
 _HEADER = f"""{_SEPARATOR}

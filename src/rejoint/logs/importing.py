@@ -16,7 +16,7 @@ from rejoint.logs import lerobot, mcapfile, sage, table
 from rejoint.logs.joining import to_log
 from rejoint.logs.options import ImportOptions
 from rejoint.logs.track import Motion
-from rejoint.runs import RunLog, write_log
+from rejoint.runlog import RunLog, write_log
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -12,7 +12,7 @@ import numpy as np
 from rejoint.arms import Arm
 from rejoint.errors import FileError
 from rejoint.logs.options import ImportOptions
-from rejoint.runs import Array
+from rejoint.runlog import Array
 
 _SO101_NAMES = {
     "Rotation": "shoulder_pan", "Pitch": "shoulder_lift", "Elbow": "elbow_flex", "Wrist_Pitch": "wrist_flex",

@@ -22,7 +22,7 @@ from rejoint.errors import FileError, first_line
 from rejoint.logs.joints import Match, match_joints, radians
 from rejoint.logs.options import ImportOptions
 from rejoint.logs.track import Motion, Track
-from rejoint.runs import Array
+from rejoint.runlog import Array
 
 _INFO = "meta/info.json"
 _STATE, _ACTION = "observation.state", "action"

@@ -20,7 +20,7 @@ from rejoint.errors import FileError
 from rejoint.logs.joints import match_joints, radians
 from rejoint.logs.options import TIME_UNITS, ImportOptions
 from rejoint.logs.track import Motion, Track
-from rejoint.runs import Array
+from rejoint.runlog import Array
 
 _CONTROL, _STATE, _JOINTS = "control.csv", "state_motor.csv", "joint_list.txt"
 _REMEDY = "mend the line or leave this motion out"

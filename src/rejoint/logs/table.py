@@ -20,7 +20,7 @@ from rejoint.errors import FileError
 from rejoint.logs.joints import match_joints, radians
 from rejoint.logs.options import OPTIONS, TIME_UNITS, ImportOptions
 from rejoint.logs.track import Motion, Points, Track
-from rejoint.runs import Array
+from rejoint.runlog import Array
 
 AXES = ("x", "y", "z")
 _LENGTHS = {"m": 1.0, "mm": 1e3}

@@ -12,7 +12,8 @@ import numpy as np
 
 from rejoint.arms import Arm, Array
 from rejoint.arms.size import reference_arm
-from rejoint.errors import ProfileError
+from rejoint.errors import FileError, ProfileError
+from rejoint.files import TOML_MOST, read_bounded
 from rejoint.plant.scaling import largest_load, scale_of
 from rejoint.plant.servo import STEP
 
@@ -221,8 +222,8 @@ def _head(data: dict[str, Any], name: str) -> tuple[str | None, bool]:
 
 def _read_file(path: str) -> str:
     try:
-        return Path(path).read_text(encoding="utf-8")
-    except (OSError, ValueError) as error:
+        return read_bounded(Path(path), TOML_MOST, "take another file").decode()
+    except (OSError, ValueError, FileError) as error:
         raise ProfileError(
             f"cannot read the wear profile {path!r} ({error}); known profiles: {', '.join(wear_names())}"
         ) from error

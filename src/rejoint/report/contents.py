@@ -14,8 +14,10 @@ from rejoint.control.contract import PolicyContract
 from rejoint.control.policy import load_policy
 from rejoint.diagnosis.diagnosis import Diagnosis
 from rejoint.errors import FileError, InputError
+from rejoint.files import read_json
 from rejoint.report.sections.training import Curves, read_curves
-from rejoint.runs import RunFolder, RunInfo, RunLog, read_json, read_log
+from rejoint.runlog import RunLog, read_log
+from rejoint.runs import RunFolder, RunInfo, read_info
 from rejoint.twin.file import read_twin
 from rejoint.twin.judgement import Judgement
 from rejoint.twin.twin import Twin
@@ -54,7 +56,7 @@ def read_contents(path: Path) -> Contents:
     folder = RunFolder(path)
     if not path.is_dir():
         raise FileError(path, "no such run folder", "check the path, or make one with `rejoint repair`")
-    info = _optional(folder.info, lambda file: read_json(file, RunInfo))
+    info = _optional(folder.info, read_info)
     diagnosis = _optional(folder.diagnosis, lambda file: read_json(file, Diagnosis))
     twin = _optional(folder.twin, read_twin)
     judgement = _optional(folder.judgement, lambda file: read_json(file, Judgement))

@@ -10,8 +10,8 @@ import matplotlib as mpl
 from markupsafe import Markup, escape
 from matplotlib.figure import Figure
 
+from rejoint.files import write_whole
 from rejoint.report.palette import GROUND, INK, LOOKS
-from rejoint.runs import write_whole
 
 PNG_DPI = 160
 """[1/inch] chosen: sharp in a slide or a printed letter"""

@@ -9,6 +9,7 @@ import jinja2
 
 from rejoint import __version__
 from rejoint.comparison.recommend import Recommendation, recommend
+from rejoint.files import write_whole
 from rejoint.report.contents import Contents, read_contents
 from rejoint.report.embed import theme_css
 from rejoint.report.gallery import Gallery
@@ -17,7 +18,6 @@ from rejoint.report.sections import compared, diagnosed, motion, training, trust
 from rejoint.report.sections.details import commands, details_section
 from rejoint.report.sections.verdict import page_of
 from rejoint.report.view import Page, Section
-from rejoint.runs import write_whole
 from rejoint.twin.parameters import prior
 from rejoint.twin.unknown import unknown_prior
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 from rejoint import __version__
+from rejoint.files import write_json, write_whole
 from rejoint.report.gallery import Gallery
 from rejoint.report.page import render
 from rejoint.report.sections.trust import trust_section
 from rejoint.report.trust import answer
 from rejoint.report.view import Page
 from rejoint.report.words import plural
-from rejoint.runs import write_json, write_whole
 from rejoint.twin.judgement import Judgement
 
 CAVEAT = "A motion that a twin was fitted to flatters it; which those are, neither the twin nor the logs tell."

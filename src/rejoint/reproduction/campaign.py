@@ -9,9 +9,9 @@ from pathlib import Path
 
 from rejoint import __version__
 from rejoint.errors import InputError
+from rejoint.files import read_json, write_json
 from rejoint.reproduction.experiment import Bench, Experiment, Finished
 from rejoint.reproduction.trainings import finish_trainings
-from rejoint.runs import read_json, write_json
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -17,6 +17,7 @@ from rejoint.control.catalogue import BASELINES
 from rejoint.control.controller import Controller
 from rejoint.control.policy import load_policy
 from rejoint.control.robot import Robot
+from rejoint.files import read_json, write_json
 from rejoint.report.motion import bounds, encoder_path
 from rejoint.report.palette import look_of
 from rejoint.report.sections.training import read_curves
@@ -24,7 +25,7 @@ from rejoint.reproduction.experiment import Bench, Drawing, Experiment, Findings
 from rejoint.reproduction.figures import Ways, ways
 from rejoint.reproduction.trainings import WORN
 from rejoint.robots import open_robot
-from rejoint.runs import RunLog, read_json, read_log, write_json, write_log
+from rejoint.runlog import RunLog, read_log, write_log
 
 CLASSICAL = ("default", "pid-sum", "pid-literal")
 POLICIES = tuple(f"policy-{i}" for i in range(len(WORN)))

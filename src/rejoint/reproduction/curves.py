@@ -10,12 +10,12 @@ import numpy as np
 from rejoint.arms import Arm, Array
 from rejoint.control.policy import load_policy
 from rejoint.errors import FileError
+from rejoint.files import read_json, write_json
 from rejoint.report.palette import BLUE, ORANGE, RED
 from rejoint.reproduction.episodes import healthy_ranges, play, worn_ranges
 from rejoint.reproduction.experiment import Bench, Drawing, Experiment, Findings, Number
 from rejoint.reproduction.figures import Curve, over_training
 from rejoint.reproduction.trainings import HEALTHY, WORN
-from rejoint.runs import read_json, write_json
 from rejoint.training.presets import PAPER
 from rejoint.training.ranges import Ranges
 from rejoint.training.train import snapshot_path

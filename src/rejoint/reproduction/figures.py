@@ -14,9 +14,9 @@ from matplotlib.ticker import MultipleLocator
 from PIL import Image
 
 from rejoint.arms import Array
+from rejoint.files import write_whole
 from rejoint.report.figures import FONT, REACHED_MM, WIDE, canvas, heading, style
 from rejoint.report.palette import GROUND, INK, Look
-from rejoint.runs import write_whole
 
 DPI = 120
 COLOURS = 64

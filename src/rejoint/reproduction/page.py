@@ -6,10 +6,10 @@ import shutil
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
+from rejoint.files import read_json, write_whole
 from rejoint.reproduction.campaign import finished_file
 from rejoint.reproduction.experiment import Bench, Drawing, Finished, Number
 from rejoint.reproduction.registry import EXPERIMENTS
-from rejoint.runs import read_json, write_whole
 
 PAPER = "https://doi.org/10.1109/ACCESS.2024.3359268"
 

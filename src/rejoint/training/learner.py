@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import pickle
 import sys
 import time
@@ -17,7 +18,7 @@ import numpy as np
 import torch
 
 from rejoint.errors import FileError, first_line
-from rejoint.runs import write_whole
+from rejoint.files import MEGABYTE, digest, read_bounded, write_whole
 from rejoint.training.arithmetic import PRECISION, on_threads, products
 from rejoint.training.crew import Crew
 from rejoint.training.networks import Actor, Critic
@@ -32,7 +33,13 @@ SWITCH_INTERVAL = 1e-4
 """[s] after which a crew that waits for Python's lock gets it (chosen: about what Python does between two physics
 steps; with its default of 5 ms a crew whose step is done waits for all that the other one computes)"""
 
-_CHECKPOINT_FORMAT = 3
+_CHECKPOINT_FORMAT = 4
+
+_MAGIC = b"rejoint checkpoint "
+_RESTART = "delete it, or train with --restart"
+
+CHECKPOINT_MOST = 2000 * MEGABYTE
+"""Largest checkpoint that is read (chosen: some fifty times the largest that the presets write)"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,9 +116,12 @@ class Learner:
         write_whole(path, lambda temporary: _save(content, temporary))
 
     def load(self, path: Path, identity: dict[str, Any]) -> bool:
-        """Continue from a checkpoint; False where it belongs to another training, FileError if damaged."""
+        """Continue from a checkpoint; False where it belongs to another training, FileError if damaged.
+
+        What is in it is tensors and plain data; no code in it would be run.
+        """
         try:
-            content = torch.load(path, map_location="cpu", weights_only=True)
+            content = torch.load(io.BytesIO(_unsealed(path)), map_location="cpu", weights_only=True)
             if content["format"] != _CHECKPOINT_FORMAT or content["identity"] != identity:
                 return False
             for name, module in self._modules().items():
@@ -120,8 +130,9 @@ class Learner:
             for crew, state in zip(self.crews, content["crews"], strict=True):
                 crew.load_state(state | {"task": _arrays(state["task"])})
             self.curve = [CurvePoint(**point) for point in content["curve"]]
-        except (OSError, EOFError, KeyError, RuntimeError, TypeError, ValueError, pickle.UnpicklingError) as error:
-            raise FileError(path, "damaged checkpoint", "delete it and train again") from error
+        except (OSError, LookupError, RuntimeError, TypeError, ValueError, AttributeError, EOFError,
+                pickle.UnpicklingError) as error:  # fmt: skip
+            raise FileError(path, f"damaged checkpoint ({first_line(error)})", _RESTART) from error
         return True
 
     def _modules(self) -> dict[str, torch.nn.Module | torch.optim.Optimizer]:
@@ -157,10 +168,19 @@ def _switching(interval: float) -> Iterator[None]:
 
 
 def _save(content: dict[str, Any], path: Path) -> None:
-    try:
-        torch.save(content, path)
-    except RuntimeError as error:  # so torch reports a full disk
-        raise OSError(first_line(error)) from error
+    """Write a checkpoint behind its digest: torch reads tensors without looking at their checksums."""
+    buffer = io.BytesIO()
+    torch.save(content, buffer)
+    data = buffer.getvalue()
+    path.write_bytes(_MAGIC + digest(data) + b"\n" + data)
+
+
+def _unsealed(path: Path) -> bytes:
+    """Return what `_save` wrote behind the digest; FileError if it is something else."""
+    head, _, data = read_bounded(path, CHECKPOINT_MOST, _RESTART).partition(b"\n")
+    if head != _MAGIC + digest(data):
+        raise FileError(path, "damaged checkpoint (it is not what was written)", _RESTART)
+    return data
 
 
 def _learning_rate(settings: PpoSettings, iteration: int) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
@@ -16,7 +17,9 @@ from rejoint import __version__
 from rejoint.arms import Arm
 from rejoint.control.contract import PolicyContract, arm_digest
 from rejoint.control.observation import layout_slots
-from rejoint.runs import RunFolder, set_aside, write_whole
+from rejoint.errors import FileError
+from rejoint.files import set_aside, write_whole
+from rejoint.runs import RunFolder
 from rejoint.training.export import export_policy
 from rejoint.training.learner import CurvePoint, Learner
 from rejoint.training.presets import Preset, load_preset
@@ -101,8 +104,8 @@ def train(
     checkpoint, curves = folder.training / "checkpoint.pt", folder.training / "curves.parquet"
     learner = make_learner(arm, twin, recipe, options)
     identity = _identity(arm, twin, recipe, options.seed)
-    if options.resume and checkpoint.exists() and not learner.load(checkpoint, identity):
-        set_aside(checkpoint)  # of another training, which may be wanted again
+    if options.resume and not _resumed(learner, checkpoint, identity):
+        learner = make_learner(arm, twin, recipe, options)  # a damaged one may have been taken over in part
     total = recipe.ppo.iterations
     writer = SummaryWriter(str(folder.training))
     contract = policy_contract(arm, twin, recipe, options.seed)
@@ -124,6 +127,22 @@ def train(
     return training_result(folder.policy, curves, recipe.name, options.seed, learner.curve)
 
 
+def _resumed(learner: Learner, checkpoint: Path, identity: dict[str, Any]) -> bool:
+    """Continue from a checkpoint; False where there is none, or one of another training, which may be wanted again.
+
+    So it is with a damaged one: beginning anew takes a minute or a few, comes to the same end, and needs nobody.
+    """
+    if not checkpoint.exists():
+        return True
+    try:
+        if learner.load(checkpoint, identity):
+            return True
+    except FileError as error:
+        logging.getLogger("rejoint").warning("%s; the training begins anew", error)
+    set_aside(checkpoint)
+    return False
+
+
 def training_ranges(arm: Arm, twin: Twin | None, preset: Preset) -> Ranges:
     """Which arms a preset trains on."""
     if preset.ranges == "paper":
@@ -143,7 +162,7 @@ def snapshot_path(folder: RunFolder, updates: int) -> Path:
 def write_curves(path: Path, curve: Sequence[CurvePoint]) -> None:
     """Write training curves as Parquet, one column per field of `CurvePoint`."""
     table = pa.table({f.name: [getattr(point, f.name) for point in curve] for f in fields(CurvePoint)})
-    write_whole(path, lambda temporary: pq.write_table(table, temporary))
+    write_whole(path, lambda temporary: pq.write_table(table, temporary, write_page_checksum=True))
 
 
 def make_learner(arm: Arm, twin: Twin | None, recipe: Preset, options: TrainingOptions) -> Learner:

@@ -1,11 +1,13 @@
 """``twin.toml``: a twin as a file that people can read and programs can trust.
 
 Values are in SI units. The intervals are written for the reader and computed again when the file is
-read; everything else is covered by the digest, so that a changed or damaged file is noticed.
+read. One digest covers all that decides the twins drawn from this one; another, in the first line, covers the whole
+text, so that a changed or damaged file is noticed.
 """
 
 from __future__ import annotations
 
+import re
 import tomllib
 from collections.abc import Sequence
 from dataclasses import fields
@@ -19,7 +21,7 @@ from tomlkit.items import Table as TomlTable
 
 from rejoint.arms import Arm, Array
 from rejoint.errors import FileError, InputError, first_line
-from rejoint.runs import write_whole
+from rejoint.files import CHANGED, TOML_MOST, digest, read_bounded, write_whole
 from rejoint.twin.parameters import PARAMETERS, STICTION, TwinParameters
 from rejoint.twin.prediction import PredictionError
 from rejoint.twin.table import Table
@@ -29,24 +31,29 @@ FORMAT = 1
 """Version of the layout; a reader refuses others"""
 
 _REMEDY = "identify the arm again"
+_SEAL = re.compile(rb"\A# digest of the text below: ([0-9a-f]{16})\n")
 
 
 def write_twin(path: Path, twin: Twin) -> None:
     """Write a twin as TOML, whole or not at all."""
     text = tomlkit.dumps(_document(twin))
+    text = f"# digest of the text below: {digest(text.encode()).decode()}\n{text}"
     write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
 
 
 def read_twin(path: Path, arm: Arm | None = None) -> Twin:
     """Read a twin; FileError if the file is missing or damaged, ContractError if it is of another arm."""
     try:
-        data = tomllib.loads(path.read_bytes().decode())
+        text = read_bounded(path, TOML_MOST, _REMEDY)
+        sealed = _SEAL.search(text)
+        if sealed and digest(text[sealed.end() :]) != sealed[1]:
+            raise FileError(path, CHANGED, _REMEDY)
+        data = tomllib.loads(text.decode())
         if data["format"] != FORMAT:
             raise FileError(path, f"twin of format {data['format']!r}, expected {FORMAT}", _REMEDY)
         twin = _twin(data)
-        digest = twin.digest()
-        if data["digest"] != digest:
-            raise FileError(path, f"holds digest {data['digest']!r} but its values give {digest!r}", _REMEDY)
+        if data["digest"] != twin.digest():
+            raise FileError(path, f"holds digest {data['digest']!r} but its values give {twin.digest()!r}", _REMEDY)
     except FileNotFoundError as error:
         raise FileError(path, "no such file", "identify the arm first") from error
     except (OSError, UnicodeDecodeError, RecursionError, tomllib.TOMLDecodeError) as error:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from rejoint.arms import Arm
 from rejoint.errors import InputError
 from rejoint.exclusions import Exclusions, find_exclusions, table_height
-from rejoint.runs import RunLog
+from rejoint.runlog import RunLog
 from rejoint.twin.fit import SCALES, Fit, Problem, fit
 from rejoint.twin.identify import fitted_twin
 from rejoint.twin.judge import TIMESTEP, Candidate, judge

@@ -14,7 +14,7 @@ import numpy as np
 
 from rejoint.arms import Arm, Array, gravity_torque
 from rejoint.errors import InputError
-from rejoint.runs import RunLog
+from rejoint.runlog import RunLog
 from rejoint.twin.fit import Fit, Problem, fit, search
 from rejoint.twin.model import TIMESTEP
 from rejoint.twin.parameters import (

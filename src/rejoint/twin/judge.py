@@ -14,7 +14,7 @@ import numpy as np
 from rejoint.arms import Arm, Array, tcp_position
 from rejoint.errors import InputError
 from rejoint.exclusions import Exclusions, Rows, find_exclusions, table_height
-from rejoint.runs import RunLog
+from rejoint.runlog import RunLog
 from rejoint.twin.judgement import NO_TWIN, Error, Errors, Judgement, MotionErrors, Trace
 from rejoint.twin.parameters import STICTION, TwinParameters
 from rejoint.twin.prediction import prediction_error

@@ -22,6 +22,7 @@ import numpy as np
 
 from rejoint.arms import Arm, Array
 from rejoint.errors import FileError, InputError
+from rejoint.files import TOML_MOST, read_bounded
 from rejoint.twin.judge import Candidate
 from rejoint.twin.parameters import PARAMETERS, TwinParameters, pack
 from rejoint.twin.unknown import unknown_prior
@@ -34,10 +35,10 @@ _REMEDY = "docs/published holds examples"
 def read_published(path: Path, arm: Arm) -> Candidate:
     """Read a published set; FileError names a file that is missing or not one, or the value that is wrong."""
     try:
-        data = tomllib.loads(path.read_text(encoding="utf-8"))
+        data = tomllib.loads(read_bounded(path, TOML_MOST, _REMEDY).decode())
     except FileNotFoundError as error:
         raise FileError(path, "no such file", "check the path") from error
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+    except (OSError, UnicodeDecodeError, RecursionError, tomllib.TOMLDecodeError) as error:
         raise FileError(path, f"not a readable TOML file ({error})", _REMEDY) from error
     unknown = sorted(set(data) - {p.name for p in PARAMETERS} - {"name", "stiction", "source"})
     if unknown:

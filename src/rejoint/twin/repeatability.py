@@ -13,7 +13,7 @@ import numpy as np
 
 from rejoint.arms import Arm, Array, tcp_position
 from rejoint.exclusions import Rows
-from rejoint.runs import RunLog
+from rejoint.runlog import RunLog
 
 SHORTEST, LONGEST = 1.5, 40.0
 """[s] of a period: longer than the arm remembers by its speed, and short enough to come twice (chosen)"""

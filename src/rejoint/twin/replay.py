@@ -17,7 +17,7 @@ import numpy as np
 
 from rejoint.arms import Arm, Array
 from rejoint.errors import InputError
-from rejoint.runs import RunLog
+from rejoint.runlog import RunLog
 from rejoint.twin.batch import TwinBatch
 from rejoint.twin.model import TIMESTEP
 from rejoint.twin.parameters import STICTION, TwinParameters

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.exclusions import Exclusions, free_runs
-from rejoint.runs import RunLog
+from rejoint.runlog import RunLog
 from rejoint.twin.replay import Window
 
 SHORTEST = 2.0

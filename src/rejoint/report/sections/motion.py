@@ -14,7 +14,7 @@ from rejoint.report.numerals import number
 from rejoint.report.palette import look_of
 from rejoint.report.view import Part, Picture, Section
 from rejoint.report.words import short
-from rejoint.runs import RunLog
+from rejoint.runlog import RunLog
 
 KEY, SHORT, HEADING = "motion", "Motion", "How the arm moved"
 

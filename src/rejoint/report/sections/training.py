@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from rejoint.arms import Array
 from rejoint.control.contract import PolicyContract
@@ -17,6 +16,7 @@ from rejoint.report.figures import training_curves
 from rejoint.report.gallery import Gallery
 from rejoint.report.numerals import number
 from rejoint.report.view import Part, Section
+from rejoint.runlog import read_parquet
 from rejoint.runs import RunFolder
 
 KEY, SHORT, HEADING = "training", "Training", "Training of the policy"
@@ -45,7 +45,7 @@ def read_curves(path: Path) -> Curves:
     """Read ``training/curves.parquet``; FileError if it is damaged or holds no update."""
     remedy = "delete it and train again"
     try:
-        table = pq.read_table(path, columns=list(_COLUMNS))
+        table = read_parquet(path, remedy, list(_COLUMNS))
         columns = {name: table[name].to_numpy().astype(float) for name in _COLUMNS}
     except FileNotFoundError as error:
         raise FileError(path, "no such file", "train a policy first") from error
