@@ -25,6 +25,9 @@ ACCELERATION = float(np.radians(200.0))
 """[rad/s^2] of interpolated moves (vendor's communication protocol page)"""
 COMMAND_DELAY = (0.008, 0.013)
 """[s] from the arrival of a command to its effect in the servos (the plant's own channel)"""
+MAX_WRITES = 64
+"""Goals on their way over the servo bus; the oldest of more are lost (chosen: an order every 8 ms leaves two)"""
+
 NO_SOLUTION = 32
 NO_LINE = 33
 """Error codes of the vendor's ``get_error_information``; 1..6 name the joint over its limit."""
@@ -301,6 +304,7 @@ class Firmware:
             due_ms = max(due_ms, self._outbox[-1].due_ms)  # a bus does not overtake itself
         target = (self._motion.reference if goal is None else goal) + self.zero
         self._outbox.append(_Write(due_ms, target, speed))
+        del self._outbox[:-MAX_WRITES]
 
     def _deliver(self) -> None:
         """Hand the servos the newest of the goals that have arrived."""

@@ -30,6 +30,8 @@ BACKLOG = 1
 """Clients that may wait, as in the vendor's server."""
 SEND_PATIENCE = 1.0
 """[s] before a client that takes no answers counts as gone (chosen)"""
+BUFFER = 1 << 16
+"""[bytes] that the system may keep for a connection each way: requests ahead, answers that nobody reads (chosen)"""
 _CHUNK = 1024
 
 
@@ -190,6 +192,8 @@ def _listen(host: str, port: int) -> socket.socket:
     listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)  # the vendor's client knows no IPv6
     try:
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        for buffer in (socket.SO_RCVBUF, socket.SO_SNDBUF):  # connections inherit them
+            listener.setsockopt(socket.SOL_SOCKET, buffer, BUFFER)
         listener.bind((host, port))
         listener.listen(BACKLOG)
         listener.setblocking(False)
