@@ -171,9 +171,10 @@ def _bench_fuzz(firmware: Firmware) -> None:
 def _bench_connections(firmware: Firmware) -> None:
     with serve_tcp(firmware, port=0, timing=Timing(state=0.0, acknowledgement=0.0)) as server:
         drop_connections(server, 500, seed=1)
+        time.sleep(0.2)  # for the last ones to be noticed
         before, began = (resident(), descriptors(), threading.active_count()), time.perf_counter()
         drop_connections(server, CONNECTIONS)
-        time.sleep(0.2)  # for the last ones to be noticed
+        time.sleep(0.2)
         print(f"{CONNECTIONS} connections opened and dropped: memory grew by {resident() - before[0]:.1f} MB, "
               f"descriptors by {descriptors() - before[1]}, threads by {threading.active_count() - before[2]}; "
               f"{time.perf_counter() - began:.0f} s")  # fmt: skip
