@@ -8,7 +8,7 @@ import argparse
 from collections.abc import Callable
 from pathlib import Path
 
-from benchmarks import agents, control, diagnosis, identification, plant, policy, rivals, training
+from benchmarks import agents, control, diagnosis, emulator, identification, plant, policy, rivals, training
 
 BENCHMARKS: dict[str, Callable[[Path | None], None]] = {
     "plant": lambda _logs: plant.main(),
@@ -19,6 +19,7 @@ BENCHMARKS: dict[str, Callable[[Path | None], None]] = {
     "policy": lambda _logs: policy.main(),
     "diagnosis": lambda _logs: diagnosis.main(),
     "identification": identification.bench,
+    "emulator": lambda _logs: emulator.main(),
 }
 
 

@@ -13,7 +13,7 @@ from rejoint.control.integrator import IntegratorController
 from rejoint.control.loop import Schedule, run
 from rejoint.control.recording import recording_of
 from rejoint.errors import GuardTripError
-from rejoint.runs import read_json, write_json
+from rejoint.files import read_json, write_json
 
 TARGETS = draw_targets(ARM, sets=2, count=5, seed=1)
 

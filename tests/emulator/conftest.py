@@ -16,6 +16,8 @@ class IdealPlant:
         self.goal = np.array(position, dtype=float)[None]
         self.position = self.goal.copy()
         self.limit = np.inf
+        self.told = np.full((1, 6), np.nan)  # of encoders that froze
+        self.seen = np.full((1, 6), np.nan)  # by servos that went blind: they see no progress and run on
         self.on = True
         self.writes = []
         self.temperature = np.full((1, 6), 30.0)
@@ -30,11 +32,19 @@ class IdealPlant:
         before = self.position
         if self.on:
             reach = self.limit * duration
-            self.position = before + np.clip(self.goal - before, -reach, reach)
+            missing = self.goal - np.where(np.isnan(self.seen), before, self.seen)
+            self.position = before + np.clip(missing, -reach, reach)
         self.speed = (self.position - before) / duration
 
     def encoder(self):
-        return self.position.copy()
+        return np.where(np.isnan(self.told), self.position, self.told)
+
+    def freeze(self, joints):
+        self.told = np.where(joints & np.isnan(self.told), self.encoder(), self.told)
+
+    def blind(self, joints):
+        self.seen = np.where(joints & np.isnan(self.seen), self.encoder(), self.seen)
+        self.freeze(joints)
 
     def true_tcp(self):
         return tcp_position(ARM, self.position)

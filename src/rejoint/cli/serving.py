@@ -20,6 +20,7 @@ def emulate(
     port: Annotated[int, typer.Option(help="TCP port; 0 takes a free one.", min=0, max=65535)] = 9000,
     pty: Annotated[bool, typer.Option("--pty", help="Serve a serial line (pseudo terminal) instead of TCP.")] = False,
     log: Annotated[Path | None, typer.Option(help="Write the true tool position here, as CSV.")] = None,
+    fault: Annotated[str, typer.Option(help="What goes wrong, comma separated; see above.")] = "",
     seed: Seed = 0,
     json: Json = False,
 ) -> None:
@@ -27,17 +28,31 @@ def emulate(
 
     Example: `rejoint emulate --wear worn --port 9000`, then in another terminal
     `rejoint repair tcp://127.0.0.1:9000`.
+
+    `--fault drop=0.05,stall=1.5/4,freeze=3@5,die@20` loses 5 % of the answers, lets the link stand still for 1.5 s
+    every 4 s, freezes the encoder of joint 3 after 5 s and ends without a word after 20 s, counted from the first
+    byte of a client. Shares of answers: drop=P, garbage=P, stale=P, split=P, half=P, double=P, echo=P. The link:
+    slow=S, stall=D/E, gone=T/D (closed at T, back after D), silent@T, die@T. Joints, from 1: freeze=J@T (the encoder),
+    blind=J@T (its servo too), jump=J@T, limit=J@T, overheat=J@T, current=J@T, overload=J@T, voltage@T.
     """
     require("rejoint emulate", SIMULATOR)
     from rejoint.emulator.emulate import emulate as serve
+    from rejoint.emulator.faults import parse_faults
+    from rejoint.emulator.servers import beyond_loopback
 
     terminal = Terminal(json=json)
     served: list[str] = []
+    arm = load_arm("mycobot280")
+    faults = parse_faults(fault, arm.joints)
 
     def announce(address: str) -> None:
         served.append(address)
         terminal.say(f"A myCobot 280 with the wear profile '{wear}' answers at {address}  (Ctrl-C ends it)")
+        if beyond_loopback(address):
+            terminal.say(f"Other machines can drive it too, without a password: it listens on {host}.")
+        if fault:
+            terminal.say(f"Faults: {fault}")
 
-    serve(load_arm("mycobot280"), wear, host=host, port=port, pty=pty, seed=seed, announce=announce, log=log)
+    serve(arm, wear, host=host, port=port, pty=pty, seed=seed, announce=announce, log=log, faults=faults)
     terminal.say("Emulator ended.")
-    terminal.finish({"wear": wear, "address": served[-1]})
+    terminal.finish({"wear": wear, "address": served[-1], "faults": fault})

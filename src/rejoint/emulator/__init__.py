@@ -1,8 +1,13 @@
 """A worn arm behind the myCobot wire protocol: the plant in wall-clock time, on TCP or a pseudo-terminal."""
 
 from rejoint.emulator.emulate import build_firmware, emulate
+from rejoint.emulator.faults import Faults, parse_faults
 from rejoint.emulator.firmware import Firmware
 from rejoint.emulator.servers import Server, serve_pty, serve_tcp
-from rejoint.emulator.session import Timing, TruthLog
+from rejoint.emulator.session import Timing
+from rejoint.emulator.truthlog import TruthLog
 
-__all__ = ["Firmware", "Server", "Timing", "TruthLog", "build_firmware", "emulate", "serve_pty", "serve_tcp"]
+__all__ = [
+    "Faults", "Firmware", "Server", "Timing", "TruthLog", "build_firmware", "emulate", "parse_faults", "serve_pty",
+    "serve_tcp",
+]  # fmt: skip

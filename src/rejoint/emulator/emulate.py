@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 from typing import cast
 
 from rejoint.arms import Arm
-from rejoint.emulator.firmware import Firmware, PlantLike
+from rejoint.emulator.faults import NONE, Faults
+from rejoint.emulator.firmware import Firmware
+from rejoint.emulator.plantlike import PlantLike
 from rejoint.emulator.servers import serve_pty, serve_tcp
-from rejoint.emulator.session import TruthLog
+from rejoint.emulator.truthlog import TruthLog
+
+DIED = 1
+"""Exit code of an emulator that a fault let die."""
 
 
 def build_firmware(arm: Arm, wear_name: str, *, seed: int = 0) -> Firmware:
@@ -34,11 +40,13 @@ def emulate(
     seed: int = 0,
     announce: Callable[[str], None],
     log: Path | None = None,
+    faults: Faults = NONE,
 ) -> None:
     """Serve a worn arm until interrupted (Ctrl-C); ``announce`` gets its address once it can be reached.
 
-    With ``log`` the true tool position is written there as CSV. Raises InputError if the port cannot
-    be used, ProfileError for a wear profile that does not exist, FileError if the log cannot be written.
+    With ``log`` the true tool position is written there as CSV. If ``faults`` let it die, the whole process ends on
+    the spot with exit code 1. Raises InputError if the port cannot be used, ProfileError for a wear profile that does
+    not exist, FileError if the log cannot be written.
     """
     try:
         with ExitStack() as stack:
@@ -47,9 +55,10 @@ def emulate(
             if truth is not None:
                 stack.callback(truth.close)
             if pty:
-                server = serve_pty(firmware, seed=seed, log=truth)
+                server = serve_pty(firmware, seed=seed, log=truth, faults=faults)
             else:
-                server = serve_tcp(firmware, host, port, seed=seed, log=truth)
+                server = serve_tcp(firmware, host, port, seed=seed, log=truth, faults=faults)
+            server.on_death = lambda: os._exit(DIED)
             stack.callback(server.stop)
             announce(server.address)
             server.run()

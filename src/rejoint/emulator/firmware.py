@@ -7,16 +7,15 @@ arm settle what the firmware does, the choice is named.
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, tcp_pose
+from rejoint.emulator.ailments import Ailments
 from rejoint.emulator.motion import Motion
 from rejoint.emulator.paths import Path, joint_path, line_path, solve_pose
-
-Mask = NDArray[np.bool_]
+from rejoint.emulator.plantlike import Mask, PlantLike
 
 TICK_MS = 10
 """[ms] between set-points that the firmware writes while it interpolates (chosen)"""
@@ -26,6 +25,8 @@ ACCELERATION = float(np.radians(200.0))
 """[rad/s^2] of interpolated moves (vendor's communication protocol page)"""
 COMMAND_DELAY = (0.008, 0.013)
 """[s] from the arrival of a command to its effect in the servos (the plant's own channel)"""
+MAX_WRITES = 64
+"""Goals on their way over the servo bus; the oldest of more are lost (chosen: an order every 8 ms leaves two)"""
 
 NO_SOLUTION = 32
 NO_LINE = 33
@@ -38,47 +39,6 @@ _OVER_TEMPERATURE = 70.0
 _HAS_ARRIVED_ANGLE = np.radians(1.0)
 _HAS_ARRIVED_LENGTH = 0.003
 """What counts as in position (chosen)."""
-
-
-class PlantLike(Protocol):
-    """What the firmware needs of `rejoint.plant.plant.Plant`, for a batch of one arm."""
-
-    @property
-    def speed(self) -> Array:
-        """(1, n) [rad/s]."""
-
-    @property
-    def torque(self) -> Array:
-        """(1, n) [N m]."""
-
-    @property
-    def temperature(self) -> Array:
-        """(1, n) [deg C]."""
-
-    def command(self, position: Array) -> None:
-        """Write goals (1, n) [rad]."""
-
-    def advance(self, duration: float) -> None:
-        """Let whole milliseconds pass; [s]."""
-
-    def encoder(self) -> Array:
-        """(1, n) [rad]."""
-
-    def true_tcp(self) -> Array:
-        """(1, 3) [m]."""
-
-    @property
-    def goal(self) -> Array:
-        """(1, n) [rad] what the servos were told last."""
-
-    def halt(self) -> None:
-        """Freeze the servos' references where their ramps are."""
-
-    def set_power(self, on: Mask) -> None:
-        """Power the servos (1,); those newly powered hold where they are."""
-
-    def set_speed_limit(self, speed: float) -> None:
-        """Limit the servos' own ramps [rad/s]."""
 
 
 class _Write(NamedTuple):
@@ -103,6 +63,7 @@ class Firmware:
         """(n,) [rad] what calibration took as zero, on the encoders' own scale"""
         self.registers: dict[tuple[int, int], int] = {}
         """(servo, address) -> value; kept and read back, without effect on the servos"""
+        self.ailments = Ailments(arm.joints)
         self._plant = plant
         self._rng = np.random.default_rng(seed)
         self._motion = Motion(plant.goal[0], full_speed=FULL_SPEED, acceleration=ACCELERATION)
@@ -115,7 +76,7 @@ class Firmware:
     @property
     def angles(self) -> Array:
         """(n,) [rad] joint angles by the encoders."""
-        return self._plant.encoder()[0] - self.zero
+        return self._plant.encoder()[0] - self.zero + self.ailments.misreading
 
     @property
     def planned_angles(self) -> Array:
@@ -145,7 +106,7 @@ class Firmware:
     @property
     def temperature(self) -> Array:
         """(n,) [deg C]."""
-        return self._plant.temperature[0]
+        return self._plant.temperature[0] + self.ailments.warmth
 
     @property
     def hot(self) -> Mask:
@@ -280,6 +241,16 @@ class Firmware:
         self._motion.hold()
         self._motion.place(joint, float(self._motion.reference[joint]) - shift)
 
+    # --- faults -----------------------------------------------------------------------------
+
+    def freeze(self, joints: Mask) -> None:
+        """Let the encoders of ``joints`` (n,) tell what they tell now, for good; their servos still see."""
+        self._plant.freeze(joints[None])
+
+    def blind(self, joints: Mask) -> None:
+        """Let the servos of ``joints`` (n,) see what they see now, for good."""
+        self._plant.blind(joints[None])
+
     # --- time -------------------------------------------------------------------------------
 
     @property
@@ -333,6 +304,7 @@ class Firmware:
             due_ms = max(due_ms, self._outbox[-1].due_ms)  # a bus does not overtake itself
         target = (self._motion.reference if goal is None else goal) + self.zero
         self._outbox.append(_Write(due_ms, target, speed))
+        del self._outbox[:-MAX_WRITES]
 
     def _deliver(self) -> None:
         """Hand the servos the newest of the goals that have arrived."""

@@ -7,19 +7,21 @@ jumps when somebody asks. An answer leaves in one piece, after the time a real r
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 from select import select
 from threading import Event
-from typing import Protocol, TextIO
+from typing import Protocol
 
 import numpy as np
 
+from rejoint.emulator.armfaults import ArmFaults
 from rejoint.emulator.commands import answer
+from rejoint.emulator.faults import NONE, Faults
 from rejoint.emulator.firmware import Firmware
 from rejoint.emulator.frames import Decoder, Frame, encode
-from rejoint.errors import FileError
+from rejoint.emulator.truthlog import TruthLog
+from rejoint.emulator.wirefaults import SPLIT_PAUSE, LinkGoneError, WireFaults
 
 MAX_CATCH_UP = 1.0
 """[s] of simulated time made up for at once; a longer suspension of the process is skipped (chosen)"""
@@ -56,45 +58,17 @@ class Channel(Protocol):
         """Send everything; OSError if the client is gone."""
 
 
-class TruthLog:
-    """Writes where the tool really is beside the wall clock, for experiments: CSV, one row a tick.
-
-    The clock is `time.monotonic`, the one that the driver stamps joint states with; on one machine
-    the two can be laid side by side.
-    """
-
-    def __init__(self, path: Path, stream: TextIO, joints: int) -> None:
-        self._path, self._stream = path, stream
-        self._put(["time", "x", "y", "z", *(f"encoder.joint{i + 1}" for i in range(joints))])
-
-    @classmethod
-    def open(cls, path: Path, joints: int) -> TruthLog:
-        """Begin a new file; FileError if that is not possible."""
-        try:
-            stream = path.open("w", encoding="utf-8", buffering=1)
-        except OSError as error:
-            raise FileError(path, f"cannot be written ({error.strerror})", "choose another path") from error
-        return cls(path, stream, joints)
-
-    def write(self, now: float, firmware: Firmware) -> None:
-        """Add a row: [s], [m], [rad]. FileError if the disk is full."""
-        self._put(f"{value:.6f}" for value in [now, *firmware.true_tcp, *firmware.angles])
-
-    def _put(self, row: Iterable[str]) -> None:
-        try:
-            self._stream.write(",".join(row) + "\n")
-        except OSError as error:
-            raise FileError(
-                self._path, f"cannot be written ({error.strerror})", "make room or log elsewhere"
-            ) from error
-
-    def close(self) -> None:
-        """Finish the file."""
-        self._stream.close()
+def await_data(readable: int | None, pause: float) -> bool:
+    """Wait for ``pause`` [s] or until the descriptor ``readable`` has data; whether it has."""
+    return bool(select([] if readable is None else [readable], [], [], pause)[0])
 
 
 class Session:
-    """The robot's side of all conversations; one thread, one client at a time."""
+    """The robot's side of all conversations; one thread, one client at a time.
+
+    ``clock`` [s] and ``await_data`` are the world's; a test that is in a hurry brings its own. ``faults`` begin with
+    the first byte of the first client.
+    """
 
     def __init__(
         self,
@@ -103,13 +77,18 @@ class Session:
         timing: Timing,
         seed: int = 0,
         log: TruthLog | None = None,
+        faults: Faults = NONE,
         clock: Callable[[], float] = time.monotonic,
+        await_data: Callable[[int | None, float], bool] = await_data,
     ) -> None:
         self._firmware = firmware
         self._timing = timing
         self._rng = np.random.default_rng(seed)
         self._log = log
-        self._clock = clock
+        self._clock, self._await_data = clock, await_data
+        self._wire, self._arm = WireFaults(faults, seed), ArmFaults(faults, firmware)
+        self._began: float | None = None
+        """when the first byte came"""
         self._now: float | None = None
         self._stopping = Event()
 
@@ -123,50 +102,94 @@ class Session:
         self._stopping.set()
 
     def wait(self, readable: int | None, until: float) -> bool:
-        """Let time pass until the clock shows ``until`` or the descriptor ``readable`` has data."""
+        """Let time pass until the clock shows ``until`` or the descriptor ``readable`` has data.
+
+        LinkGoneError while there is no link, DeathError if the emulator has to end.
+        """
         while not self.stopping:
             now = self._catch_up()
+            self._wire.check(self._elapsed(now))
             pause = max(0.0, min(until - now, self._timing.tick))
-            if select([] if readable is None else [readable], [], [], pause)[0]:
+            if self._await_data(readable, pause):
                 return True
             if self._clock() >= until:
                 break
         self._catch_up()
         return False
 
+    def outlast_absence(self) -> None:
+        """Let time pass until there is a link again; DeathError if the emulator has to end first."""
+        while not self.stopping:
+            try:
+                self._wire.check(self._elapsed(self._catch_up()))
+            except LinkGoneError:
+                self._await_data(None, self._timing.tick)
+            else:
+                return
+
     def converse(self, channel: Channel) -> None:
         """Answer one client until it is gone or the end was asked for."""
         decoder = Decoder()
         try:
             while not self.stopping:
-                patience = HALF_FRAME_PATIENCE if decoder.pending else self._timing.tick
-                if self.wait(channel.fileno(), self._clock() + patience):
-                    data = channel.receive()
-                    if not data:
-                        return
-                    requests = decoder.feed(data)
-                else:
-                    requests = decoder.expire()
+                requests = self._receive(channel, decoder)
+                if requests is None:
+                    return
                 for request in requests:
                     self._answer(channel, request)
         except OSError:
             return  # a client that breaks the connection is gone, like one that closes it
+
+    def _receive(self, channel: Channel, decoder: Decoder) -> list[Frame] | None:
+        """Return the requests that came within a tick; None if the client is gone."""
+        patience = HALF_FRAME_PATIENCE if decoder.pending else self._timing.tick
+        if not self.wait(channel.fileno(), self._clock() + patience):
+            return decoder.expire()
+        if not self._moves_on():
+            return []
+        data = channel.receive()
+        if not data:
+            return None
+        if self._began is None:
+            self._began = self._clock()
+            self._arm.advance(0.0)
+        return decoder.feed(data)
 
     def _answer(self, channel: Channel, request: Frame) -> None:
         """Answer with the state at the moment of the request: it is as old as its way back takes."""
         reply = answer(self._firmware, request)
         if reply is None:
             return
+        self._arm.was_asked(request.command)
         mean = self._timing.state if reply.is_state else self._timing.acknowledgement
         delay = mean * max(0.0, 1.0 + self._timing.jitter * self._rng.standard_normal())
-        self.wait(None, self._clock() + delay)
-        channel.send(encode(reply.frame))
+        self.wait(None, self._clock() + delay + self._wire.delay)
+        for place, piece in enumerate(self._wire.pieces(encode(request), encode(reply.frame))):
+            if place:
+                self.wait(None, self._clock() + SPLIT_PAUSE)
+            if self._moves_on():
+                channel.send(piece)
+
+    def _moves_on(self) -> bool:
+        """Let time pass while the link stands still; False if the end was asked for meanwhile."""
+        now = self._clock()
+        left = self._wire.still_until(self._elapsed(now)) - self._elapsed(now)
+        if left <= 0.0:
+            return True
+        self.wait(None, now + left)
+        return not self.stopping
+
+    def _elapsed(self, now: float) -> float:
+        """[s] since the first byte, -1 before it."""
+        return -1.0 if self._began is None else now - self._began
 
     def _catch_up(self) -> float:
         now = self._clock()
         if self._now is None:
             self._now = now
         if now - self._now >= 1e-3:
+            if self._began is not None:
+                self._arm.advance(self._elapsed(now))
             self._firmware.advance(min(now - self._now, MAX_CATCH_UP) * self._timing.pace)
             self._now = now
             if self._log is not None:

@@ -12,21 +12,17 @@ import numpy as np
 
 from rejoint.arms import Array, tcp_pose
 from rejoint.emulator import values
+from rejoint.emulator.ailments import OVER_TEMPERATURE_BIT
 from rejoint.emulator.firmware import Firmware
 from rejoint.emulator.paths import solve_pose
 
 MODIFY_VERSION = 1
 SYSTEM_VERSION = 73
 """Firmware 7.3, the first with the joint limits of the present manual."""
-SUPPLY_VOLTAGE = 12.0
-"""[V] (vendor's product parameters)"""
 CURRENT_PER_TORQUE = 2.7 / 2.94
 """[A/(N m)] of an STS3215 at 12 V: 2.7 A at its stall torque of 30 kg cm (Feetech data sheet)"""
 DEFAULT_REGISTERS = {21: 10, 22: 0, 23: 1, 24: 0}
 """Servo registers P, I, D and minimum start force (vendor's manual)."""
-
-_OVER_TEMPERATURE_BIT = 1 << 2
-"""Bit of the servo status (pymycobot 4.0.7, robot_info)."""
 
 
 def flag(value: bool) -> bytes:
@@ -42,6 +38,11 @@ def joint_index(firmware: Firmware, identity: int) -> int | None:
 def _angles_and_coords(firmware: Firmware) -> bytes:
     angles = firmware.angles
     return values.pack_angles(angles) + values.pack_coords(tcp_pose(firmware.arm, angles))
+
+
+def _currents(firmware: Firmware) -> Array:
+    """(n,) [A]."""
+    return np.maximum(np.abs(firmware.torque) * CURRENT_PER_TORQUE, firmware.ailments.current)
 
 
 STATES: dict[int, Callable[[Firmware], bytes]] = {
@@ -64,9 +65,11 @@ STATES: dict[int, Callable[[Firmware], bytes]] = {
     0xD5: _angles_and_coords,
     0xD8: lambda _: values.pack_int16([1]),
     0xE1: lambda firmware: values.pack_int16(firmware.speed / firmware.arm.encoder_step),
-    0xE2: lambda firmware: values.pack_int16(np.abs(firmware.torque) * CURRENT_PER_TORQUE * 1e3),
-    0xE3: lambda firmware: values.pack_bytes([SUPPLY_VOLTAGE * 10.0] * firmware.arm.joints),
-    0xE4: lambda firmware: values.pack_bytes(np.where(firmware.hot, _OVER_TEMPERATURE_BIT, 0)),
+    0xE2: lambda firmware: values.pack_int16(_currents(firmware) * 1e3),
+    0xE3: lambda firmware: values.pack_bytes(firmware.ailments.voltage * 10.0),
+    0xE4: lambda firmware: values.pack_bytes(
+        np.where(firmware.hot, OVER_TEMPERATURE_BIT, 0) | firmware.ailments.alarms
+    ),
     0xE5: lambda firmware: values.pack_bytes(firmware.temperature),
     0xF6: lambda firmware: values.pack_angles(firmware.planned_angles),
     0xF7: lambda firmware: values.pack_coords(tcp_pose(firmware.arm, firmware.planned_angles)),

@@ -1,0 +1,62 @@
+"""The world of an emulated robot without waiting: a clock that is put forward, and a client that never tires."""
+
+import math
+from collections.abc import Callable, Iterable, Iterator
+
+from rejoint.emulator import Faults, Firmware, Timing
+from rejoint.emulator.session import Session
+
+START = 1e6
+"""[s] that the clock shows at first: as large as that of a machine that has been up for twelve days (chosen)"""
+
+
+class VirtualClient:
+    """Asks ``requests`` one after the other, each when the answer to the last is there or ``patience`` [s] is over."""
+
+    def __init__(
+        self, firmware: Firmware, *, timing: Timing | None = None, faults: Faults | None = None, seed: int = 0
+    ) -> None:
+        self.now = START
+        self.end = math.inf
+        """when [s] the session ends by itself"""
+        self.session = Session(
+            firmware, timing=timing or Timing(), seed=seed, faults=faults or Faults(),
+            clock=lambda: self.now, await_data=self._await,
+        )  # fmt: skip
+        self.sent: Callable[[float, bytes], object] = lambda _now, _data: None
+        """is told what the robot sends, and when [s]"""
+        self._requests: Iterator[bytes] = iter(())
+        self._ask_at, self._patience, self._pause = START, 0.3, 0.0
+
+    def ask(self, requests: Iterable[bytes], *, pause: float = 0.0, patience: float = 0.3) -> None:
+        """Hold a conversation, with ``pause`` [s] between an answer and the next request."""
+        self._requests, self._pause, self._patience = iter(requests), pause, patience
+        self._ask_at = self.now
+        self.session.converse(self)
+
+    def wait(self, duration: float) -> None:
+        """Let ``duration`` [s] pass."""
+        self.session.wait(None, self.now + duration)
+
+    def fileno(self) -> int:
+        """Stand for a descriptor, which nobody opens."""
+        return -1
+
+    def receive(self) -> bytes:
+        """Give the session the next request, or the news that there are no more."""
+        self._ask_at = self.now + self._patience
+        return next(self._requests, b"")
+
+    def send(self, data: bytes) -> None:
+        """Take what the robot sends."""
+        self.sent(self.now, data)
+        self._ask_at = self.now + self._pause
+
+    def _await(self, readable: int | None, pause: float) -> bool:
+        if self.now >= self.end:
+            self.session.end()
+        if readable is None:
+            self.now += pause
+            return False
+        self.now = max(self.now, min(self.now + pause, self._ask_at))
+        return self._ask_at <= self.now
