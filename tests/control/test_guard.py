@@ -49,7 +49,7 @@ seeds = st.integers(0, 2**32 - 1)
 def test_output_is_finite_inside_the_limits_and_near_the_last_command(noise, seed):
     command, position = noise
     sent = np.random.default_rng(seed).uniform(LIMITS.lower, LIMITS.upper, command.shape)
-    out = guard(LIMITS, command, sent, state(position), PERIOD)
+    out = guard(LIMITS, command, sent, 0 * sent, state(position), PERIOD)
     assert np.isfinite(out.command).all()
     assert ((out.command >= LIMITS.lower) & (out.command <= LIMITS.upper)).all()
     assert (np.abs(out.command - sent) <= REACH + 1e-12).all()
@@ -59,7 +59,7 @@ def test_output_is_finite_inside_the_limits_and_near_the_last_command(noise, see
 @settings(max_examples=60, deadline=None)
 @given(arrays(float, (2, 6), elements=anything), arrays(float, (2, 6), elements=anything), anything, anything)
 def test_output_is_finite_even_if_memory_and_clock_are_garbage(sent, position, period, age):
-    out = guard(LIMITS, np.zeros((2, 6)), sent, state(position, age=age), np.full(2, period))
+    out = guard(LIMITS, np.zeros((2, 6)), sent, np.zeros((2, 6)), state(position, age=age), np.full(2, period))
     assert np.isfinite(out.command).all()
 
 
@@ -76,8 +76,8 @@ def situation(seed, count=5):
 @given(seeds)
 def test_idempotent_and_a_reason_for_every_change(seed):
     command, sent, now = situation(seed)
-    once = guard(LIMITS, command, sent, now, PERIOD)
-    twice = guard(LIMITS, once.command, sent, now, PERIOD)
+    once = guard(LIMITS, command, sent, 0 * sent, now, PERIOD)
+    twice = guard(LIMITS, once.command, sent, 0 * sent, now, PERIOD)
     assert (twice.command == once.command).all()
     assert (twice.reasons == 0).all()
     assert ((once.reasons != 0) == (once.command != command).any(axis=-1)).all()
@@ -87,7 +87,7 @@ def test_idempotent_and_a_reason_for_every_change(seed):
 @given(seeds)
 def test_floor_is_never_approached_from_below_and_holds_from_above(seed):
     command, sent, now = situation(seed)
-    out = guard(LIMITS, command, sent, now, PERIOD)
+    out = guard(LIMITS, command, sent, 0 * sent, now, PERIOD)
     assert (clearance(out.command) >= np.minimum(clearance(sent), 0.0) - 1e-8).all()
 
 
@@ -96,9 +96,9 @@ def test_floor_is_never_approached_from_below_and_holds_from_above(seed):
 def test_a_batch_is_many_single_arms(seed):
     command, sent, now = situation(seed)
     period = np.random.default_rng(seed).uniform(0.01, 0.05, len(sent))
-    batch = guard(LIMITS, command, sent, now, period)
+    batch = guard(LIMITS, command, sent, 0 * sent, now, period)
     for b in range(len(sent)):
-        one = guard(LIMITS, command[[b]], sent[[b]], state(now.position[[b]]), period[[b]])
+        one = guard(LIMITS, command[[b]], sent[[b]], np.zeros((1, 6)), state(now.position[[b]]), period[[b]])
         assert (one.command[0] == batch.command[b]).all()
         assert one.reasons[0] == batch.reasons[b]
 
@@ -106,7 +106,7 @@ def test_a_batch_is_many_single_arms(seed):
 def test_an_acceptable_command_passes_unchanged():
     sent = np.tile(ARM.rest, (3, 1))
     command = sent + 0.9 * REACH * np.array([[1.0], [0.0], [-1.0]])
-    out = guard(LIMITS, command, sent, state(sent), PERIOD)
+    out = guard(LIMITS, command, sent, 0 * sent, state(sent), PERIOD)
     assert (out.command == command).all()
     assert (out.reasons == 0).all()
 
@@ -114,7 +114,9 @@ def test_an_acceptable_command_passes_unchanged():
 def one(command, sent=None, position=None, **kwargs) -> Guarded:
     sent = ARM.rest if sent is None else sent
     position = sent if position is None else position
-    return guard(LIMITS, np.atleast_2d(command), np.atleast_2d(sent), state(position, **kwargs), PERIOD)
+    return guard(
+        LIMITS, np.atleast_2d(command), np.atleast_2d(sent), np.zeros((1, 6)), state(position, **kwargs), PERIOD
+    )
 
 
 def test_step_is_speed_times_period():
@@ -125,7 +127,7 @@ def test_step_is_speed_times_period():
 
 def test_a_long_period_does_not_allow_a_long_step():
     sent = np.atleast_2d(ARM.rest)
-    out = guard(LIMITS, sent + 0.34, sent, state(sent), 5.0)
+    out = guard(LIMITS, sent + 0.34, sent, 0 * sent, state(sent), 5.0)
     np.testing.assert_allclose(out.command - sent, ARM.max_speed[None] * LIMITS.max_period)
     assert out.reasons[0] == Reason.STEP
 
@@ -198,7 +200,7 @@ def test_warm_servos_and_a_young_state_do_not_trip():
 def test_inputs_are_not_changed():
     command, sent, now = situation(3)
     copies = command.copy(), sent.copy(), now.position.copy()
-    guard(LIMITS, command, sent, now, PERIOD)
+    guard(LIMITS, command, sent, 0 * sent, now, PERIOD)
     for before, after in zip(copies, (command, sent, now.position), strict=True):
         assert (before == after).all()
 
@@ -207,9 +209,16 @@ def test_names_and_bad_limits():
     assert reason_names(Reason.STEP | Reason.NOT_FINITE) == ("step", "not finite")
     assert reason_names(0) == ()
     with pytest.raises(InputError, match="max_speed needs 6"):
-        GuardLimits(arm=ARM, lower=ARM.lower, upper=ARM.upper, max_speed=np.ones(3))
+        GuardLimits(arm=ARM, lower=ARM.lower, upper=ARM.upper, max_speed=np.ones(3), max_acceleration=np.ones(6))
     with pytest.raises(InputError, match="max_lead must be positive"):
-        GuardLimits(arm=ARM, lower=ARM.lower, upper=ARM.upper, max_speed=ARM.max_speed, max_lead=0.0)
+        GuardLimits(
+            arm=ARM,
+            lower=ARM.lower,
+            upper=ARM.upper,
+            max_speed=ARM.max_speed,
+            max_acceleration=np.ones(6),
+            max_lead=0.0,
+        )
 
 
 def test_clearances_go_with_the_size_of_the_arm_and_follow_its_floor():

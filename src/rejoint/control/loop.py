@@ -15,7 +15,7 @@ import numpy as np
 
 from rejoint.arms import Array, tcp_position
 from rejoint.control.controller import Controller, Situation
-from rejoint.control.guard import TRIPS, GuardLimits, Reason, Reasons, guard, reason_names, warm_up
+from rejoint.control.guard import TRIPS, Guarded, GuardLimits, Reason, Reasons, guard, reason_names, warm_up
 from rejoint.control.recording import Cycle, OnCycle, Recorder, Recording, attach
 from rejoint.control.robot import JointState, Mask, Robot
 from rejoint.errors import GuardTripError, InputError, RejointError
@@ -145,6 +145,7 @@ class _Progress:
     state: JointState
     targets: Array
     sent: Array
+    speed: Array
     index: np.typing.NDArray[np.intp]
     set_at: Array
     active: Mask
@@ -162,7 +163,7 @@ class _Progress:
             raise InputError(f"schedule: sent has shape {np.shape(sent)}, expected {state.position.shape}")
         sent = np.array(state.position if sent is None else sent, dtype=float)
         return cls(
-            state=state, targets=targets, sent=sent, index=np.zeros(count, dtype=np.intp),
+            state=state, targets=targets, sent=sent, speed=np.zeros_like(sent), index=np.zeros(count, dtype=np.intp),
             set_at=state.time.copy(), active=np.ones(count, dtype=bool), tripped=np.zeros(count, dtype=np.uint16),
             period=np.full(count, FIRST_PERIOD),
         )  # fmt: skip
@@ -184,9 +185,9 @@ class _Progress:
         self.set_at = np.where(renewed, self.state.time, self.set_at)
         return renewed
 
-    def stepped(self, state: JointState, command: Array) -> None:
+    def stepped(self, state: JointState, command: Array, speed: Array) -> None:
         """Take over what the robot was sent and what it answered."""
-        self.sent = np.where(self.active[:, None], command, self.sent)
+        self.sent, self.speed = np.where(self.active[:, None], command, self.sent), speed
         elapsed = state.time - self.last_time
         # A repeated answer has no news of the clock: the last period stands.
         self.period = np.where(elapsed > 0.0, elapsed, self.period)
@@ -208,7 +209,7 @@ class _Loop:
         """Do one control cycle; returns whether there is another one."""
         before, fresh, index = progress.situation(), progress.active, progress.index
         renewed = progress.advance(fresh & self._finished(before))
-        command, reasons = self._decide(progress, renewed)
+        command, reasons, speed = self._decide(progress, renewed)
         cycle = Cycle(
             time=before.state.time, position=before.state.position, command=command, target=before.target,
             target_index=index, since_target=before.since_target, true_tcp=self.robot.true_tcp().copy(), active=fresh,
@@ -219,7 +220,7 @@ class _Loop:
         if self.on_cycle is not None:
             self.on_cycle(cycle)
         if progress.active.any():
-            progress.stepped(_own(self.robot.step(command, progress.active)), command)
+            progress.stepped(_own(self.robot.step(command, progress.active)), command, speed)
         return bool(progress.active.any())
 
     def _finished(self, situation: Situation) -> Mask:
@@ -230,17 +231,18 @@ class _Loop:
             finished = finished | (error < self.schedule.stop_below)
         return finished
 
-    def _decide(self, progress: _Progress, renewed: Mask) -> tuple[Array, Reasons]:
-        """Commands (B, n) that may be sent, and the guard's reasons (B,)."""
+    def _decide(self, progress: _Progress, renewed: Mask) -> Guarded:
+        """Commands (B, n) that may be sent, the guard's reasons (B,), and the speed of the commands."""
         active = progress.active
         if not active.any():
-            return progress.sent, np.zeros(len(active), dtype=np.uint16)
+            return Guarded(progress.sent, np.zeros(len(active), dtype=np.uint16), progress.speed)
         situation = progress.situation()
         if renewed.any():
             self.controller.reset(situation, renewed)
         wanted = self.controller.command(situation)
-        guarded = guard(self.limits, wanted, progress.sent, progress.state, progress.period)
-        return np.where(active[:, None], guarded.command, progress.sent), guarded.reasons * active
+        guarded = guard(self.limits, wanted, progress.sent, progress.speed, progress.state, progress.period)
+        command = np.where(active[:, None], guarded.command, progress.sent)
+        return Guarded(command, guarded.reasons * active, guarded.speed)
 
     def _stop_tripped(self, progress: _Progress, reasons: Reasons) -> None:
         trips = reasons & np.uint16(TRIPS.value)
