@@ -110,7 +110,7 @@ def test_limits_are_applied_in_order(seed):
         legal = np.minimum(np.maximum(near, lower), upper)
         time = np.broadcast_to(time, 4)[:, None]
         stepped = np.minimum(np.maximum(legal, last - fastest * time), last + fastest * time)
-        gain = np.where(time > 0.0, acceleration * np.where(time > 0.0, time, 1.0) * time, 0.0)
+        gain = np.where(time > 0.0, acceleration * np.maximum(time, 1e-9) * np.maximum(time, 1e-9), 0.0)
         down, up = np.minimum(speed * time - gain, 0.0), np.maximum(speed * time + gain, 0.0)
         smooth = np.minimum(np.maximum(stepped, last + down), last + up)
         np.testing.assert_array_equal(stages, [wanted, near, legal, stepped, smooth])

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from rejoint.arms import frames, mycobot280, tcp_position
-from rejoint.control.guard import TRIPS, Guarded, GuardLimits, Reason, guard, reason_names
+from rejoint.arms.collision import collision_shape
+from rejoint.control.guard import RAMP, TRIPS, Guarded, GuardLimits, Reason, guard, reason_names
 from rejoint.control.robot import JointState
 from rejoint.errors import InputError
 
@@ -111,11 +112,11 @@ def test_an_acceptable_command_passes_unchanged():
     assert (out.reasons == 0).all()
 
 
-def one(command, sent=None, position=None, **kwargs) -> Guarded:
+def one(command, sent=None, position=None, limits=LIMITS, **kwargs) -> Guarded:
     sent = ARM.rest if sent is None else sent
     position = sent if position is None else position
     return guard(
-        LIMITS, np.atleast_2d(command), np.atleast_2d(sent), np.zeros((1, 6)), state(position, **kwargs), PERIOD
+        limits, np.atleast_2d(command), np.atleast_2d(sent), np.zeros((1, 6)), state(position, **kwargs), PERIOD
     )
 
 
@@ -159,18 +160,85 @@ def posture_at(height):
 
 
 def test_floor_scales_the_step_back_and_lets_the_arm_leave():
+    limits = dataclasses.replace(LIMITS, collisions=False)
     sent = posture_at(ARM.floor + 0.002)
     down = posture_at(ARM.floor - 0.01)
     down = sent + (down - sent) * min(1.0, 0.9 * REACH[1] / np.abs(down - sent).max())
-    out = one(down, sent=sent)
+    out = one(down, sent=sent, limits=limits)
     assert out.reasons[0] == Reason.FLOOR
     assert 0.0 <= tcp_position(ARM, out.command[0])[2] - ARM.floor < 0.001
     below = posture_at(ARM.floor - 0.005)
     up = below + 0.5 * (sent - below)
-    assert (one(up, sent=below).command[0] == up).all()
-    held = one(below - 0.3 * (sent - below), sent=below)
+    assert (one(up, sent=below, limits=limits).command[0] == up).all()
+    held = one(below - 0.3 * (sent - below), sent=below, limits=limits)
     assert held.reasons[0] == Reason.FLOOR
     np.testing.assert_allclose(held.command[0], below, atol=1e-6)
+
+
+def elbow(degrees):
+    """Posture whose wrist comes near the upper arm: it touches from 139.2 deg on, see test_collision.py."""
+    return np.radians([0.0, 0, degrees, -degrees, 0, 0])
+
+
+def test_a_contact_ends_the_step_and_may_be_left():
+    radius = collision_shape(ARM).radius
+    touching = np.degrees(np.pi - np.arcsin(2 * radius / 0.096))  # forearm of 96 mm, capsules two radii thick
+    out = one(elbow(touching + 1.0), sent=elbow(touching - 1.0))
+    assert out.reasons[0] == Reason.COLLISION
+    assert touching - 0.1 < np.degrees(out.command[0, 2]) <= touching
+    deeper = one(elbow(touching + 2.0), sent=elbow(touching + 1.0))
+    assert deeper.reasons[0] == Reason.COLLISION
+    np.testing.assert_allclose(deeper.command[0], elbow(touching + 1.0), atol=1e-6)
+    back = one(elbow(touching), sent=elbow(touching + 1.0))
+    assert back.reasons[0] == 0
+    assert (back.command[0] == elbow(touching)).all()
+
+
+def test_the_table_is_a_contact_of_housings():
+    # Stretched out level the arm is 131 mm high; turned down about its shoulder, the wrist's housing comes first.
+    level = np.radians([0.0, -90, 0, 0, 0, 0])
+    sent, speed = level[None], np.zeros((1, 6))
+    for _ in range(100):
+        sent, reasons, speed = guard(LIMITS, sent - [0, 0.03, 0, 0, 0, 0], sent, speed, state(sent), PERIOD)
+    assert reasons[0] & Reason.COLLISION
+    shape = collision_shape(ARM)
+    ends = np.append(frames(ARM, sent[0]).position[2:, 2], tcp_position(ARM, sent[0])[2])
+    assert ends.min() == pytest.approx(shape.radius, abs=1e-3)
+    assert ends.min() >= shape.radius
+
+
+def test_a_ground_that_the_tool_may_pass_is_no_ground():
+    pedestal = dataclasses.replace(ARM, floor=-0.4)
+    down = np.radians([0.0, -135, 0, 0, 0, 0])
+    on_table, above = (guard(GuardLimits.of(arm), down[None], down[None] + 0.01, np.zeros((1, 6)), state(down), PERIOD)
+                       for arm in (ARM, pedestal))  # fmt: skip
+    assert on_table.reasons[0] & (Reason.COLLISION | Reason.FLOOR)
+    assert above.reasons[0] == 0
+
+
+def test_acceleration_is_limited_away_from_rest_and_braking_is_free():
+    rest, full = ARM.rest[None], np.full((1, 6), ARM.max_speed[0])
+    gain = ARM.max_speed[0] / RAMP * 0.01  # [rad/s] in 10 ms
+
+    def speed_of(wanted, speed):
+        out = guard(LIMITS, rest + 0.01 * wanted, rest, speed, state(rest), 0.01)
+        np.testing.assert_allclose(out.speed, (out.command - rest) / 0.01)
+        return out.speed[0, 0], out.reasons[0]
+
+    assert speed_of(full, 0 * full) == (pytest.approx(gain), Reason.ACCELERATION)
+    assert speed_of(-full, full) == (0.0, Reason.ACCELERATION)  # 2.6 - 1.5 rad/s: not yet turned round
+    assert speed_of(-full, 0.2 * full) == (pytest.approx(0.2 * full[0, 0] - gain), Reason.ACCELERATION)
+    assert speed_of(0 * full, full) == (0.0, 0)  # a hold is always allowed
+    assert speed_of(0.1 * full, full) == (pytest.approx(0.1 * full[0, 0]), 0)
+
+
+@pytest.mark.parametrize("period", [RAMP, 0.025, 0.05])
+def test_regular_periods_let_an_arm_start_and_stop_at_once(period):
+    rest, full = ARM.rest[None], ARM.max_speed[None]
+    for speed, wanted in ((0 * full, full), (full, 0 * full), (full, full), (full, 0.1 * full)):
+        assert guard(LIMITS, rest + 0.999 * period * wanted, rest, speed, state(rest), period).reasons[0] == 0
+    back = guard(LIMITS, rest - 0.999 * period * full, rest, full, state(rest), period)
+    assert back.reasons[0] == (Reason.ACCELERATION if period < 2 * RAMP else 0)
 
 
 @pytest.mark.parametrize(
