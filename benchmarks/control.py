@@ -41,7 +41,7 @@ def main() -> None:
         train(arm, None, out=Path(folder), options=TrainingOptions(iterations=1, agents=32, threads=1))
         policy = load_policy(Path(folder) / "policy.onnx", arm)
     limits, target = GuardLimits.of(arm), arm.targets.sample(np.random.default_rng(0), (1,))
-    sent = arm.rest[None]
+    sent, speed = arm.rest[None], np.zeros((1, arm.joints))
     times, yardstick, far = [], [], 0
     for step in range(STEPS):
         state = JointState(time=np.array([0.025 * step]), position=sent, age=np.zeros(1))
@@ -49,7 +49,7 @@ def main() -> None:
         start = time.perf_counter()
         if step == 0:
             policy.reset(situation, np.array([True]))
-        sent = guard(limits, policy.command(situation), sent, state, 0.025).command
+        sent, _, speed = guard(limits, policy.command(situation), sent, speed, state, 0.025)
         times.append(time.perf_counter() - start)
         if step == WARM_UP:
             far = arithmetic(float(np.median(times)))

@@ -18,7 +18,14 @@ from rejoint.errors import InputError
 
 ARM = mycobot280()
 LIMITS = GuardLimits.of(ARM)
-LOOPS = compiled.differentiate, compiled.weigh, compiled.integrate, compiled.limit, compiled.credible
+LOOPS = (
+    compiled.differentiate,
+    compiled.weigh,
+    compiled.integrate,
+    compiled.limit,
+    compiled.take_speed,
+    compiled.credible,
+)
 SEEDS = st.integers(0, 2**32 - 1)
 
 
@@ -92,16 +99,35 @@ def test_steps_and_actions_are_shaped_as_the_law_says(seed, bad):
 @given(SEEDS)
 def test_limits_are_applied_in_order(seed):
     rng = np.random.default_rng(seed)
-    wanted, measured, last = rng.normal(size=(3, 4, 6))
-    reach, lower, upper = rng.uniform(0.0, 0.5, (4, 6)), np.full(6, -0.5), np.full(6, 0.7)
-    for allowed in (reach, reach[:1]):
-        stages = np.empty((4, 4, 6))
+    wanted, measured, last, speed = rng.normal(size=(4, 4, 6))
+    fastest, acceleration = rng.uniform(1.0, 3.0, 6), rng.choice([10.0, 100.0, np.inf], 6)
+    elapsed, lower, upper = rng.choice([0.0, 0.01, 0.1], 4), np.full(6, -0.5), np.full(6, 0.7)
+    for time in (elapsed, elapsed[:1]):
+        stages = np.empty((5, 4, 6))
         stages[0] = wanted
-        compiled.limit(stages, measured, last, allowed, 0.2, lower, upper)
+        compiled.limit(stages, measured, last, speed, time, fastest, acceleration, lower, upper, 0.2)
         near = np.minimum(np.maximum(wanted, measured - 0.2), measured + 0.2)
         legal = np.minimum(np.maximum(near, lower), upper)
-        stepped = np.minimum(np.maximum(legal, last - allowed), last + allowed)
-        np.testing.assert_array_equal(stages, [wanted, near, legal, stepped])
+        time = np.broadcast_to(time, 4)[:, None]
+        stepped = np.minimum(np.maximum(legal, last - fastest * time), last + fastest * time)
+        gain = np.where(time > 0.0, acceleration * np.maximum(time, 1e-9) * np.maximum(time, 1e-9), 0.0)
+        down, up = np.minimum(speed * time - gain, 0.0), np.maximum(speed * time + gain, 0.0)
+        smooth = np.minimum(np.maximum(stepped, last + down), last + up)
+        np.testing.assert_array_equal(stages, [wanted, near, legal, stepped, smooth])
+        assert (smooth[time[:, 0] == 0.0] == last[time[:, 0] == 0.0]).all()
+
+
+@settings(deadline=None)
+@given(SEEDS)
+def test_the_speed_of_a_command_is_its_step_over_the_time(seed):
+    rng = np.random.default_rng(seed)
+    command, last = rng.normal(scale=0.1, size=(2, 4, 6))
+    elapsed, fastest, speed = rng.choice([0.0, 1e-300, 0.02, 0.1], 4), np.full(6, 3.0), np.empty((4, 6))
+    for time in (elapsed, elapsed[:1]):
+        compiled.take_speed(speed, command, last, time, fastest)
+        with np.errstate(divide="ignore", over="ignore"):
+            quotient = np.clip((command - last) / np.broadcast_to(time, 4)[:, None], -3.0, 3.0)
+        np.testing.assert_array_equal(speed, np.where(np.broadcast_to(time, 4)[:, None] > 0.0, quotient, 0.0))
 
 
 def test_any_layout_and_precision_will_do():
@@ -115,7 +141,9 @@ def test_any_layout_and_precision_will_do():
         situation = Situation(state=state, target=target, sent=change(sent), since_target=np.zeros(3))
         observer = Observer(ARM, 3)
         observer.reset(situation, np.ones(3, dtype=bool))
-        return guard(LIMITS, change(command), change(sent), state, 0.03).command, observer.observe(situation)
+        return guard(LIMITS, change(command), change(sent), 0 * change(sent), state, 0.03).command, observer.observe(
+            situation
+        )
 
     plain = answers(lambda array: array.astype(float))
     for change in (np.asfortranarray, lambda array: np.repeat(array, 2, axis=0)[::2]):
@@ -126,8 +154,8 @@ def test_any_layout_and_precision_will_do():
 def test_nothing_is_compiled_for_the_second_kind_of_array():
     here = np.broadcast_to(ARM.rest, (2, 6))  # read-only
     state = JointState(time=np.zeros(2), position=here, age=np.zeros(2))
-    guard(LIMITS, here, here, state, 0.03)
-    guard(LIMITS, here.copy(), here, state, np.full(2, 0.03))
+    guard(LIMITS, here, here, 0 * here, state, 0.03)
+    guard(LIMITS, here.copy(), here, 0 * here, state, np.full(2, 0.03))
     assert {len(loop.signatures) for loop in LOOPS} == {1}
 
 
@@ -153,10 +181,10 @@ def test_periods_of_other_arms_are_refused(period):
     here = np.tile(ARM.rest, (2, 1))
     state = JointState(time=np.zeros(2), position=here, age=np.zeros(2))
     if period.shape == (1,):
-        np.testing.assert_array_equal(guard(LIMITS, here + 0.1, here, state, period).command, here)
+        np.testing.assert_array_equal(guard(LIMITS, here + 0.1, here, 0 * here, state, period).command, here)
     else:
         with pytest.raises(InputError, match="periods"):
-            guard(LIMITS, here, here, state, period)
+            guard(LIMITS, here, here, 0 * here, state, period)
 
 
 def test_batches_of_another_size_are_refused_and_change_nothing():
@@ -182,6 +210,8 @@ def test_arrays_of_another_shape_are_refused():
     one, two = np.tile(ARM.rest, (1, 1)), np.tile(ARM.rest, (2, 1))
     state = JointState(time=np.zeros(1), position=one, age=np.zeros(1))
     with pytest.raises(InputError, match=r"positions \(1, 6\)"):
-        guard(LIMITS, two, two, state, 0.03)
+        guard(LIMITS, two, two, two, state, 0.03)
     with pytest.raises(IndexError):
-        compiled.limit(np.zeros((4, 2, 6)), one, one, one, 0.2, LIMITS.lower, LIMITS.upper)
+        compiled.limit(
+            np.zeros((5, 2, 6)), one, one, one, np.ones(1), *[np.ones(6)] * 2, LIMITS.lower, LIMITS.upper, 0.2
+        )

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from rejoint.arms import frames, mycobot280, tcp_position
-from rejoint.control.guard import TRIPS, Guarded, GuardLimits, Reason, guard, reason_names
+from rejoint.arms.collision import collision_shape
+from rejoint.control.guard import RAMP, TRIPS, Guarded, GuardLimits, Reason, guard, reason_names
 from rejoint.control.robot import JointState
 from rejoint.errors import InputError
 
@@ -49,7 +50,7 @@ seeds = st.integers(0, 2**32 - 1)
 def test_output_is_finite_inside_the_limits_and_near_the_last_command(noise, seed):
     command, position = noise
     sent = np.random.default_rng(seed).uniform(LIMITS.lower, LIMITS.upper, command.shape)
-    out = guard(LIMITS, command, sent, state(position), PERIOD)
+    out = guard(LIMITS, command, sent, 0 * sent, state(position), PERIOD)
     assert np.isfinite(out.command).all()
     assert ((out.command >= LIMITS.lower) & (out.command <= LIMITS.upper)).all()
     assert (np.abs(out.command - sent) <= REACH + 1e-12).all()
@@ -59,7 +60,7 @@ def test_output_is_finite_inside_the_limits_and_near_the_last_command(noise, see
 @settings(max_examples=60, deadline=None)
 @given(arrays(float, (2, 6), elements=anything), arrays(float, (2, 6), elements=anything), anything, anything)
 def test_output_is_finite_even_if_memory_and_clock_are_garbage(sent, position, period, age):
-    out = guard(LIMITS, np.zeros((2, 6)), sent, state(position, age=age), np.full(2, period))
+    out = guard(LIMITS, np.zeros((2, 6)), sent, np.zeros((2, 6)), state(position, age=age), np.full(2, period))
     assert np.isfinite(out.command).all()
 
 
@@ -76,8 +77,8 @@ def situation(seed, count=5):
 @given(seeds)
 def test_idempotent_and_a_reason_for_every_change(seed):
     command, sent, now = situation(seed)
-    once = guard(LIMITS, command, sent, now, PERIOD)
-    twice = guard(LIMITS, once.command, sent, now, PERIOD)
+    once = guard(LIMITS, command, sent, 0 * sent, now, PERIOD)
+    twice = guard(LIMITS, once.command, sent, 0 * sent, now, PERIOD)
     assert (twice.command == once.command).all()
     assert (twice.reasons == 0).all()
     assert ((once.reasons != 0) == (once.command != command).any(axis=-1)).all()
@@ -87,7 +88,7 @@ def test_idempotent_and_a_reason_for_every_change(seed):
 @given(seeds)
 def test_floor_is_never_approached_from_below_and_holds_from_above(seed):
     command, sent, now = situation(seed)
-    out = guard(LIMITS, command, sent, now, PERIOD)
+    out = guard(LIMITS, command, sent, 0 * sent, now, PERIOD)
     assert (clearance(out.command) >= np.minimum(clearance(sent), 0.0) - 1e-8).all()
 
 
@@ -96,9 +97,9 @@ def test_floor_is_never_approached_from_below_and_holds_from_above(seed):
 def test_a_batch_is_many_single_arms(seed):
     command, sent, now = situation(seed)
     period = np.random.default_rng(seed).uniform(0.01, 0.05, len(sent))
-    batch = guard(LIMITS, command, sent, now, period)
+    batch = guard(LIMITS, command, sent, 0 * sent, now, period)
     for b in range(len(sent)):
-        one = guard(LIMITS, command[[b]], sent[[b]], state(now.position[[b]]), period[[b]])
+        one = guard(LIMITS, command[[b]], sent[[b]], np.zeros((1, 6)), state(now.position[[b]]), period[[b]])
         assert (one.command[0] == batch.command[b]).all()
         assert one.reasons[0] == batch.reasons[b]
 
@@ -106,15 +107,17 @@ def test_a_batch_is_many_single_arms(seed):
 def test_an_acceptable_command_passes_unchanged():
     sent = np.tile(ARM.rest, (3, 1))
     command = sent + 0.9 * REACH * np.array([[1.0], [0.0], [-1.0]])
-    out = guard(LIMITS, command, sent, state(sent), PERIOD)
+    out = guard(LIMITS, command, sent, 0 * sent, state(sent), PERIOD)
     assert (out.command == command).all()
     assert (out.reasons == 0).all()
 
 
-def one(command, sent=None, position=None, **kwargs) -> Guarded:
+def one(command, sent=None, position=None, limits=LIMITS, **kwargs) -> Guarded:
     sent = ARM.rest if sent is None else sent
     position = sent if position is None else position
-    return guard(LIMITS, np.atleast_2d(command), np.atleast_2d(sent), state(position, **kwargs), PERIOD)
+    return guard(
+        limits, np.atleast_2d(command), np.atleast_2d(sent), np.zeros((1, 6)), state(position, **kwargs), PERIOD
+    )
 
 
 def test_step_is_speed_times_period():
@@ -125,7 +128,7 @@ def test_step_is_speed_times_period():
 
 def test_a_long_period_does_not_allow_a_long_step():
     sent = np.atleast_2d(ARM.rest)
-    out = guard(LIMITS, sent + 0.34, sent, state(sent), 5.0)
+    out = guard(LIMITS, sent + 0.34, sent, 0 * sent, state(sent), 5.0)
     np.testing.assert_allclose(out.command - sent, ARM.max_speed[None] * LIMITS.max_period)
     assert out.reasons[0] == Reason.STEP
 
@@ -157,18 +160,85 @@ def posture_at(height):
 
 
 def test_floor_scales_the_step_back_and_lets_the_arm_leave():
+    limits = dataclasses.replace(LIMITS, collisions=False)
     sent = posture_at(ARM.floor + 0.002)
     down = posture_at(ARM.floor - 0.01)
     down = sent + (down - sent) * min(1.0, 0.9 * REACH[1] / np.abs(down - sent).max())
-    out = one(down, sent=sent)
+    out = one(down, sent=sent, limits=limits)
     assert out.reasons[0] == Reason.FLOOR
     assert 0.0 <= tcp_position(ARM, out.command[0])[2] - ARM.floor < 0.001
     below = posture_at(ARM.floor - 0.005)
     up = below + 0.5 * (sent - below)
-    assert (one(up, sent=below).command[0] == up).all()
-    held = one(below - 0.3 * (sent - below), sent=below)
+    assert (one(up, sent=below, limits=limits).command[0] == up).all()
+    held = one(below - 0.3 * (sent - below), sent=below, limits=limits)
     assert held.reasons[0] == Reason.FLOOR
     np.testing.assert_allclose(held.command[0], below, atol=1e-6)
+
+
+def elbow(degrees):
+    """Posture whose wrist comes near the upper arm: it touches from 139.2 deg on, see test_collision.py."""
+    return np.radians([0.0, 0, degrees, -degrees, 0, 0])
+
+
+def test_a_contact_ends_the_step_and_may_be_left():
+    radius = collision_shape(ARM).radius
+    touching = np.degrees(np.pi - np.arcsin(2 * radius / 0.096))  # forearm of 96 mm, capsules two radii thick
+    out = one(elbow(touching + 1.0), sent=elbow(touching - 1.0))
+    assert out.reasons[0] == Reason.COLLISION
+    assert touching - 0.1 < np.degrees(out.command[0, 2]) <= touching
+    deeper = one(elbow(touching + 2.0), sent=elbow(touching + 1.0))
+    assert deeper.reasons[0] == Reason.COLLISION
+    np.testing.assert_allclose(deeper.command[0], elbow(touching + 1.0), atol=1e-6)
+    back = one(elbow(touching), sent=elbow(touching + 1.0))
+    assert back.reasons[0] == 0
+    assert (back.command[0] == elbow(touching)).all()
+
+
+def test_the_table_is_a_contact_of_housings():
+    # Stretched out level the arm is 131 mm high; turned down about its shoulder, the wrist's housing comes first.
+    level = np.radians([0.0, -90, 0, 0, 0, 0])
+    sent, speed = level[None], np.zeros((1, 6))
+    for _ in range(100):
+        sent, reasons, speed = guard(LIMITS, sent - [0, 0.03, 0, 0, 0, 0], sent, speed, state(sent), PERIOD)
+    assert reasons[0] & Reason.COLLISION
+    shape = collision_shape(ARM)
+    ends = np.append(frames(ARM, sent[0]).position[2:, 2], tcp_position(ARM, sent[0])[2])
+    assert ends.min() == pytest.approx(shape.radius, abs=1e-3)
+    assert ends.min() >= shape.radius
+
+
+def test_a_ground_that_the_tool_may_pass_is_no_ground():
+    pedestal = dataclasses.replace(ARM, floor=-0.4)
+    down = np.radians([0.0, -135, 0, 0, 0, 0])
+    on_table, above = (guard(GuardLimits.of(arm), down[None], down[None] + 0.01, np.zeros((1, 6)), state(down), PERIOD)
+                       for arm in (ARM, pedestal))  # fmt: skip
+    assert on_table.reasons[0] & (Reason.COLLISION | Reason.FLOOR)
+    assert above.reasons[0] == 0
+
+
+def test_acceleration_is_limited_away_from_rest_and_braking_is_free():
+    rest, full = ARM.rest[None], np.full((1, 6), ARM.max_speed[0])
+    gain = ARM.max_speed[0] / RAMP * 0.01  # [rad/s] in 10 ms
+
+    def speed_of(wanted, speed):
+        out = guard(LIMITS, rest + 0.01 * wanted, rest, speed, state(rest), 0.01)
+        np.testing.assert_allclose(out.speed, (out.command - rest) / 0.01)
+        return out.speed[0, 0], out.reasons[0]
+
+    assert speed_of(full, 0 * full) == (pytest.approx(gain), Reason.ACCELERATION)
+    assert speed_of(-full, full) == (0.0, Reason.ACCELERATION)  # 2.6 - 1.5 rad/s: not yet turned round
+    assert speed_of(-full, 0.2 * full) == (pytest.approx(0.2 * full[0, 0] - gain), Reason.ACCELERATION)
+    assert speed_of(0 * full, full) == (0.0, 0)  # a hold is always allowed
+    assert speed_of(0.1 * full, full) == (pytest.approx(0.1 * full[0, 0]), 0)
+
+
+@pytest.mark.parametrize("period", [RAMP, 0.025, 0.05])
+def test_regular_periods_let_an_arm_start_and_stop_at_once(period):
+    rest, full = ARM.rest[None], ARM.max_speed[None]
+    for speed, wanted in ((0 * full, full), (full, 0 * full), (full, full), (full, 0.1 * full)):
+        assert guard(LIMITS, rest + 0.999 * period * wanted, rest, speed, state(rest), period).reasons[0] == 0
+    back = guard(LIMITS, rest - 0.999 * period * full, rest, full, state(rest), period)
+    assert back.reasons[0] == (Reason.ACCELERATION if period < 2 * RAMP else 0)
 
 
 @pytest.mark.parametrize(
@@ -198,7 +268,7 @@ def test_warm_servos_and_a_young_state_do_not_trip():
 def test_inputs_are_not_changed():
     command, sent, now = situation(3)
     copies = command.copy(), sent.copy(), now.position.copy()
-    guard(LIMITS, command, sent, now, PERIOD)
+    guard(LIMITS, command, sent, 0 * sent, now, PERIOD)
     for before, after in zip(copies, (command, sent, now.position), strict=True):
         assert (before == after).all()
 
@@ -207,9 +277,16 @@ def test_names_and_bad_limits():
     assert reason_names(Reason.STEP | Reason.NOT_FINITE) == ("step", "not finite")
     assert reason_names(0) == ()
     with pytest.raises(InputError, match="max_speed needs 6"):
-        GuardLimits(arm=ARM, lower=ARM.lower, upper=ARM.upper, max_speed=np.ones(3))
+        GuardLimits(arm=ARM, lower=ARM.lower, upper=ARM.upper, max_speed=np.ones(3), max_acceleration=np.ones(6))
     with pytest.raises(InputError, match="max_lead must be positive"):
-        GuardLimits(arm=ARM, lower=ARM.lower, upper=ARM.upper, max_speed=ARM.max_speed, max_lead=0.0)
+        GuardLimits(
+            arm=ARM,
+            lower=ARM.lower,
+            upper=ARM.upper,
+            max_speed=ARM.max_speed,
+            max_acceleration=np.ones(6),
+            max_lead=0.0,
+        )
 
 
 def test_clearances_go_with_the_size_of_the_arm_and_follow_its_floor():

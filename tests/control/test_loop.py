@@ -347,7 +347,7 @@ def test_after_a_gap_an_arm_goes_on_from_where_it_is_as_from_a_start():
     assert eager.resets == [0.0, rec.time[5, 0]]
     steps = np.abs(np.diff(rec.command[:, 0], axis=0)).max(axis=1)
     first = np.abs(rec.command[0, 0] - ARM.rest).max()
-    assert steps[4] == pytest.approx(0.2 * first), "the first step after a gap is smaller than that of a start"
+    assert 0.0 < steps[4] <= 0.2 * first + 1e-9, "the first step after a gap is smaller than that of a start"
     eased = rec.time[1:, 0] < rec.time[5, 0] + 1.0
     assert steps[4:][eased[4:]].max() <= 0.2 * 0.05 * ARM.max_speed.max() + 1e-9
     assert steps[np.argmin(eased[4:]) + 5] > 0.2 * 0.05 * ARM.max_speed.max()

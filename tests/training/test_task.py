@@ -44,7 +44,7 @@ def test_training_and_deployment_see_and_command_the_same_bit_for_bit(law):
     actions = rng.normal(0.0, 0.8, (25, 6, 6)).astype(np.float32).astype(float)
     task = make(agents=6, settings=TaskSettings(hold_steps=10**9, law=law))
     observation, _ = task.reset()
-    controller, limits = Scripted(actions, law), GuardLimits.of(ARM)
+    controller, limits = Scripted(actions, law), GuardLimits.of(ARM).of_simulation()
     sent = task._sent.copy()
     for cycle, action in enumerate(actions):
         state = JointState(time=task._time.copy(), position=task._measured.copy(), age=np.zeros(6))
@@ -52,7 +52,7 @@ def test_training_and_deployment_see_and_command_the_same_bit_for_bit(law):
         if cycle == 0:
             controller.reset(now, np.ones(6, dtype=bool))
         wanted = controller.command(now)
-        sent = guard(limits, wanted, sent, state, task._period.copy()).command
+        sent = guard(limits, wanted, sent, 0 * sent, state, task._period.copy()).command
         np.testing.assert_array_equal(controller.seen[-1], observation)
         observation = task.step(action).observation
         np.testing.assert_array_equal(task._sent, sent)

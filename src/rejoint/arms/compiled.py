@@ -10,7 +10,11 @@ import numpy as np
 from numba import float64, int64, njit, types, void
 
 IN2, IN3, IN4 = (types.Array(float64, dimensions, "C", readonly=True) for dimensions in (2, 3, 4))
-OUT3, OUT4 = float64[:, :, ::1], float64[:, :, :, ::1]
+ROWS1, ROWS2 = (types.Array(int64, dimensions, "C", readonly=True) for dimensions in (1, 2))
+OUT2, OUT3, OUT4 = float64[:, ::1], float64[:, :, ::1], float64[:, :, :, ::1]
+
+POINT = 1e-15
+"""[m^2] squared lengths, and products of them, below which segments count as points or as parallel (chosen)"""
 
 
 @njit(OUT3(IN3, IN2, IN2), cache=True, nogil=True, fastmath={"contract"})
@@ -72,3 +76,43 @@ def fill_columns(axes, poses, columns):  # noqa: ANN001, ANN201
             for r in range(3):
                 after, last = (r + 1) % 3, (r + 2) % 3
                 columns[r, i, b] = axis[after] * lever[last] - axis[last] * lever[after]
+
+
+@njit(float64(IN2, int64, int64), cache=True, nogil=True)
+def _axis_distance(ends, i, j):  # noqa: ANN001, ANN202
+    """Distance between the axes of the links i and j, of the ``ends`` (n + 2, 3), as `collision.segment_distance`."""
+    a = e = b = c = f = 0.0
+    for r in range(3):
+        along, across = ends[i + 1, r] - ends[i, r], ends[j + 1, r] - ends[j, r]
+        apart = ends[i, r] - ends[j, r]
+        a, e, b = a + along * along, e + across * across, b + along * across
+        c, f = c + along * apart, f + across * apart
+    under = a * e - b * b
+    s = min(max((b * f - c * e) / under, 0.0), 1.0) if under > POINT else 0.0
+    t = min(max((b * s + f) / e, 0.0), 1.0) if e > POINT else 0.0
+    s = min(max((b * t - c) / a, 0.0), 1.0) if a > POINT else 0.0
+    square = 0.0
+    for r in range(3):
+        along, across = ends[i + 1, r] - ends[i, r], ends[j + 1, r] - ends[j, r]
+        gap = ends[i, r] - ends[j, r] + s * along - t * across
+        square += gap * gap
+    return np.sqrt(square)
+
+
+@njit(void(IN4, ROWS2, ROWS1, float64, float64, OUT2), cache=True, nogil=True)
+def fill_clearances(poses, pairs, grounded, radius, ground, out):  # noqa: ANN001, ANN201
+    """Fill ``out`` (B, P + G) [m] with how far capsules are apart: of the ``pairs`` (P, 2) of links, and of the ground.
+
+    ``poses`` (n + 1, 3, 4, B) are those of `fill_poses`, ``grounded`` (G,) the ends, the base's lower one being 0,
+    that can touch the ``ground`` [m].
+    """
+    joints = poses.shape[0]
+    ends = np.zeros((joints + 1, 3))
+    for b in range(len(out)):
+        for i in range(joints):
+            for r in range(3):
+                ends[i + 1, r] = poses[i, r, 3, b]
+        for k in range(len(pairs)):
+            out[b, k] = _axis_distance(ends, pairs[k, 0], pairs[k, 1]) - 2.0 * radius
+        for k in range(len(grounded)):
+            out[b, len(pairs) + k] = ends[grounded[k], 2] - ground - radius

@@ -49,7 +49,7 @@ def _joint_terms(arm: Arm) -> Array:
     return terms.reshape(arm.joints, 16, 3)
 
 
-def _poses(arm: Arm, q: Array, rows: slice) -> Array:
+def all_poses(arm: Arm, q: Array, rows: slice) -> Array:
     """Compute r ``rows`` of the frames of joints and TCP, (n + 1, r, 4, B), at B postures ``q`` (..., n).
 
     Postures come last, so that the inner loops run over them.
@@ -66,7 +66,7 @@ def _poses(arm: Arm, q: Array, rows: slice) -> Array:
 def frames(arm: Arm, q: Array) -> Frames:
     """Compute all frames for joint positions ``q`` (..., n) [rad]."""
     n, lead = arm.joints, q.shape[:-1]
-    poses = _poses(arm, q, slice(0, 3))
+    poses = all_poses(arm, q, slice(0, 3))
     axes = (arm.axis[:, None, None] @ poses[:n, :, :3])[:, :, 0]
     joints = poses[:n].transpose(3, 0, 1, 2).reshape(*lead, n, 3, 4)
     tcp = poses[n].transpose(2, 0, 1).reshape(*lead, 3, 4)
@@ -76,12 +76,12 @@ def frames(arm: Arm, q: Array) -> Frames:
 
 def heights(arm: Arm, q: Array) -> Array:
     """Heights (..., n + 1) [m] of the joint frames and the TCP at ``q`` (..., n) [rad]: the z of `frames`."""
-    return _poses(arm, q, slice(2, 3))[:, 0, 3].T.reshape(*q.shape[:-1], arm.joints + 1)
+    return all_poses(arm, q, slice(2, 3))[:, 0, 3].T.reshape(*q.shape[:-1], arm.joints + 1)
 
 
 def tcp_position(arm: Arm, q: Array) -> Array:
     """TCP position (..., 3) [m] at joint positions ``q`` (..., n) [rad]."""
-    return _poses(arm, q, slice(0, 3))[arm.joints, :, 3].T.reshape(*q.shape[:-1], 3)
+    return all_poses(arm, q, slice(0, 3))[arm.joints, :, 3].T.reshape(*q.shape[:-1], 3)
 
 
 def tcp_pose(arm: Arm, q: Array) -> Array:
@@ -95,7 +95,7 @@ def tcp_pose(arm: Arm, q: Array) -> Array:
 def position_kinematics(arm: Arm, q: Array) -> tuple[Array, Array]:
     """TCP position (..., 3) [m] and its derivative (..., 3, n) [m/rad] at joint positions ``q`` (..., n) [rad]."""
     n, lead = arm.joints, q.shape[:-1]
-    poses = _poses(arm, q, slice(0, 3))
+    poses = all_poses(arm, q, slice(0, 3))
     columns = np.empty((3, n, poses.shape[-1]))
     compiled.fill_columns(arm.axis, poses, columns)
     return poses[n, :, 3].T.reshape(*lead, 3), columns.transpose(2, 0, 1).reshape(*lead, 3, n)

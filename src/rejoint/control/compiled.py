@@ -86,24 +86,45 @@ def integrate(correction, speed, last, position, elapsed, step, extra, rate, lim
             correction[i, j] = np.minimum(np.maximum(correction[i, j] + push + extra[i, j], -limit), limit)
 
 
-@njit(void(OUT3, IN2, IN2, IN2, float64, IN1, IN1), **OPTIONS)
-def limit(stages, measured, last, reach, lead, lower, upper):  # noqa: ANN001, ANN201
-    """Fill ``stages`` (4, B, n), whose first is what is wanted, with what lead, position and step leave of it.
+@njit(void(OUT3, *[IN2] * 3, *[IN1] * 5, float64), **OPTIONS)
+def limit(stages, measured, last, speed, elapsed, fastest, acceleration, lower, upper, lead):  # noqa: ANN001, ANN201
+    """Fill ``stages`` (5, B, n), whose first is what is wanted, with what each limit leaves of it.
 
-    ``reach`` (1 or B, n) is the largest step from ``last`` (B, n), ``lead`` the largest distance from ``measured``.
+    These are lead, position, step and acceleration. ``last`` (B, n) was sent with the ``speed`` (B, n), ``elapsed``
+    (1 or B,) [s] ago; ``fastest``, ``acceleration``, ``lower`` and ``upper`` are (n,), and ``lead`` is the largest
+    distance from ``measured`` (B, n). The last command itself is within step and acceleration, whatever its speed.
     """
     _, arms, joints = stages.shape
     for i in range(arms):
-        r = i % len(reach)
+        time = elapsed[i % len(elapsed)]
         for j in range(joints):
             near = min(max(stages[0, i, j], measured[i, j] - lead), measured[i, j] + lead)
             legal = min(max(near, lower[j]), upper[j])
-            stages[1, i, j], stages[2, i, j] = near, legal
-            stages[3, i, j] = min(max(legal, last[i, j] - reach[r, j]), last[i, j] + reach[r, j])
+            reach = fastest[j] * time
+            step = min(max(legal, last[i, j] - reach), last[i, j] + reach)
+            gain = acceleration[j] * time * time if time > 0.0 else 0.0
+            way = speed[i, j] * time
+            stages[1, i, j], stages[2, i, j], stages[3, i, j] = near, legal, step
+            stages[4, i, j] = min(max(step, last[i, j] + min(way - gain, 0.0)), last[i, j] + max(way + gain, 0.0))
 
 
-@njit(bool_(IN2, IN2, IN2, IN1, IN1, IN1, float64), **OPTIONS)
-def credible(command, sent, position, lowest, highest, age, oldest):  # noqa: ANN001, ANN201
+@njit(void(OUT2, *[IN2] * 2, *[IN1] * 2), **OPTIONS)
+def take_speed(speed, command, last, elapsed, fastest):  # noqa: ANN001, ANN201
+    """Fill ``speed`` (B, n) with that of the ``command`` (B, n), ``elapsed`` (1 or B,) after the ``last`` (B, n).
+
+    It is 0 where no time has passed; rounding takes none beyond the ``fastest`` (n,).
+    """
+    arms, joints = speed.shape
+    for i in range(arms):
+        time = elapsed[i % len(elapsed)]
+        for j in range(joints):
+            speed[i, j] = 0.0
+            if time > 0.0:
+                speed[i, j] = min(max((command[i, j] - last[i, j]) / time, -fastest[j]), fastest[j])
+
+
+@njit(bool_(*[IN2] * 4, IN1, IN1, IN1, float64), **OPTIONS)
+def credible(command, sent, speed, position, lowest, highest, age, oldest):  # noqa: ANN001, ANN201
     """Tell whether all numbers (B, n) are finite, positions believed and states (B,) young, in the whole batch."""
     arms, joints = command.shape
     for i in range(arms):
@@ -111,6 +132,6 @@ def credible(command, sent, position, lowest, highest, age, oldest):  # noqa: AN
             return False
         for j in range(joints):
             seen = lowest[j] <= position[i, j] <= highest[j]
-            if not (seen and np.isfinite(command[i, j] + sent[i, j])):
+            if not (seen and np.isfinite(command[i, j] + sent[i, j] + speed[i, j])):
                 return False
     return True

@@ -1,137 +1,48 @@
 """The guard between every controller and the robot: what may be sent, and why it was changed.
 
-A pure function over a batch of arms. Two kinds of reasons:
+A pure function over a batch of arms; what it remembers from call to call is the last command and its speed. Two kinds
+of reasons:
 
-* Limits (POSITION, LEAD, STEP, FLOOR) change the command and the motion goes on.
+* Limits change the command and the motion goes on, for as long as the controller asks for what it may not have.
 * Trips (see `TRIPS`) mean that the arm cannot be judged any more. The guard returns the last
-  command, and the control loop stops the robot.
+  command, and the control loop stops the robot at the first one.
 
-The limits are applied in the order lead, position, step, floor, so that in a conflict the later one
-wins: whatever comes in, no command is further from the last one than the step limit, and none
-brings the arm nearer to the floor than is allowed.
+The limits are applied in the order lead, position, step, acceleration, and then floor and contacts together, so that
+in a conflict the later one wins. Lead and position pull a command to where it belongs. All later ones only shorten the
+step from the last command, which is within each of them: whatever comes in, a hold is always left to go out, and no two
+of them are ever in conflict. So the acceleration limit holds back what gains speed or turns round; braking is free,
+since the hardest braking is the hold. With periods of `RAMP` and more this is a limit of every change of speed.
+
+What is judged is the command: where it is the posture of an arm that touches something, or is too low. The arm itself
+lags, sags and swings beyond it, and its way between two commands is not judged either.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from enum import IntFlag
-from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rejoint.arms import Arm, Array, heights
-from rejoint.arms.size import length_size
+from rejoint.arms import Array, clearances, heights
 from rejoint.control.law import plain
+from rejoint.control.limits import RAMP, TRIPS, GuardLimits, Reason, Reasons, reason_names
 from rejoint.control.robot import JointState, Mask
 from rejoint.errors import InputError
 from rejoint.late import Late
 
+__all__ = ["RAMP", "TRIPS", "GuardLimits", "Guarded", "Reason", "Reasons", "guard", "reason_names", "warm_up"]
+
 compiled = Late("rejoint.control.compiled")
 
-Reasons = NDArray[np.uint16]
-
-JOINT_CLEARANCE = 0.01
-"""[m] height of joint frames above the floor of the TCP, for a myCobot 280 (chosen: the radius of a link and a little
-more, less the floor of 20 mm); goes with the reach."""
-
 _SHARES = np.arange(1, 33) / 32  # of a step that are tried, all at once (chosen: 0.2 deg of the largest step)
-_HEIGHT_TOLERANCE = 1e-9  # [m] rounding of the kinematics: a joint that cannot move must not look sinking
+_TOLERANCE = 1e-9  # [m] rounding of the kinematics: a joint that cannot move must not look sinking
 
 
-class Reason(IntFlag):
-    """Why a command was changed, or why the guard tripped."""
-
-    NONE = 0
-    POSITION = 1
-    """beyond a joint limit"""
-    STEP = 2
-    """further from the last command than the joint's speed allows in one period"""
-    LEAD = 4
-    """further ahead of the measured position than allowed"""
-    FLOOR = 8
-    """a point of the arm would come too low"""
-    NOT_FINITE = 16
-    """a command or a measured position is not a finite number"""
-    STALE = 32
-    """the joint state is too old"""
-    OUT_OF_RANGE = 64
-    """a measured position lies far outside the joint limits"""
-    TEMPERATURE = 128
-    """a servo is too hot"""
-    SERVO_FAULT = 256
-    """a servo reports a fault"""
-    GAP = 512
-    """no answers came for a while; the arm held, and goes on as from a start (flagged by the control loop)"""
-
-
-TRIPS = Reason.NOT_FINITE | Reason.STALE | Reason.OUT_OF_RANGE | Reason.TEMPERATURE | Reason.SERVO_FAULT
-"""Reasons that end the motion."""
 _TRIP_BITS = np.uint16(TRIPS.value)
-_LIMIT_BITS = np.array([Reason.LEAD, Reason.POSITION, Reason.STEP, Reason.FLOOR], dtype=np.uint16)  # as applied
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class GuardLimits:
-    """What the guard allows. `GuardLimits.of` fills it for an arm."""
-
-    arm: Arm
-    lower: Array
-    """(n,) [rad] lowest command"""
-    upper: Array
-    """(n,) [rad] highest command"""
-    max_speed: Array
-    """(n,) [rad/s] times the period: largest change of the command in one cycle"""
-    max_lead: float = np.radians(20.0)
-    """[rad] between command and measured position (chosen: twice what the worn arm's sag needs)"""
-    max_period: float = 0.1
-    """[s] periods longer than this do not allow a larger step (chosen: twice the slowest regular period)"""
-    tcp_floor: float = 0.0
-    """[m] lowest height of the TCP"""
-    joint_floor: float = 0.03
-    """[m] lowest height of a joint frame: radius of a link and a little more, for a myCobot 280"""
-    max_age: float = 0.5
-    """[s] oldest joint state (chosen: ten periods of the slowest wire)"""
-    max_temperature: float = 65.0
-    """[deg C] hottest servo (chosen: 5 below the 70 at which servos of this class switch themselves off)"""
-    range_margin: float = np.radians(10.0)
-    """[rad] a measured position further than this outside the arm's limits is not believed (chosen)"""
-
-    def __post_init__(self) -> None:
-        for name in ("lower", "upper", "max_speed"):
-            array = np.array(getattr(self, name), dtype=float)
-            if array.shape != (self.arm.joints,) or not np.isfinite(array).all():
-                raise InputError(f"guard limits: {name} needs {self.arm.joints} finite numbers, got {array}")
-            array.setflags(write=False)
-            object.__setattr__(self, name, array)
-        if (self.lower >= self.upper).any() or (self.max_speed <= 0).any():
-            raise InputError("guard limits: lower must be below upper and speeds must be positive")
-        for name in ("max_lead", "max_period", "max_age"):
-            if not getattr(self, name) > 0:
-                raise InputError(f"guard limits: {name} must be positive, got {getattr(self, name)}")
-
-    @cached_property
-    def floors(self) -> Array:
-        """(n,) [m] lowest heights of all joint frames but the first, which stands still, and of the TCP."""
-        return np.append(np.full(self.arm.joints - 1, self.joint_floor), self.tcp_floor)
-
-    @cached_property
-    def believed(self) -> tuple[Array, Array]:
-        """(n,), (n,) [rad] lowest and highest measured positions that are believed."""
-        return self.arm.lower - self.range_margin, self.arm.upper + self.range_margin
-
-    @classmethod
-    def of(cls, arm: Arm, *, margin: float = np.radians(0.5)) -> GuardLimits:
-        """Limits of an arm; commands stay ``margin`` [rad] inside the joint limits (chosen).
-
-        Joint frames keep farther from the ground than the TCP, by `JOINT_CLEARANCE`, since links have a
-        thickness.
-        """
-        return cls(
-            arm=arm, lower=arm.lower + margin, upper=arm.upper - margin, max_speed=arm.max_speed, tcp_floor=arm.floor,
-            joint_floor=arm.floor + JOINT_CLEARANCE * length_size(arm),
-        )  # fmt: skip
+_LIMIT_BITS = np.array(  # as applied
+    [Reason.LEAD, Reason.POSITION, Reason.STEP, Reason.ACCELERATION, Reason.FLOOR, Reason.COLLISION], dtype=np.uint16
+)
 
 
 class Guarded(NamedTuple):
@@ -141,6 +52,8 @@ class Guarded(NamedTuple):
     """(B, n) [rad] what is to be sent"""
     reasons: Reasons
     """(B,) `Reason` flags per arm; 0 where the wanted command passed unchanged"""
+    speed: Array
+    """(B, n) [rad/s] of the command, for the next call"""
 
     @property
     def tripped(self) -> Mask:
@@ -148,32 +61,40 @@ class Guarded(NamedTuple):
         return (self.reasons & _TRIP_BITS) != 0
 
 
-def guard(limits: GuardLimits, command: Array, sent: Array, state: JointState, period: float | Array) -> Guarded:
+def guard(
+    limits: GuardLimits, command: Array, sent: Array, speed: Array, state: JointState, period: float | Array
+) -> Guarded:
     """Decide what is sent when ``command`` (B, n) [rad] is wanted and ``sent`` (B, n) was the last command.
 
-    ``period`` is the time [s] since the last command, a number or (B,). The result is always finite,
-    within one step of ``sent`` and, if ``sent`` is, inside the position limits; a ``sent`` outside is
-    led back at the speed limit. An acceptable command passes unchanged. InputError where shapes differ.
+    ``speed`` (B, n) [rad/s] is that of the last command, as the last call told it; 0 for an arm at rest. ``period`` is
+    the time [s] since the last command, a number or (B,). The result is always finite, within one step of ``sent`` and,
+    if ``sent`` is, inside the position limits; a ``sent`` outside is led back at the speed limit. An acceptable command
+    passes unchanged. InputError where shapes differ.
     """
-    _check_shapes(limits.arm.joints, command, sent, state, period)
-    last, trips = _check(limits, command, sent, state)
+    _check_shapes(limits.arm.joints, command, sent, speed, state, period)
+    last, trips = _check(limits, command, sent, speed, state)
     measured, wanted, hold = state.position, command, np.count_nonzero(trips) > 0
     if hold:
         measured, wanted = (np.where(trips[:, None] != 0, last, array) for array in (measured, wanted))
-    elapsed = np.minimum(np.fmax(period, 0.0), limits.max_period)  # NaN counts as no time
-    reach = (limits.max_speed * elapsed[..., None]).reshape(-1, limits.arm.joints)
-    stages = np.empty((4, *command.shape))
-    stages[0], stepped = wanted, stages[3]
-    compiled.limit(stages, plain(measured), plain(last), reach, limits.max_lead, limits.lower, limits.upper)
+    elapsed = np.minimum(np.fmax(period, 0.0), limits.max_period).reshape(-1)  # NaN counts as no time
+    stages = np.empty((5, *command.shape))
+    stages[0], stepped = wanted, stages[4]
+    last = plain(last)
+    compiled.limit(
+        stages, plain(measured), last, plain(speed), elapsed, limits.max_speed, limits.max_acceleration,
+        limits.lower, limits.upper, limits.max_lead,
+    )  # fmt: skip
     if hold:  # whatever the limits say of the posture
         stepped[trips != 0] = last[trips != 0]
-    allowed, lifted = _keep_above_floor(limits, stepped, last)
+    allowed, shortened = _keep_clear(limits, stepped, last)
+    now = np.empty_like(allowed)
+    compiled.take_speed(now, allowed, last, elapsed, limits.max_speed)
     changed = allowed != wanted
     if not np.count_nonzero(changed):
-        return Guarded(allowed, trips)
+        return Guarded(allowed, trips, now)
     limited = np.logical_or.reduce(stages[1:] != stages[:-1], axis=-1)
-    reasons: Reasons = _LIMIT_BITS @ np.concatenate([limited, lifted[None]])
-    return Guarded(allowed, trips + reasons * np.logical_or.reduce(changed, axis=-1))
+    reasons: Reasons = _LIMIT_BITS @ np.concatenate([limited, shortened])
+    return Guarded(allowed, trips + reasons * np.logical_or.reduce(changed, axis=-1), now)
 
 
 def warm_up(limits: GuardLimits) -> None:
@@ -182,32 +103,30 @@ def warm_up(limits: GuardLimits) -> None:
     A control cycle that waited for them would be long, and a long one allows a long step.
     """
     rest = limits.arm.rest[None]
-    guard(limits, rest, rest, JointState(time=np.zeros(1), position=rest, age=np.zeros(1)), 0.0)
+    guard(limits, rest, rest, 0.0 * rest, JointState(time=np.zeros(1), position=rest, age=np.zeros(1)), 0.0)
 
 
-def reason_names(reasons: int) -> tuple[str, ...]:
-    """Names of the flags in one element of `Guarded.reasons`, as shown to people."""
-    return tuple(reason.name.lower().replace("_", " ") for reason in Reason(int(reasons)) if reason.name)
-
-
-def _check_shapes(joints: int, command: Array, sent: Array, state: JointState, period: float | Array) -> None:
+def _check_shapes(
+    joints: int, command: Array, sent: Array, speed: Array, state: JointState, period: float | Array
+) -> None:
     """Raise InputError unless everything is of as many arms: loops over shorter arrays would mix them up."""
     shape = len(command), joints
     per_arm = np.shape(period) in ((), (1,), shape[:1]) and np.shape(state.age) == shape[:1]
-    if not (per_arm and command.shape == sent.shape == state.position.shape == shape):
+    if not (per_arm and command.shape == sent.shape == speed.shape == state.position.shape == shape):
         raise InputError(
-            f"guard: command {command.shape}, last command {sent.shape}, positions {state.position.shape}, ages "
-            f"{np.shape(state.age)}, periods {np.shape(period)}; expected {shape} and {shape[:1]} each"
+            f"guard: command {command.shape}, last command {sent.shape}, its speed {speed.shape}, positions "
+            f"{state.position.shape}, ages {np.shape(state.age)}, periods {np.shape(period)}; expected {shape} and "
+            f"{shape[:1]} each"
         )
 
 
-def _check(limits: GuardLimits, command: Array, sent: Array, state: JointState) -> tuple[Array, Reasons]:
+def _check(limits: GuardLimits, command: Array, sent: Array, speed: Array, state: JointState) -> tuple[Array, Reasons]:
     """Return the posture to hold (B, n), always finite, and the trips (B,)."""
     lowest, highest = limits.believed
-    if _nothing_wrong(limits, command, sent, state):
+    if _nothing_wrong(limits, command, sent, speed, state):
         return sent, np.zeros(len(sent), dtype=np.uint16)
     unknown = ~np.isfinite(state.position)
-    not_finite = ~np.isfinite(command) | ~np.isfinite(sent) | unknown
+    not_finite = ~np.isfinite(command) | ~np.isfinite(sent) | ~np.isfinite(speed) | unknown
     trips = (
         _flag(not_finite, Reason.NOT_FINITE)
         + _flag(~(state.age <= limits.max_age)[:, None], Reason.STALE)  # NaN counts as stale
@@ -223,12 +142,12 @@ def _check(limits: GuardLimits, command: Array, sent: Array, state: JointState) 
     return np.where(np.isfinite(sent), sent, known), trips
 
 
-def _nothing_wrong(limits: GuardLimits, command: Array, sent: Array, state: JointState) -> bool:
+def _nothing_wrong(limits: GuardLimits, command: Array, sent: Array, speed: Array, state: JointState) -> bool:
     """Tell that nothing trips in the whole batch; almost always so, and cheaper to ask than what does."""
     if state.temperature is not None or state.fault is not None:
         return False
-    numbers, age = (plain(command), plain(sent), plain(state.position)), plain(state.age)
-    return bool(compiled.credible(*numbers, *limits.believed, age, limits.max_age))
+    numbers = (plain(command), plain(sent), plain(speed), plain(state.position))
+    return bool(compiled.credible(*numbers, *limits.believed, plain(state.age), limits.max_age))
 
 
 def _flag(per_joint: NDArray[np.bool_], reason: Reason) -> Reasons:
@@ -237,28 +156,38 @@ def _flag(per_joint: NDArray[np.bool_], reason: Reason) -> Reasons:
     return flagged
 
 
-def _keep_above_floor(limits: GuardLimits, command: Array, sent: Array) -> tuple[Array, Mask]:
-    """Scale steps back that bring a point of the arm below its floor; returns the arms it changed.
+def _keep_clear(limits: GuardLimits, command: Array, sent: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Scale steps back that bring a point of the arm below its floor, or a link into contact.
 
-    A point that is already too low may not sink further, so every motion that lifts it is free.
+    Returns the commands, and the arms (2, B) changed for the floor and for contacts. What is already too low, or in
+    contact, may not go further, so every motion that lifts or frees it is free.
     """
-    below = _clearances(limits, command) < 0.0
-    if not np.count_nonzero(below):
-        return command, np.zeros(len(command), dtype=bool)
-    low: Mask = np.logical_or.reduce(below, axis=-1)
-    index = np.flatnonzero(low)
-    start, way = sent[index], command[index] - sent[index]
-    lowest = np.minimum(_clearances(limits, start), 0.0) - _HEIGHT_TOLERANCE
-    postures = start[:, None] + _SHARES[:, None] * way[:, None]
-    good = np.all(_clearances(limits, postures) >= lowest[:, None], axis=-1)
-    steps = np.logical_and.accumulate(good, axis=-1).sum(axis=-1)  # up to the first that is too low
-    result, changed = command.copy(), low.copy()
-    whole = steps == len(_SHARES)
-    result[index] = np.where(whole[:, None], command[index], start + (steps / len(_SHARES))[:, None] * way)
-    changed[index] = ~whole
-    return result, changed
+    shortened = np.zeros((2, len(command)), dtype=bool)
+    clear = _clearances(limits, command)
+    if not np.count_nonzero(clear < 0.0):
+        return command, shortened
+    index = np.flatnonzero(np.logical_or.reduce(clear < 0.0, axis=-1))
+    now = _clearances(limits, sent[index])
+    least = np.where(now < 0.0, now - _TOLERANCE, 0.0)
+    worse = np.logical_or.reduce(clear[index] < least, axis=-1)
+    index, least, n = index[worse], least[worse], limits.arm.joints
+    start, way, result = sent[index], command[index] - sent[index], command.copy()
+    bad = _clearances(limits, start[:, None] + _SHARES[:, None] * way[:, None]) < least[:, None]
+    bad[:, -1] = clear[index] < least  # the whole command, without rounding
+    first = np.logical_or.reduce(bad, axis=-1).argmax(axis=-1)
+    result[index] = start + (first / len(_SHARES))[:, None] * way
+    reached = bad[np.arange(len(index)), first]
+    shortened[:, index] = [reached[:, :n].any(axis=-1), reached[:, n:].any(axis=-1)]
+    return result, shortened
 
 
 def _clearances(limits: GuardLimits, q: Array) -> Array:
-    """Height (..., n) [m] above their floors of all joint frames but the first, and of the TCP."""
-    return heights(limits.arm, q)[..., 1:] - limits.floors
+    """Return what must not be below zero at ``q`` (..., n) [rad]: (..., n or more) [m].
+
+    These are the heights above their floors of all joint frames but the first, and of the TCP; then the distances
+    between what can touch.
+    """
+    if not limits.collisions:
+        return heights(limits.arm, q)[..., 1:] - limits.floors
+    height, apart = clearances(limits.arm, q)
+    return np.concatenate([height[..., 1:] - limits.floors, apart], axis=-1)

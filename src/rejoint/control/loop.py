@@ -14,7 +14,7 @@ import numpy as np
 
 from rejoint.arms import Array, tcp_position
 from rejoint.control.controller import Controller, Situation
-from rejoint.control.guard import TRIPS, GuardLimits, Reason, Reasons, guard, reason_names, warm_up
+from rejoint.control.guard import TRIPS, Guarded, GuardLimits, Reason, Reasons, guard, reason_names, warm_up
 from rejoint.control.recording import Cycle, OnCycle, Recorder, Recording, attach
 from rejoint.control.robot import JointState, Mask, Robot
 from rejoint.errors import GuardTripError, InputError, RejointError, first_line
@@ -183,6 +183,7 @@ class _Progress:
     state: JointState
     targets: Array
     sent: Array
+    speed: Array
     index: np.typing.NDArray[np.intp]
     set_at: Array
     active: Mask
@@ -209,7 +210,7 @@ class _Progress:
             raise InputError(f"schedule: sent has shape {np.shape(sent)}, expected {state.position.shape}")
         sent = np.array(state.position if sent is None else sent, dtype=float)
         return cls(
-            state=state, targets=targets, sent=sent, index=np.zeros(count, dtype=np.intp),
+            state=state, targets=targets, sent=sent, speed=np.zeros_like(sent), index=np.zeros(count, dtype=np.intp),
             set_at=state.time.copy(), active=np.ones(count, dtype=bool), tripped=np.zeros(count, dtype=np.uint16),
             period=np.full(count, FIRST_PERIOD),
         )  # fmt: skip
@@ -231,9 +232,9 @@ class _Progress:
         self.set_at = np.where(renewed, self.state.time, self.set_at)
         return renewed
 
-    def stepped(self, state: JointState, command: Array) -> None:
+    def stepped(self, state: JointState, command: Array, speed: Array) -> None:
         """Take over what the robot was sent and what it answered."""
-        self.sent = np.where(self.active[:, None], command, self.sent)
+        self.sent, self.speed = np.where(self.active[:, None], command, self.sent), speed
         elapsed = state.time - self.last_time
         self.gap = elapsed > np.fmax(GAP, GAP_PERIODS * self.usual)
         late = elapsed > LATE_PERIODS * self.usual  # NaN: not known yet
@@ -252,11 +253,12 @@ class _Progress:
         # An arm that sags keeps its command; one that stands elsewhere no longer knows it.
         elsewhere = where[:, None] & (np.abs(self.sent - self.state.position) > GuardLimits.max_lead)
         self.sent = np.where(elsewhere, self.state.position, self.sent)
+        self.speed = np.where(where[:, None], 0.0, self.speed)
 
     @property
-    def allowed_period(self) -> Array:
-        """(B,) [s] for which the guard allows motion: less of it after a gap."""
-        return np.where(self.state.time < self.eased_until, EASE_SHARE, 1.0) * self.period
+    def ease(self) -> Array:
+        """(B,) share of its speed at which an arm may move: less of it after a gap."""
+        return np.where(self.state.time < self.eased_until, EASE_SHARE, 1.0)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -276,7 +278,7 @@ class _Loop:
         if self.schedule.give_up is not None:
             progress.active = fresh & ~self.schedule.give_up(before)
         renewed = progress.advance(progress.active & self._finished(before))
-        command, reasons = self._decide(progress, renewed)
+        command, reasons, speed = self._decide(progress, renewed)
         cycle = Cycle(
             time=before.state.time, position=before.state.position, command=command, target=before.target,
             target_index=index, since_target=before.since_target, true_tcp=self.robot.true_tcp().copy(), active=fresh,
@@ -287,7 +289,7 @@ class _Loop:
         if self.on_cycle is not None:
             self.on_cycle(cycle)
         if progress.active.any():
-            progress.stepped(_own(self.robot.step(command, progress.active)), command)
+            progress.stepped(_own(self.robot.step(command, progress.active)), command, speed)
         return bool(progress.active.any())
 
     def _finished(self, situation: Situation) -> Mask:
@@ -298,19 +300,23 @@ class _Loop:
             finished = finished | (error < self.schedule.stop_below)
         return finished
 
-    def _decide(self, progress: _Progress, renewed: Mask) -> tuple[Array, Reasons]:
-        """Commands (B, n) that may be sent, and the guard's reasons (B,)."""
+    def _decide(self, progress: _Progress, renewed: Mask) -> Guarded:
+        """Commands (B, n) that may be sent, the guard's reasons (B,), and the speed of the commands."""
         active = progress.active
         if not active.any():
-            return progress.sent, np.zeros(len(active), dtype=np.uint16)
+            return Guarded(progress.sent, np.zeros(len(active), dtype=np.uint16), progress.speed)
         situation = progress.situation()
         fresh = renewed | progress.gap
         if fresh.any():
             self.controller.reset(situation, fresh)
         wanted = self.controller.command(situation)
-        guarded = guard(self.limits, wanted, progress.sent, progress.state, progress.allowed_period)
+        ease = progress.ease  # slower time for the guard is a slower arm
+        guarded = guard(
+            self.limits, wanted, progress.sent, progress.speed / ease[:, None], progress.state, ease * progress.period
+        )
+        command = np.where(active[:, None], guarded.command, progress.sent)
         reasons = guarded.reasons + progress.gap * np.uint16(Reason.GAP.value)
-        return np.where(active[:, None], guarded.command, progress.sent), reasons * active
+        return Guarded(command, reasons * active, ease[:, None] * guarded.speed)
 
     def _stop_tripped(self, progress: _Progress, reasons: Reasons) -> None:
         trips = reasons & np.uint16(TRIPS.value)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rejoint.arms import Arm
-from rejoint.control.guard import Reason, reason_names
+from rejoint.control.guard import TRIPS, reason_names
 from rejoint.evaluation.outcome import Outcome
 
 FAR = 0.005
@@ -73,7 +73,7 @@ def what_happened(arm: Arm, outcome: Outcome, b: int, k: int) -> str:
         f"{arm.joint_names[j]} stands while its command leads by {np.degrees(lead[j]):.1f} deg"
         for j in np.flatnonzero(stuck)
     ]
-    flags = int(outcome.limited[b, k]) & int(Reason.POSITION | Reason.LEAD | Reason.STEP | Reason.FLOOR)
+    flags = int(outcome.limited[b, k]) & ~int(TRIPS)
     if flags:
         said.append(f"the guard limits it ({', '.join(reason_names(flags))})")
     if outcome.approach[b, k] > _APPROACHING:

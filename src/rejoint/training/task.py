@@ -100,7 +100,7 @@ class ReachTask:
         self.wire = Wire(agents, n, SUBSTEPS)
         self.play = Play(arm, agents)
         self.truth_size = truth_size(n)
-        self._limits = GuardLimits.of(arm)
+        self._limits, self._rest = GuardLimits.of(arm).of_simulation(), np.zeros((agents, arm.joints))
         self._rng = np.random.default_rng(seed)
         self._time, self._since, self._period = np.zeros(agents), np.zeros(agents), np.zeros(agents)
         self._middle, self._ramp = np.zeros(agents), np.zeros(agents)
@@ -200,7 +200,7 @@ class ReachTask:
         situation, observer = self._situation(), self.observer
         observer.acted(action)
         wanted = self.commander.command(situation, observer.view, action)
-        self._sent = guard(self._limits, wanted, self._sent, situation.state, self._period).command
+        self._sent = guard(self._limits, wanted, self._sent, self._rest, situation.state, self._period).command
         self.wire.send(self._sent, self._time)
 
     def _advance(self) -> None:
