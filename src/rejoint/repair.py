@@ -13,9 +13,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-
-from rejoint.arms import Arm, Array, tcp_position
+from rejoint.arms import Arm, Array
 from rejoint.comparison.compare import Settings, Trial, compare
 from rejoint.comparison.recommend import Recommendation, recommend
 from rejoint.comparison.result import Comparison, Protocol
@@ -23,11 +21,11 @@ from rejoint.comparison.targets import draw_targets, read_targets
 from rejoint.control.catalogue import BASELINES, make_controller
 from rejoint.control.contract import check_period
 from rejoint.control.controller import Controller
-from rejoint.control.loop import Schedule
-from rejoint.control.loop import run as drive
 from rejoint.control.policy import PolicyController
 from rejoint.control.recording import Cycle, recording_of
-from rejoint.control.robot import Robot
+from rejoint.control.robot import JointState, Robot
+from rejoint.control.start import check_stance
+from rejoint.deployment import Deployed, Deployment, deploy, deployed_of
 from rejoint.errors import FileError, InputError, saving
 from rejoint.files import read_json, require_space, set_aside, write_json
 from rejoint.journal import Journal
@@ -35,6 +33,7 @@ from rejoint.opening import Run, alone, begin, forget
 from rejoint.robots import default_period, open_robot
 from rejoint.runlog import RunLog, read_log, write_log
 from rejoint.runs import LOGS, RunFolder
+from rejoint.stopping import noted
 
 if TYPE_CHECKING:  # these need the simulator, which a Raspberry Pi does not have
     from rejoint.diagnosis.diagnosis import Diagnosis
@@ -67,17 +66,6 @@ class Trials:
     protocol: Protocol = field(default_factory=Protocol)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Deployment:
-    """What an arm is to do."""
-
-    controller: str
-    targets: Array
-    """(K, 3) [m]"""
-    dwell: float
-    """[s] per target"""
-
-
 @alone
 def diagnose_stage(
     run: Run, *, period: Period | None = None, good: Path | None = None, on_progress: OnProgress = silent
@@ -86,12 +74,7 @@ def diagnose_stage(
     from rejoint.diagnosis.diagnosis import diagnose
 
     healthy = _healthy(run.arm, good)
-    try:
-        robot = open_robot(run.info.robot, arm=run.arm, seed=run.info.seed, period=period)
-    except InputError:
-        forget(run)
-        raise
-    try:
+    with noted(), closing(_connect(run, period)) as robot:
         require_space(run.folder.path)
         journal = _journal(run, "diagnosis", robot, "diagnosis")
         try:
@@ -103,8 +86,6 @@ def diagnose_stage(
             error.add_note(journal.rescue())
             raise
         journal.close()
-    finally:
-        robot.close()
     with saving(diagnosis):
         for earlier in (run.folder.log("targets"), run.folder.log("excitation"), run.folder.diagnosis):
             set_aside(earlier)
@@ -226,7 +207,8 @@ def compare_stage(
         protocol=trials.protocol,
     )
     factories = _factories(run, trials.controllers, period or default_period(robot))
-    result = compare(connect, factories, targets, settings, on_progress=on_progress, on_trial=keep)
+    with noted():
+        result = compare(connect, factories, targets, settings, on_progress=on_progress, on_trial=keep)
     file = "" if trials.file is None else str(trials.file)
     result = replace(result, targets_file=file, period=period)
     found = result, recommend(result)
@@ -238,19 +220,31 @@ def compare_stage(
 
 @alone
 def deploy_stage(
-    run: Run, robot: str, job: Deployment, period: Period | None = None, *, on_progress: OnProgress = silent
-) -> Array:
-    """Drive a robot through the targets of ``job``; returns the encoder error (K,) [m] at the end of each.
+    run: Run,
+    robot: str,
+    job: Deployment,
+    period: Period | None = None,
+    *,
+    on_progress: OnProgress = silent,
+    on_end: Callable[[Deployed], object] = lambda _: None,
+) -> Deployed:
+    """Drive a robot to its rest posture and through the targets of ``job``; returns what became of each.
 
-    Where something ends it early, what was recorded until then is kept, also where it is ``kill -9``. UnsavedError
-    with the result where the log cannot be written.
+    Where something ends it early, ``on_end`` is told what was done until then, and what was recorded is kept, also
+    where it is ``kill -9``. UnsavedError with the result where the log cannot be written.
     """
-    factories = _factories(run, (job.controller,), period or default_period(robot))
-    controller = factories[job.controller](run.arm)
+    twin = _twin(run)
+    controller = _factories(run, (job.controller,), period or default_period(robot))[job.controller](run.arm)
     require_space(run.folder.path)
-    total, rows = len(job.targets), int(len(job.targets) * job.dwell / min(period or default_period(robot)))
-    with closing(open_robot(robot, arm=run.arm, seed=run.info.seed, period=period)) as connection:
-        journal = _journal(run, "deploy", connection, f"deploy/{job.controller}", rows)
+    label, total = f"deploy/{job.controller}", len(job.targets)
+    rows = int(total * job.dwell / min(period or default_period(robot)))
+
+    def expected(state: JointState, sent: Array) -> None:
+        if twin is not None:
+            check_stance(run.arm, state, sent, twin.parameters.stiffness, twin.parameters.offset)
+
+    with noted(), closing(open_robot(robot, arm=run.arm, seed=run.info.seed, period=period)) as connection:
+        journal = _journal(run, "deploy", connection, label, rows)
 
         def watch(cycle: Cycle) -> None:
             journal.see(cycle)
@@ -258,19 +252,19 @@ def deploy_stage(
             on_progress(target + min(share, 1.0), total, f"target {target + 1} of {total}")
 
         try:
-            recording = drive(connection, controller, job.targets[None], Schedule(dwell=job.dwell), on_cycle=watch)
+            recording, found = deploy(connection, controller, job, on_start=expected, on_cycle=watch)
         except BaseException as error:
-            partial = recording_of(error)
+            partial, done = recording_of(error), deployed_of(error, run.arm, job)
             if partial is not None and len(partial.time):
-                error.add_note(journal.keep(partial.log(0, f"deploy/{job.controller}/stopped")))
+                error.add_note(journal.keep(partial.log(0, f"{label}/stopped")))
             else:
                 journal.discard()
+            if done is not None:
+                on_end(done)
             raise
-    apart = np.linalg.norm(recording.target[:, 0] - tcp_position(run.arm, recording.position[:, 0]), axis=-1)
-    errors = np.array([apart[recording.target_index[:, 0] == k][-1] for k in range(len(job.targets))])
-    with saving(errors):
-        journal.finish(recording.log(0, f"deploy/{job.controller}"))
-    return errors
+    with saving(found):
+        journal.finish(recording.log(0, label))
+    return found
 
 
 @alone
@@ -279,6 +273,15 @@ def report_stage(run: Run) -> Path:
     from rejoint.report.page import write_report
 
     return write_report(run.folder.path)
+
+
+def _connect(run: Run, period: Period | None) -> Robot:
+    """Open the robot of a run; one that does not answer leaves no folder behind."""
+    try:
+        return open_robot(run.info.robot, arm=run.arm, seed=run.info.seed, period=period)
+    except InputError:
+        forget(run)
+        raise
 
 
 def _journal(run: Run, name: str, robot: Robot, label: str, rows: int = 0) -> Journal:

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rejoint.arms import Array
 from rejoint.cli.console import Terminal
 from rejoint.comparison.failure import failure
 from rejoint.comparison.recommend import Recommendation
@@ -14,6 +13,7 @@ from rejoint.comparison.result import Comparison
 from rejoint.control.default import DefaultController
 
 if TYPE_CHECKING:
+    from rejoint.deployment import Deployed, Deployment
     from rejoint.diagnosis.diagnosis import Diagnosis
     from rejoint.training.train import TrainingResult
     from rejoint.twin.twin import Twin
@@ -85,10 +85,21 @@ def verdict(terminal: Terminal, before: Diagnosis, result: Comparison, advice: R
         )
 
 
-def deployment(terminal: Terminal, targets: Array, errors: Array) -> None:
-    """Print the error that was left at each target."""
+def deployment(terminal: Terminal, job: Deployment, done: Deployed) -> None:
+    """Print what became of each target."""
     rows = [
-        [str(i), *(f"{1e3 * value:.1f}" for value in target), f"{1e3 * error:.2f}"]
-        for i, (target, error) in enumerate(zip(targets, errors, strict=True), start=1)
-    ]
-    terminal.table("Error at the end of each target (encoders)", ["target", "x mm", "y mm", "z mm", "error mm"], rows)
+        [
+            str(number), *(f"{1e3 * value:.1f}" for value in visit.target),
+            "-" if visit.error is None else f"{1e3 * visit.error:.2f}", "yes" if visit.reached else "no", visit.remark,
+        ]
+        for number, visit in enumerate(done.visits, start=1)
+    ]  # fmt: skip
+    title = f"Error at the end of each target (by the encoders; reached: within {1e3 * job.within:g} mm)"
+    terminal.table(title, ["target", "x mm", "y mm", "z mm", "error mm", "reached", ""], rows)
+    if done.missed:
+        terminal.result(f"Not reached: {len(done.missed)} of {len(done.visits)} targets.")
+    if done.gaps:
+        terminal.result(
+            f"The answers stayed away {len(done.gaps)} times, for up to {max(done.gaps):.1f} s; each time the arm held "
+            "and then went on slowly."
+        )

@@ -6,6 +6,7 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated
 
+import msgspec
 import typer
 
 from rejoint import opening
@@ -15,9 +16,13 @@ from rejoint.cli import offline, show
 from rejoint.cli import options as opt
 from rejoint.cli.console import Terminal
 from rejoint.comparison.targets import draw_targets, read_targets
+from rejoint.deployment import REACHED, Deployment
 from rejoint.errors import InputError
 from rejoint.extras import require
 from rejoint.runs import LOGS, RunFolder, locked
+
+MISSED = 5
+"""Exit code of a deployment that did not reach all of its targets."""
 
 
 def diagnose(
@@ -163,23 +168,32 @@ def deploy(
     targets: opt.Targets = None,
     controller: Annotated[str, typer.Option(help="policy, or one of the baselines.")] = "policy",
     dwell: Annotated[float, typer.Option(help="Time per target in seconds.", min=0.1)] = 4.0,
+    within: Annotated[float, typer.Option(help="Distance in mm at which a target counts as reached.", min=0.01)] = (
+        1e3 * REACHED
+    ),
     period: opt.Period = None,
     seed: opt.RunSeed = None,
     json: opt.Json = False,
 ) -> None:
     """Drive an arm to targets with the trained policy (or another controller); ten random ones by default.
 
+    The arm is looked at first and goes slowly to its rest posture. Exit code 5: not all targets were reached.
+
     Example: `rejoint deploy tcp://192.168.1.20:9000 runs/mine --targets points.csv`
     """
     terminal = Terminal(json=json)
     job = opt.seeded(opening.open_run(run), seed)
     points = draw_targets(job.arm, sets=1, seed=job.info.seed)[0] if targets is None else read_targets(targets, job.arm)
-    plan = work.Deployment(controller=controller, targets=points, dwell=dwell)
-    tell = partial(show.deployment, terminal, points)
+    plan = Deployment(controller=controller, targets=points, dwell=dwell, within=1e-3 * within)
+    tell = partial(show.deployment, terminal, plan)
     with terminal.unsaved(tell), terminal.progress("deploying") as update:
-        errors = work.deploy_stage(job, robot, plan, opt.period_seconds(period), on_progress=update)
-    tell(errors)
-    terminal.finish({"run": str(run), "controller": controller, "error_mm": [1e3 * float(e) for e in errors]})
+        done = work.deploy_stage(job, robot, plan, opt.period_seconds(period), on_progress=update, on_end=tell)
+    tell(done)
+    errors = [None if visit.error is None else 1e3 * visit.error for visit in done.visits]
+    found = {"run": str(run), "controller": controller, "error_mm": errors, "missed": done.missed}
+    terminal.finish({**found, **msgspec.to_builtins(done)})
+    if done.missed:
+        raise typer.Exit(MISSED)
 
 
 def report(run: opt.Run, json: opt.Json = False) -> None:
