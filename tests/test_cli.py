@@ -2,6 +2,7 @@
 
 import json
 import re
+import shlex
 import signal
 import subprocess
 import sys
@@ -17,9 +18,12 @@ from rejoint.arms import mycobot280
 from rejoint.cli import main
 from rejoint.cli.console import Terminal
 from rejoint.cli.options import controller_names, period_seconds
+from rejoint.comparison import Comparison
 from rejoint.control.robot import JointState
 from rejoint.errors import FileError, GuardTripError, InputError
-from rejoint.files import write_json
+from rejoint.files import read_json, write_json
+from rejoint.report.contents import read_contents
+from rejoint.report.sections.details import commands
 from rejoint.robots.emulated import EmulatedRobot
 from rejoint.runlog import read_log
 from rejoint.runs import RunFolder, RunInfo
@@ -58,6 +62,21 @@ def test_repair_goes_on_where_it_stopped(
     assert last["recommended"]["controller"] == "integrator"
     assert Path(last["report"]).read_text(encoding="utf-8").startswith("<!DOCTYPE html>")
     assert out.splitlines()[-2] == last["report"]
+
+
+def test_the_report_s_line_repeats_the_very_comparison(
+    finished: RunFolder, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    points = tmp_path / "my points.csv"
+    points.write_text("x,y,z\n170,0,200\n")
+    words = ("compare", "emulated:worn?seed=4", str(finished.path), "--targets", str(points), "--repetitions", "2")
+    words += ("--controllers", "integrator,feedforward", "--period", "30-42.5", "--seed", "5")
+    assert run_cli(*words, capsys=capsys, monkeypatch=monkeypatch)[0] == 0
+    first = read_json(finished.comparison, Comparison)
+    line = commands(read_contents(finished.path))["compare"].line
+    assert run_cli(*shlex.split(line)[1:], capsys=capsys, monkeypatch=monkeypatch)[0] == 0
+    assert read_json(finished.comparison, Comparison) == first
+    finished.comparison.unlink()
 
 
 def test_a_twin_is_replayed_on_the_logs_it_came_from(

@@ -78,7 +78,8 @@ def controller_row(name, seed, true_known):
         controller=name,
         crossing=CrossingRow(
             success=clustered_share(crossed.ravel(), labels), error=spread(values["crossing_error"].ravel(), labels),
-            true_error=spread(true.ravel(), labels), cycle_time=spread(times.sum(axis=-1).ravel(), np.arange(6)),
+            true_error=spread(true.ravel(), labels),
+            cycle_time=spread(times.sum(axis=-1).ravel(), np.arange(SETS * REPETITIONS)),
         ),
         hold=HoldRow(
             settled=spread(settled.ravel(), labels), settled_true=spread(true.ravel(), labels), stays=tuple(stays),
