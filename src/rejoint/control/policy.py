@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import onnxruntime as ort
-from onnxruntime.capi import onnxruntime_pybind11_state as ort_errors
 
 from rejoint.arms import Arm, Array
 from rejoint.control.contract import (
+    DIGEST_KEY,
     INPUT,
     METADATA_KEY,
     OUTPUT,
@@ -18,17 +18,19 @@ from rejoint.control.contract import (
     check_contract,
     decode_contract,
     probe_observations,
+    shown,
 )
 from rejoint.control.controller import Situation
 from rejoint.control.observation import Observation, Observer
+from rejoint.control.onnxfile import content_digest, read_metadata
 from rejoint.control.residual import Commander
 from rejoint.control.robot import Mask
 from rejoint.errors import ContractError, FileError
 
-_UNREADABLE = (
-    ort_errors.Fail, ort_errors.InvalidArgument, ort_errors.InvalidGraph, ort_errors.InvalidProtobuf,
-    ort_errors.NoModel, ort_errors.NoSuchFile, ort_errors.NotImplemented, ort_errors.RuntimeException,
-)  # fmt: skip
+LARGEST_FILE = 16 << 20
+"""[bytes] of a policy file (chosen: two hundred times what ours have)"""
+
+_DAMAGED = "not a readable ONNX file, truncated or damaged"
 
 
 class PolicyController:
@@ -69,34 +71,48 @@ class PolicyController:
 def load_policy(path: Path, arm: Arm) -> PolicyController:
     """Read a policy file and check that it fits the arm, before anything moves.
 
-    FileError: missing, damaged, or no policy at all. ContractError: a policy for something else.
+    FileError: missing, damaged, too large, or no policy at all. ContractError: a policy for something else.
+    The file is foreign until then: what it holds is judged before ONNX Runtime reads it, see `read_metadata`.
     """
-    session = _open(path)
-    text = session.get_modelmeta().custom_metadata_map.get(METADATA_KEY)
+    data = _read(path)
+    try:
+        metadata = read_metadata(data)
+    except ValueError as error:
+        raise FileError(path, f"{_DAMAGED} ({error})", "train the policy again") from error
+    text = metadata.get(METADATA_KEY)
     if text is None:
         raise FileError(path, "an ONNX file without the contract of a policy", "take a file written by `rejoint train`")
     contract = decode_contract(text)
+    if contract.format > 1 and metadata.get(DIGEST_KEY) != content_digest(data, text):
+        raise FileError(path, "its content no longer gives the digest recorded in it", "train the policy again")
     check_contract(contract, arm)
-    controller = PolicyController(arm, session, contract)
+    controller = PolicyController(arm, _open(path, data), contract)
     _check_network(path, controller)
     return controller
 
 
-def _open(path: Path) -> ort.InferenceSession:
+def _read(path: Path) -> bytes:
+    try:
+        with path.open("rb") as stream:
+            data = stream.read(LARGEST_FILE + 1)
+    except FileNotFoundError as error:
+        raise FileError(path, "no such file", "train a policy first") from error
+    except OSError as error:
+        raise FileError(path, f"cannot be read ({error.strerror})", "check the path") from error
+    if len(data) > LARGEST_FILE:
+        raise FileError(path, f"larger than {LARGEST_FILE >> 20} MiB, as no policy is", "check the path")
+    return data
+
+
+def _open(path: Path, data: bytes) -> ort.InferenceSession:
     options = ort.SessionOptions()
     # The network is tiny: a second thread costs more than it brings.
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     options.log_severity_level = 4
     try:
-        data = path.read_bytes()
-    except FileNotFoundError as error:
-        raise FileError(path, "no such file", "train a policy first") from error
-    except OSError as error:
-        raise FileError(path, f"cannot be read ({error.strerror})", "check the path") from error
-    try:
-        return ort.InferenceSession(data, options, providers=["CPUExecutionProvider"])
-    except _UNREADABLE as error:
-        raise FileError(path, "not a readable ONNX file, truncated or damaged", "train the policy again") from error
+        return ort.InferenceSession(data, options, providers=["CPUExecutionProvider"], enable_fallback=0)
+    except Exception as error:  # ONNX Runtime has many of its own and names none of them
+        raise FileError(path, _DAMAGED, "train the policy again") from error
 
 
 def _check_network(path: Path, controller: PolicyController) -> None:
@@ -106,9 +122,13 @@ def _check_network(path: Path, controller: PolicyController) -> None:
     found = [(node.name, node.shape[1:]) for node in (*session.get_inputs(), *session.get_outputs())]
     if found != [(INPUT, [size]), (OUTPUT, [n])]:
         raise ContractError(
-            f"{path}: the network maps {found}, its contract says {INPUT} ({size}) to {OUTPUT} ({n}); train it again"
+            f"{path}: the network maps {shown(found)}, its contract says {INPUT} ({size}) to {OUTPUT} ({n}); "
+            "train it again"
         )
-    answer = controller.act(probe_observations(size).astype(np.float32))
-    recorded = np.array(contract.probe)
+    rows = probe_observations(size).astype(np.float32)
+    try:
+        answer, recorded = controller.act(rows), np.array(contract.probe)
+    except Exception as error:  # shapes inside that do not go together, or ragged answers in the contract
+        raise FileError(path, "its network or the answers recorded in it make no sense", "train it again") from error
     if recorded.shape != answer.shape or not np.abs(recorded - answer).max() <= PROBE_TOLERANCE:
         raise FileError(path, "the network no longer gives the answers recorded in it", "train the policy again")

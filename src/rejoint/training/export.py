@@ -12,7 +12,16 @@ from numpy.typing import NDArray
 from onnx import TensorProto, helper, numpy_helper
 from torch import nn
 
-from rejoint.control.contract import INPUT, METADATA_KEY, OUTPUT, PolicyContract, encode_contract, probe_observations
+from rejoint.control.contract import (
+    DIGEST_KEY,
+    INPUT,
+    METADATA_KEY,
+    OUTPUT,
+    PolicyContract,
+    encode_contract,
+    probe_observations,
+)
+from rejoint.control.onnxfile import content_digest
 from rejoint.runs import write_whole
 
 _OPSET = 17
@@ -27,7 +36,9 @@ def export_policy(path: Path, network: nn.Sequential, contract: PolicyContract) 
     model = policy_graph(network, contract.observation_size, len(contract.joint_names))
     answers = _run(model, probe_observations(contract.observation_size).astype(np.float32))
     complete = replace(contract, probe=tuple(tuple(float(value) for value in row) for row in answers))
-    helper.set_model_props(model, {METADATA_KEY: encode_contract(complete)})
+    text = encode_contract(complete)
+    digest = content_digest(model.SerializeToString(), text)
+    helper.set_model_props(model, {METADATA_KEY: text, DIGEST_KEY: digest})
     data = model.SerializeToString()
     write_whole(path, lambda temporary: temporary.write_bytes(data))
     return complete
