@@ -1,4 +1,4 @@
-"""Damaged policy files: how each of many ends. Longer than the property test of `make test`, with a policy of our size."""
+"""Damaged policy files: how each of many ends. Longer than the property tests, with a policy of our size."""
 
 import tempfile
 import time
@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from rejoint.arms import mycobot280
+from rejoint.arms import Arm, mycobot280
 from rejoint.control.policy import load_policy
 from rejoint.errors import ContractError, FileError
 from rejoint.training.export import export_policy
@@ -32,21 +32,27 @@ def main() -> None:
         for _ in range(FILES):
             path.write_bytes(damaged(whole, rng))
             start = time.perf_counter()
-            try:
-                load_policy(path, arm)
-                ends["loaded"] += 1
-            except (FileError, ContractError) as error:
-                assert "\n" not in str(error)
-                assert len(str(error)) < 600
-                ends[type(error).__name__] += 1
+            kind, line = outcome(path, arm)
+            assert "\n" not in line
+            assert len(line) < 600
+            ends[kind] += 1
             longest = max(longest, time.perf_counter() - start)
     assert ends["loaded"] == 0, ends
     said = ", ".join(f"{count} {name}" for name, count in ends.most_common())
     print(f"{FILES} damaged policy files: {said}; none was loaded; the longest took {1e3 * longest:.0f} ms")
 
 
+def outcome(path: Path, arm: Arm) -> tuple[str, str]:
+    """Load a policy file; returns the kind of its end and what was said."""
+    try:
+        load_policy(path, arm)
+    except (FileError, ContractError) as error:
+        return type(error).__name__, str(error)
+    return "loaded", ""
+
+
 def damaged(whole: bytes, rng: np.random.Generator) -> bytes:
-    """Flip, write, insert or remove some bytes, or cut the file; at its ends, where structure is, as often as within."""
+    """Flip, write, insert or remove some bytes, or cut the file; more often at its ends, where its structure is."""
     data = bytearray(whole)
     while data == whole:
         for _ in range(rng.choice([1, 1, 2, 8])):
