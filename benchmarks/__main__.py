@@ -8,7 +8,18 @@ import argparse
 from collections.abc import Callable
 from pathlib import Path
 
-from benchmarks import agents, control, diagnosis, emulator, identification, plant, policy, rivals, training
+from benchmarks import (
+    agents,
+    control,
+    diagnosis,
+    emulator,
+    hostile,
+    identification,
+    plant,
+    policy,
+    rivals,
+    training,
+)
 
 BENCHMARKS: dict[str, Callable[[Path | None], None]] = {
     "plant": lambda _logs: plant.main(),
@@ -18,6 +29,7 @@ BENCHMARKS: dict[str, Callable[[Path | None], None]] = {
     "agents": lambda _logs: agents.main(),
     "policy": lambda _logs: policy.main(),
     "diagnosis": lambda _logs: diagnosis.main(),
+    "hostile": lambda _logs: hostile.main(),
     "identification": identification.bench,
     "emulator": lambda _logs: emulator.main(),
 }

@@ -178,7 +178,7 @@ def test_a_policy_for_another_arm_is_refused_before_anything_moves(tmp_path: Pat
     command = [sys.executable, "-m", "rejoint", "deploy", "emulated:worn", str(folder.path)]
     result = subprocess.run(command, capture_output=True, text=True, check=False)
     assert result.returncode == 2
-    assert "another geometry" in result.stderr
+    assert "a mycobot280 with another tip" in result.stderr
     assert not folder.logs()
 
 

@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 
 from conftest import ROOT, Base
+from rejoint.comparison.result import Comparison
 from rejoint.extras import EXTRAS
-from rejoint.runs import RunFolder, read_log
+from rejoint.runs import RunFolder, read_json, read_log
 
 COMMANDS = (
     "repair", "diagnose", "identify", "train", "compare", "deploy", "report", "replay", "import", "export", "emulate",
@@ -70,7 +71,7 @@ def test_it_compares(base: Base, complete: RunFolder, arm_at: str, tmp_path: Pat
     ended = base.rejoint("compare", arm_at, str(complete.path), *words)
     assert ended.code == 0, ended.err
     assert "Recommended: " in ended.out
-    assert json.loads(complete.comparison.read_text())["controllers"] == ["integrator", "policy"]
+    assert read_json(complete.comparison, Comparison).controllers == ("integrator", "policy")
 
 
 def test_it_judges_and_converts_logs(base: Base, complete: RunFolder) -> None:

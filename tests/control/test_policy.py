@@ -11,19 +11,21 @@ from onnx import TensorProto, helper, numpy_helper
 
 from rejoint.arms import mycobot280
 from rejoint.control.contract import (
+    DIGEST_KEY,
     INPUT,
     METADATA_KEY,
     OUTPUT,
     PolicyContract,
-    arm_digest,
     check_contract,
     check_period,
     decode_contract,
     encode_contract,
+    law_digests,
     probe_observations,
 )
 from rejoint.control.controller import Situation
 from rejoint.control.observation import Observer, layout_slots
+from rejoint.control.onnxfile import content_digest
 from rejoint.control.policy import PolicyController, load_policy
 from rejoint.control.residual import CommandLaw
 from rejoint.control.robot import JointState
@@ -41,7 +43,7 @@ def network(observation):
 def contract(**changes) -> PolicyContract:
     probe = network(probe_observations(SIZE))
     complete = PolicyContract(
-        arm=ARM.name, arm_digest=arm_digest(ARM), joint_names=ARM.joint_names, lower=tuple(ARM.lower.tolist()),
+        arm=ARM.name, arm_digests=law_digests(ARM), joint_names=ARM.joint_names, lower=tuple(ARM.lower.tolist()),
         upper=tuple(ARM.upper.tolist()), layout="residual", observation=layout_slots("residual", 6), law=CommandLaw(),
         min_period=0.018, max_period=0.055, probe=tuple(tuple(row) for row in probe.tolist()), twin_digest="",
         preset="default", seed=0, software="0",
@@ -64,7 +66,8 @@ def write(path, text, weight=WEIGHT, size=SIZE):
     )
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
     if text is not None:
-        helper.set_model_props(model, {METADATA_KEY: text})
+        digest = content_digest(model.SerializeToString(), text)
+        helper.set_model_props(model, {METADATA_KEY: text, DIGEST_KEY: digest})
     path.write_bytes(model.SerializeToString())
     return path
 
@@ -172,7 +175,8 @@ def test_a_network_of_another_size_is_refused(tmp_path):
         ({"observation": layout_slots("equation-16", 6)}, "observation layout"),
         ({"lower": tuple((ARM.lower - 0.1).tolist())}, "lower joint limits"),
         ({"upper": tuple(ARM.upper[:5].tolist())}, "upper joint limits"),
-        ({"arm_digest": "0" * 16}, "another geometry"),
+        ({"arm_digests": {}}, "another offset, axis, tip"),
+        ({"law": CommandLaw(burden=-1.0, patience=1e300)}, "constants burden, patience"),
     ],
 )
 def test_policies_for_something_else_are_refused(tmp_path, changes, match):
@@ -182,7 +186,7 @@ def test_policies_for_something_else_are_refused(tmp_path, changes, match):
 def test_an_arm_with_a_longer_tool_is_another_arm(policy):
     tip = ARM.tip.copy()
     tip[2, 3] += 0.05
-    refused(policy, ContractError, "another geometry", dataclasses.replace(ARM, tip=tip))
+    refused(policy, ContractError, "a mycobot280 with another tip", dataclasses.replace(ARM, tip=tip))
 
 
 def test_a_control_period_far_from_training_is_refused():
@@ -198,7 +202,7 @@ def test_contracts_that_cannot_be_read(tmp_path):
     for text, match in (
         ("{", "cannot be read"),
         ("[]", "cannot be read"),
-        (msgspec.json.encode(complete | {"format": 99}).decode(), "format 99, expected 1"),
+        (msgspec.json.encode(complete | {"format": 99}).decode(), "format 99, expected 2"),
         (msgspec.json.encode(complete | {"law": 3}).decode(), "cannot be read"),
         (msgspec.json.encode({k: v for k, v in complete.items() if k != "probe"}).decode(), "cannot be read"),
     ):

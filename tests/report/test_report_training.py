@@ -2,7 +2,7 @@
 
 import pytest
 
-from rejoint.control.contract import PolicyContract, arm_digest
+from rejoint.control.contract import PolicyContract, law_digests
 from rejoint.control.observation import layout_slots
 from rejoint.control.residual import CommandLaw
 from rejoint.report.gallery import Gallery
@@ -19,7 +19,7 @@ def curves(tmp_path):
 
 def contract(arm, digest):
     return PolicyContract(
-        arm=arm.name, arm_digest=arm_digest(arm), joint_names=arm.joint_names, lower=tuple(arm.lower),
+        arm=arm.name, arm_digests=law_digests(arm), joint_names=arm.joint_names, lower=tuple(arm.lower),
         upper=tuple(arm.upper), layout="equation-16", observation=layout_slots("equation-16", arm.joints),
         law=CommandLaw(), min_period=0.018, max_period=0.055, probe=(), twin_digest=digest, preset="paper", seed=11,
         software="0.1.0",

@@ -1,26 +1,31 @@
 """The contract of a policy file: what it was trained for, checked before anything moves.
 
-It travels as JSON in the metadata of the ONNX file, so that a policy is one file.
+It travels as JSON in the metadata of the ONNX file, so that a policy is one file. Of the arm it holds whatever the
+deployed law computes with, and nothing else: two arms that differ in what only the guard reads (speed limits, floor) or
+only the twin (inertias, the servos' acceleration) are driven by the same policy in the same way.
 """
 
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field, fields
+from typing import Any
 
 import msgspec
 import numpy as np
 
-from rejoint.arms import Arm, Array
+from rejoint.arms import Arm, Array, Box
+from rejoint.control.format1 import arm_of_format_1
 from rejoint.control.observation import Layout, Slot, layout_slots
 from rejoint.control.residual import CommandLaw
-from rejoint.errors import ContractError
-from rejoint.files import digest
+from rejoint.errors import ContractError, first_line
 
-FORMAT = 1
-"""Version of the contract; a reader refuses others."""
+FORMAT = 2
+"""Version of the contract. A reader refuses others, but for policies of format 1 for arms of the catalogue of then."""
 
-METADATA_KEY, DIGEST_KEY = "rejoint.contract", "rejoint.contract.digest"
+METADATA_KEY, DIGEST_KEY = "rejoint.contract", "rejoint.digest"
+"""Of the contract, and of the digest over contract and network (`rejoint.control.onnxfile.content_digest`), by which a
+flipped bit is noticed that the network's answers do not show; files of format 1 have none"""
 
 INPUT, OUTPUT = "observation", "action"
 """Names of the network's input (B, size) and output (B, n), both float32."""
@@ -34,7 +39,14 @@ what float32 arithmetic on another processor changes)."""
 PERIOD_MARGIN = 1.25
 """Factor by which a control period may leave the range of the training (chosen: a little jitter)."""
 
+LARGEST_TEXT = 1 << 20
+"""[characters] of a contract (chosen: a hundred times what an arm of six joints needs)"""
+
+LARGEST_CONSTANT = 1e6
+"""of a law, in SI units (chosen: far above any that makes sense, far below what overflows)"""
+
 _PROBE_ROWS = 8
+_SHOWN = 120  # [characters] of a value of the file that a message shows (chosen: it stays a line)
 _LIMIT_TOLERANCE = 1e-6  # [rad]
 
 
@@ -43,8 +55,8 @@ class PolicyContract:
     """Everything that must agree between a policy and the arm it is to drive."""
 
     arm: str
-    arm_digest: str
-    """digest of geometry and joint limits, see `arm_digest`"""
+    arm_digests: dict[str, str]
+    """by field of the arm, see `law_digests`"""
     joint_names: tuple[str, ...]
     lower: tuple[float, ...]
     """[rad] lower joint limits"""
@@ -85,12 +97,48 @@ def probe_observations(size: int) -> Array:
     return np.sin(1.0 + index**1.5)
 
 
+def law_digests(arm: Arm) -> dict[str, str]:
+    """Digest every field of an arm that a law may compute with, rounded to 1e-9 m, rad and kg; limits are kept whole.
+
+    Of the tool's pose only the place of the TCP: how it is turned moves no point.
+    """
+    read: dict[str, Array] = {
+        "offset": arm.offset, "axis": arm.axis, "tip": arm.tip[:3, 3], "mass": arm.mass, "com": arm.com,
+        "rest": arm.rest, "targets": np.stack([arm.targets.lower, arm.targets.upper]),
+    }  # fmt: skip
+    return {name: hashlib.sha256(_rounded(array)).hexdigest()[:16] for name, array in read.items()}
+
+
+def fields_read(law: CommandLaw, layout: Layout, arm: Arm) -> tuple[str, ...]:
+    """Name the fields of an arm, of those that `law_digests` knows, that decide what this law commands.
+
+    Besides the kinematics: masses where it raises its goals against gravity; the rest posture where it solves for
+    goals, is pulled to it, confines commands to postures around it, or tells the network which pairs of links touch;
+    the target region where it solves for goals there, to see which joints move the tool, or to confine commands.
+    """
+    goals = law.anchor == "goal"
+    confines = law.envelope_margin < float((arm.upper - arm.lower).max())
+    names = {"offset": True, "axis": True, "tip": True, "mass": goals, "com": goals,
+             "rest": goals or confines or law.rest_gain != 0.0 or layout != "residual",
+             "targets": goals or confines}  # fmt: skip
+    return tuple(name for name, read in names.items() if read)
+
+
 def arm_digest(arm: Arm) -> str:
-    """Digest of an arm's geometry and joint limits, rounded to 1e-9 m and rad."""
-    digest = hashlib.sha256("/".join((arm.name, *arm.joint_names)).encode())
-    for array in (arm.offset, arm.axis, arm.tip, arm.lower, arm.upper):
-        digest.update((np.round(array, 9) + 0.0).tobytes())  # + 0.0 turns -0.0 into 0.0
+    """Digest of everything that is known of an arm, for what must not go on with another one, as a training."""
+    digest = hashlib.sha256()
+    for entry in fields(arm):
+        value = getattr(arm, entry.name)
+        if isinstance(value, Box):
+            value = np.stack([value.lower, value.upper])
+        named = isinstance(value, str | tuple)
+        digest.update(f"{entry.name}={value}".encode() if named else _rounded(np.asarray(value, dtype=float)))
     return digest.hexdigest()[:16]
+
+
+def _rounded(array: Array) -> bytes:
+    rounded = np.round(array, 9) + 0.0  # + 0.0 turns -0.0 into 0.0
+    return np.ascontiguousarray(rounded, dtype="<f8").tobytes()
 
 
 def encode_contract(contract: PolicyContract) -> str:
@@ -98,43 +146,57 @@ def encode_contract(contract: PolicyContract) -> str:
     return msgspec.json.encode(contract, enc_hook=float).decode()  # NumPy scalars become plain numbers
 
 
-def contract_digest(text: str) -> str:
-    """Fingerprint of a contract as it is written, by which damage is noticed; the network's answers tell its own."""
-    return digest(text.encode()).decode()
-
-
 def decode_contract(text: str) -> PolicyContract:
-    """Read what `encode_contract` wrote; ContractError if it is something else."""
+    """Read what `encode_contract` wrote, now or in format 1; ContractError if it is something else."""
+    if len(text) > LARGEST_TEXT:
+        raise ContractError(f"the policy's contract has {len(text)} characters, expected at most {LARGEST_TEXT}")
     try:
-        version = msgspec.json.decode(text, type=dict[str, object]).get("format")
-        if version != FORMAT:
-            raise ContractError(f"the policy's contract has format {version!r}, expected {FORMAT}; train it again")
-        return msgspec.json.decode(text, type=PolicyContract)
-    except (msgspec.MsgspecError, UnicodeDecodeError) as error:
-        raise ContractError(f"the policy's contract cannot be read ({error}); train it again") from error
+        content = msgspec.json.decode(text, type=dict[str, Any])
+        version = content.get("format")
+        if version == 1:
+            content |= {"arm_digests": arm_of_format_1(content.get("arm"), content.get("arm_digest"))}
+        elif version != FORMAT:
+            raise ContractError(
+                f"the policy's contract has format {shown(repr(version))}, expected {FORMAT}; train it again"
+            )
+        return msgspec.convert(content, type=PolicyContract)
+    except (msgspec.MsgspecError, UnicodeError, RecursionError) as error:
+        reason = shown(first_line(error))
+        raise ContractError(f"the policy's contract cannot be read ({reason}); train it again") from error
 
 
 def check_contract(contract: PolicyContract, arm: Arm) -> None:
-    """Refuse (ContractError) a policy that was not trained for this arm and this software."""
+    """Refuse (ContractError) a policy that was not trained for this arm and this software.
+
+    How an observation is explained does not count: names and sizes of its parts do.
+    """
     remedy = "train a policy for this arm"
     expected: tuple[tuple[str, object, object], ...] = (
         ("arm", contract.arm, arm.name),
         ("joint order", contract.joint_names, arm.joint_names),
         ("units", contract.units, UNITS),
         ("observation history", contract.history, 0),
-        ("observation layout", contract.observation, layout_slots(contract.layout, arm.joints)),
+        ("observation layout", _parts(contract.observation), _parts(layout_slots(contract.layout, arm.joints))),
     )
     for what, found, wanted in expected:
         if found != wanted:
-            raise ContractError(f"the policy's {what} is {found}, expected {wanted}; {remedy}")
+            raise ContractError(f"the policy's {what} is {shown(found)}, expected {shown(wanted)}; {remedy}")
     for what, limits, wanted_limits in (("lower", contract.lower, arm.lower), ("upper", contract.upper, arm.upper)):
-        if len(limits) != arm.joints or np.abs(np.array(limits) - wanted_limits).max() > _LIMIT_TOLERANCE:
+        if len(limits) != arm.joints or not np.abs(np.array(limits) - wanted_limits).max() <= _LIMIT_TOLERANCE:
             raise ContractError(
                 f"the policy's {what} joint limits are {_degrees(limits)} deg, "
                 f"expected {_degrees(wanted_limits)} deg; {remedy}"
             )
-    if contract.arm_digest != arm_digest(arm):
-        raise ContractError(f"the policy was trained for another geometry of {arm.name}; {remedy}")
+    strange = [name for name, value in _constants(contract.law) if not 0.0 <= value <= LARGEST_CONSTANT]
+    if strange:
+        raise ContractError(
+            f"the constants {shown(', '.join(strange))} of the policy's law are not between 0 and "
+            f"{LARGEST_CONSTANT:g}; train it again"
+        )
+    own, read = law_digests(arm), fields_read(contract.law, contract.layout, arm)
+    other = [name for name in read if contract.arm_digests.get(name) != own[name]]
+    if other:
+        raise ContractError(f"the policy was trained for a {arm.name} with another {', '.join(other)}; {remedy}")
 
 
 def check_period(contract: PolicyContract, period: float) -> None:
@@ -155,5 +217,22 @@ def check_controller_period(controller: object, period: float) -> None:
         check_period(contract, period)
 
 
-def _degrees(angles: tuple[float, ...] | Array) -> list[float]:
-    return [round(float(np.degrees(angle)), 1) for angle in angles]
+def _constants(law: CommandLaw) -> list[tuple[str, float]]:
+    """Name and value of every number in a law."""
+    plain = {**asdict(law), **asdict(law.learning)}
+    numbers = [(name, value) for name, value in plain.items() if isinstance(value, int | float)]
+    return numbers + [("stiffness", value) for value in law.stiffness]
+
+
+def _parts(slots: tuple[Slot, ...]) -> list[tuple[str, int]]:
+    return [(slot.name, slot.size) for slot in slots]
+
+
+def _degrees(angles: tuple[float, ...] | Array) -> str:
+    return shown([round(float(np.degrees(angle)), 1) for angle in angles[:20]])
+
+
+def shown(value: object) -> str:
+    """Print a value that a file decided in one line of bounded length."""
+    text = " ".join(str(value).split())
+    return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import onnxruntime as ort
-from onnxruntime.capi import onnxruntime_pybind11_state as ort_errors
 
 from rejoint.arms import Arm, Array
 from rejoint.control.contract import (
@@ -17,21 +16,22 @@ from rejoint.control.contract import (
     PROBE_TOLERANCE,
     PolicyContract,
     check_contract,
-    contract_digest,
     decode_contract,
     probe_observations,
+    shown,
 )
 from rejoint.control.controller import Situation
 from rejoint.control.observation import Observation, Observer
+from rejoint.control.onnxfile import content_digest, read_metadata
 from rejoint.control.residual import Commander
 from rejoint.control.robot import Mask
 from rejoint.errors import ContractError, FileError
-from rejoint.files import MODEL_MOST, read_bounded
+from rejoint.files import MEGABYTE, read_bounded
 
-_UNREADABLE = (
-    ort_errors.Fail, ort_errors.InvalidArgument, ort_errors.InvalidGraph, ort_errors.InvalidProtobuf,
-    ort_errors.NoModel, ort_errors.NoSuchFile, ort_errors.NotImplemented, ort_errors.RuntimeException,
-)  # fmt: skip
+LARGEST_FILE = 16 * MEGABYTE
+"""[bytes] of a policy file (chosen: two hundred times what ours have)"""
+
+_DAMAGED = "not a readable ONNX file, truncated or damaged"
 
 
 class PolicyController:
@@ -72,42 +72,44 @@ class PolicyController:
 def load_policy(path: Path, arm: Arm) -> PolicyController:
     """Read a policy file and check that it fits the arm, before anything moves.
 
-    FileError: missing, damaged, or no policy at all. ContractError: a policy for something else.
+    FileError: missing, damaged, too large, or no policy at all. ContractError: a policy for something else.
+    The file is foreign until then: what it holds is judged before ONNX Runtime reads it, see `read_metadata`.
     """
-    session = _open(path)
+    data = _read(path)
     try:
-        told = session.get_modelmeta().custom_metadata_map
-    except UnicodeDecodeError as error:
-        raise FileError(path, "damaged (its metadata are no text)", "train the policy again") from error
-    text = told.get(METADATA_KEY)
+        metadata = read_metadata(data)
+    except ValueError as error:
+        raise FileError(path, f"{_DAMAGED} ({error})", "train the policy again") from error
+    text = metadata.get(METADATA_KEY)
     if text is None:
         raise FileError(path, "an ONNX file without the contract of a policy", "take a file written by `rejoint train`")
-    if told.get(DIGEST_KEY, contract_digest(text)) != contract_digest(
-        text
-    ):  # policies of before there was one have none
-        raise FileError(path, "damaged (its contract is not what was written)", "train the policy again")
     contract = decode_contract(text)
+    if contract.format > 1 and metadata.get(DIGEST_KEY) != content_digest(data, text):
+        raise FileError(path, "its content no longer gives the digest recorded in it", "train the policy again")
     check_contract(contract, arm)
-    controller = PolicyController(arm, session, contract)
+    controller = PolicyController(arm, _open(path, data), contract)
     _check_network(path, controller)
     return controller
 
 
-def _open(path: Path) -> ort.InferenceSession:
+def _read(path: Path) -> bytes:
+    try:
+        return read_bounded(path, LARGEST_FILE, "check the path")
+    except FileNotFoundError as error:
+        raise FileError(path, "no such file", "train a policy first") from error
+    except OSError as error:
+        raise FileError(path, f"cannot be read ({error.strerror})", "check the path") from error
+
+
+def _open(path: Path, data: bytes) -> ort.InferenceSession:
     options = ort.SessionOptions()
     # The network is tiny: a second thread costs more than it brings.
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     options.log_severity_level = 4
     try:
-        data = read_bounded(path, MODEL_MOST, "train the policy again")
-    except FileNotFoundError as error:
-        raise FileError(path, "no such file", "train a policy first") from error
-    except OSError as error:
-        raise FileError(path, f"cannot be read ({error.strerror})", "check the path") from error
-    try:
-        return ort.InferenceSession(data, options, providers=["CPUExecutionProvider"])
-    except _UNREADABLE as error:
-        raise FileError(path, "not a readable ONNX file, truncated or damaged", "train the policy again") from error
+        return ort.InferenceSession(data, options, providers=["CPUExecutionProvider"], enable_fallback=0)
+    except Exception as error:  # ONNX Runtime has many of its own and names none of them
+        raise FileError(path, _DAMAGED, "train the policy again") from error
 
 
 def _check_network(path: Path, controller: PolicyController) -> None:
@@ -117,12 +119,13 @@ def _check_network(path: Path, controller: PolicyController) -> None:
     found = [(node.name, node.shape[1:]) for node in (*session.get_inputs(), *session.get_outputs())]
     if found != [(INPUT, [size]), (OUTPUT, [n])]:
         raise ContractError(
-            f"{path}: the network maps {found}, its contract says {INPUT} ({size}) to {OUTPUT} ({n}); train it again"
+            f"{path}: the network maps {shown(found)}, its contract says {INPUT} ({size}) to {OUTPUT} ({n}); "
+            "train it again"
         )
+    rows = probe_observations(size).astype(np.float32)
     try:
-        answer = controller.act(probe_observations(size).astype(np.float32))
-    except _UNREADABLE as error:
-        raise FileError(path, "the network in it cannot be run, damaged", "train the policy again") from error
-    recorded = np.array(contract.probe)
+        answer, recorded = controller.act(rows), np.array(contract.probe)
+    except Exception as error:  # shapes inside that do not go together, or ragged answers in the contract
+        raise FileError(path, "its network or the answers recorded in it make no sense", "train it again") from error
     if recorded.shape != answer.shape or not np.abs(recorded - answer).max() <= PROBE_TOLERANCE:
         raise FileError(path, "the network no longer gives the answers recorded in it", "train the policy again")

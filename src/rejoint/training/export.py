@@ -18,10 +18,10 @@ from rejoint.control.contract import (
     METADATA_KEY,
     OUTPUT,
     PolicyContract,
-    contract_digest,
     encode_contract,
     probe_observations,
 )
+from rejoint.control.onnxfile import content_digest
 from rejoint.files import write_whole
 
 _OPSET = 17
@@ -37,7 +37,8 @@ def export_policy(path: Path, network: nn.Sequential, contract: PolicyContract) 
     answers = _run(model, probe_observations(contract.observation_size).astype(np.float32))
     complete = replace(contract, probe=tuple(tuple(float(value) for value in row) for row in answers))
     text = encode_contract(complete)
-    helper.set_model_props(model, {METADATA_KEY: text, DIGEST_KEY: contract_digest(text)})
+    digest = content_digest(model.SerializeToString(), text)
+    helper.set_model_props(model, {METADATA_KEY: text, DIGEST_KEY: digest})
     data = model.SerializeToString()
     write_whole(path, lambda temporary: temporary.write_bytes(data))
     return complete

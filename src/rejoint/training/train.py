@@ -15,7 +15,7 @@ from skrl.utils.tensorboard import SummaryWriter
 
 from rejoint import __version__
 from rejoint.arms import Arm
-from rejoint.control.contract import PolicyContract, arm_digest
+from rejoint.control.contract import PolicyContract, arm_digest, law_digests
 from rejoint.control.observation import layout_slots
 from rejoint.errors import FileError
 from rejoint.files import set_aside, write_whole
@@ -207,7 +207,7 @@ def policy_contract(arm: Arm, twin: Twin | None, recipe: Preset, seed: int, name
     """Write down what a policy was trained for; ``name`` of the recipe where it is not the preset's."""
     return PolicyContract(
         arm=arm.name,
-        arm_digest=arm_digest(arm),
+        arm_digests=law_digests(arm),
         joint_names=arm.joint_names,
         lower=tuple(arm.lower.tolist()),
         upper=tuple(arm.upper.tolist()),

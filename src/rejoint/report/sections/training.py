@@ -103,7 +103,7 @@ def _curves(curves: Curves, pupils: str, gallery: Gallery) -> Part:
 def _facts(contract: PolicyContract) -> tuple[tuple[str, str], ...]:
     periods = f"{1e3 * contract.min_period:.0f} to {1e3 * contract.max_period:.0f}\N{NO-BREAK SPACE}ms"
     return (
-        ("arm", f"{contract.arm} ({contract.arm_digest})"),
+        ("arm", contract.arm),
         ("recipe", contract.preset),
         ("seed", str(contract.seed)),
         ("control periods met in training", periods),

@@ -1,0 +1,197 @@
+"""Policy files that are damaged, or made to harm: one clear line each, before ONNX Runtime sees what we do not know."""
+
+import dataclasses
+import json
+
+import numpy as np
+import onnx
+import onnxruntime
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from onnx import TensorProto, helper, numpy_helper
+from test_policy import ARM, contract, write
+
+from rejoint.control import policy as policy_module
+from rejoint.control.contract import DIGEST_KEY, METADATA_KEY, encode_contract
+from rejoint.control.onnxfile import LAYERS, MOST_LAYERS, content_digest
+from rejoint.control.policy import LARGEST_FILE, load_policy
+from rejoint.errors import ContractError, FileError
+from rejoint.training.export import export_policy
+from rejoint.training.networks import perceptron
+
+MANY = settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+
+
+def outcome(path):
+    """Return the controller, or the one line that refuses the file."""
+    try:
+        return load_policy(path, ARM)
+    except (FileError, ContractError) as error:
+        line = str(error)
+        assert "\n" not in line
+        assert len(line) < 600
+        return line
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory):
+    return write(tmp_path_factory.mktemp("policy") / "whole.onnx", encode_contract(contract())).read_bytes()
+
+
+def save(path, found):
+    """Write an ONNX model as a policy whose contract and digest fit it."""
+    del found.metadata_props[:]
+    text = encode_contract(contract())
+    helper.set_model_props(found, {METADATA_KEY: text, DIGEST_KEY: content_digest(found.SerializeToString(), text)})
+    path.write_bytes(found.SerializeToString())
+    return path
+
+
+def test_a_flipped_bit_anywhere_is_noticed(data, tmp_path):
+    assert isinstance(outcome(write(tmp_path / "p.onnx", encode_contract(contract()))), policy_module.PolicyController)
+    rng = np.random.default_rng(0)
+    for place in rng.choice(len(data), 400, replace=False):
+        damaged = bytearray(data)
+        damaged[place] ^= 1 << rng.integers(8)
+        (tmp_path / "p.onnx").write_bytes(damaged)
+        assert isinstance(outcome(tmp_path / "p.onnx"), str), place
+
+
+@MANY
+@given(st.data())
+def test_damage_of_any_kind_is_one_line(tmp_path, data, draw):
+    damaged = bytearray(data)
+    for _ in range(draw.draw(st.integers(1, 6))):
+        place, some = draw.draw(st.integers(0, max(len(damaged) - 1, 0))), draw.draw(st.binary(max_size=12))
+        match draw.draw(st.sampled_from(("write", "insert", "delete", "cut", "repeat"))):
+            case "write":
+                damaged[place : place + len(some)] = some
+            case "insert":
+                damaged[place:place] = some
+            case "delete":
+                del damaged[place : place + len(some)]
+            case "cut":
+                del damaged[max(place, 1) :]
+            case "repeat":
+                damaged[place:place] = damaged[place : place + 200]
+    (tmp_path / "p.onnx").write_bytes(damaged)
+    found = outcome(tmp_path / "p.onnx")
+    assert isinstance(found, str) or damaged == data
+
+
+JSON = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text(max_size=20),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=8), inner, max_size=4),
+    max_leaves=12,
+)
+
+
+@MANY
+@given(st.data())
+def test_contracts_of_any_content_load_or_are_one_line(tmp_path, draw):
+    content = json.loads(encode_contract(contract()))
+    for _ in range(draw.draw(st.integers(1, 3))):
+        where = content
+        if draw.draw(st.booleans()):
+            where = content["law"] if draw.draw(st.booleans()) else content["law"]["learning"]
+        where[draw.draw(st.sampled_from(sorted(where)))] = draw.draw(JSON)
+        if not isinstance(content["law"], dict) or not isinstance(content["law"].get("learning"), dict):
+            break
+    outcome(write(tmp_path / "p.onnx", json.dumps(content)))
+
+
+def test_what_is_too_large_is_not_read(tmp_path):
+    with (tmp_path / "large.onnx").open("wb") as stream:
+        stream.truncate(2 * LARGEST_FILE)
+    assert "32.0 MB large, expected at most 16.0 MB" in outcome(tmp_path / "large.onnx")
+    text = json.dumps(json.loads(encode_contract(contract())) | {"more": "x" * (1 << 20)})
+    assert "characters, expected at most" in outcome(write(tmp_path / "talks.onnx", text))
+
+
+def model(tmp_path):
+    return onnx.load(write(tmp_path / "model.onnx", encode_contract(contract())))
+
+
+def loops(found):
+    body = helper.make_graph([], "body", [], [])
+    found.graph.node.append(helper.make_node("Loop", [], ["l"], body=body))
+
+
+def carries_a_graph(found):
+    found.graph.node[0].attribute.append(helper.make_attribute("body", helper.make_graph([], "body", [], [])))
+
+
+def carries_a_tensor(found):
+    found.graph.node[0].attribute.append(helper.make_attribute("value", numpy_helper.from_array(np.zeros(3))))
+
+
+def asks_for_memory(found):
+    found.graph.node.append(helper.make_node("ConstantOfShape", ["w"], ["m2"]))
+
+
+def names_a_file(found):
+    onnx.external_data_helper.set_external_data(found.graph.initializer[0], "/etc/passwd")
+    found.graph.initializer[0].data_location = TensorProto.EXTERNAL
+
+
+def of_another_library(found):
+    found.graph.node[0].domain = "com.microsoft"
+
+
+def knows_another_library(found):
+    found.opset_import.append(helper.make_opsetid("com.microsoft", 1))
+
+
+def has_functions(found):
+    found.functions.append(onnx.FunctionProto(name="f"))
+
+
+def has_too_many_layers(found):
+    found.graph.node.extend([helper.make_node("Tanh", ["m"], [f"t{k}"]) for k in range(MOST_LAYERS)])
+
+
+def has_no_layers(found):
+    del found.graph.node[:]
+
+
+@pytest.mark.parametrize(
+    "harm",
+    [
+        loops, carries_a_graph, carries_a_tensor, asks_for_memory, names_a_file, of_another_library,
+        knows_another_library, has_functions, has_too_many_layers, has_no_layers,
+    ],
+)  # fmt: skip
+def test_a_network_of_anything_but_layers_never_reaches_the_runtime(harm, tmp_path, monkeypatch):
+    found = model(tmp_path)
+    harm(found)
+    path = save(tmp_path / "p.onnx", found)
+    monkeypatch.setattr(onnxruntime, "InferenceSession", lambda *_, **__: pytest.fail("the runtime has read it"))
+    assert "not a readable ONNX file" in outcome(path)
+
+
+def test_weights_that_promise_more_than_they_hold_are_refused(tmp_path):
+    found = model(tmp_path)
+    found.graph.initializer[0].dims[:] = [1 << 31, 1 << 31]
+    assert "not a readable ONNX file" in outcome(save(tmp_path / "p.onnx", found))
+
+
+def test_answers_that_are_no_table_are_refused(tmp_path):
+    ragged = ((0.0,) * 6, (0.0,) * 5, *(((0.0,) * 6,) * 6))
+    assert "make no sense" in outcome(write(tmp_path / "p.onnx", encode_contract(contract(probe=ragged))))
+    assert "no longer gives" in outcome(write(tmp_path / "p.onnx", encode_contract(contract(probe=()))))
+
+
+def test_nothing_is_printed_when_the_runtime_refuses(tmp_path, capfd):
+    found = model(tmp_path)
+    found.graph.node[0].output[0] = "elsewhere"
+    assert "not a readable ONNX file" in outcome(save(tmp_path / "p.onnx", found))
+    assert capfd.readouterr() == ("", "")
+
+
+def test_what_is_exported_is_made_of_these_layers_and_read_back(tmp_path):
+    network = perceptron((75, 12, 6))
+    written = export_policy(tmp_path / "p.onnx", network, contract())
+    kinds = {node.op_type for node in onnx.load(tmp_path / "p.onnx").graph.node}
+    assert kinds <= set(LAYERS)
+    assert load_policy(tmp_path / "p.onnx", ARM).contract == dataclasses.replace(written)
