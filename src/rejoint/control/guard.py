@@ -35,7 +35,6 @@ __all__ = ["RAMP", "TRIPS", "GuardLimits", "Guarded", "Reason", "Reasons", "guar
 
 compiled = Late("rejoint.control.compiled")
 
-_SHARES = np.arange(33) / 32  # of a step that are tried, all at once (chosen: 0.2 deg of the largest step)
 _TOLERANCE = 1e-9  # [m] rounding of the kinematics: a joint that cannot move must not look sinking
 
 
@@ -168,7 +167,7 @@ def _keep_clear(limits: GuardLimits, command: Array, sent: Array) -> tuple[Array
         return command, shortened
     index = np.flatnonzero(np.logical_or.reduce(clear < 0.0, axis=-1))
     start, way = sent[index], command[index] - sent[index]
-    on_way = _clearances(limits, start[:, None] + _SHARES[:, None] * way[:, None])
+    on_way = _clearances(limits, start[:, None] + limits.shares * way[:, None])
     on_way[:, -1] = clear[index]  # of the command itself, without rounding
     nearer, why = command[index], np.zeros((2, len(index)), dtype=bool)
     compiled.shorten(nearer, why, start, way, plain(on_way), _TOLERANCE)
