@@ -13,8 +13,8 @@ step from the last command, which is within each of them: whatever comes in, a h
 of them are ever in conflict. So the acceleration limit holds back what gains speed or turns round; braking is free,
 since the hardest braking is the hold. With periods of `RAMP` and more this is a limit of every change of speed.
 
-What is judged is the command: where it is the posture of an arm that touches something, or is too low. The arm itself
-lags, sags and swings beyond it, and its way between two commands is not judged either.
+What is judged is the commanded posture. Where the arm really is, lagging and sagging behind its commands or swinging
+beyond them, is not, and neither is its way from one command to the next.
 """
 
 from __future__ import annotations
@@ -36,8 +36,6 @@ __all__ = ["RAMP", "TRIPS", "GuardLimits", "Guarded", "Reason", "Reasons", "guar
 compiled = Late("rejoint.control.compiled")
 
 _TOLERANCE = 1e-9  # [m] rounding of the kinematics: a joint that cannot move must not look sinking
-
-
 _TRIP_BITS = np.uint16(TRIPS.value)
 _LIMIT_BITS = np.array(  # as applied
     [Reason.LEAD, Reason.POSITION, Reason.STEP, Reason.ACCELERATION, Reason.FLOOR, Reason.COLLISION], dtype=np.uint16

@@ -133,7 +133,7 @@ class GuardLimits:
         )  # fmt: skip
 
     def of_simulation(self) -> GuardLimits:
-        """Return limits without those of acceleration and of contacts, for a simulation that has neither.
+        """Return limits without those of acceleration and of contacts, for trainings.
 
         Steps are cut into twice as many parts, as they always were in trainings: the same seed gives the same policy.
         """
