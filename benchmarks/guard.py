@@ -17,9 +17,9 @@ import numpy as np
 from rejoint.arms import Array, mycobot280, so101
 from rejoint.comparison.protocols import KINDS, Kind, measure_crossings, measure_holds, schedule
 from rejoint.comparison.result import Protocol
+from rejoint.control.catalogue import make_controller
 from rejoint.control.guard import RAMP, GuardLimits, Reason, guard, reason_names
 from rejoint.control.loop import run
-from rejoint.control.policy import load_policy
 from rejoint.control.robot import JointState
 from rejoint.plant.wear import draw_wear, load_wear
 from rejoint.robots.emulated import EmulatedRobot
@@ -84,8 +84,8 @@ def _arms(rng: np.random.Generator) -> Iterator[GuardLimits]:
             yield from (*known, chain, chain)
 
 
-def ramps(policy: str, period: tuple[float, float] = (0.020, 0.030)) -> None:
-    """Print what a policy for the myCobot 280 does on worn arms, by the time [s] that commands take to full speed."""
+def ramps(policy: str, period: tuple[float, float] = (0.020, 0.030), name: str = "policy") -> None:
+    """Print what a controller does on worn myCobot arms, by the time [s] that commands take to full speed."""
     arm, protocol = mycobot280(), Protocol()
     wears = [draw_wear(load_wear("worn", arm), arm, seed) for seed in range(ARMS)]
     targets = arm.targets.sample(np.random.default_rng(7), (ARMS, 5))
@@ -95,14 +95,14 @@ def ramps(policy: str, period: tuple[float, float] = (0.020, 0.030)) -> None:
         for kind in KINDS:
             robot = EmulatedRobot(arm, wears, seed=1, period=period)
             rule = schedule(kind, protocol, keep_going=True)
-            recording = run(robot, load_policy(Path(policy), arm), targets, rule, limits=limits)
+            recording = run(robot, make_controller(name, arm, policy=Path(policy)), targets, rule, limits=limits)
             if kind == "crossing":
-                name, found = "10 mm crossed after [ms]", measure_crossings(arm, recording, targets, protocol).time
+                what, found = "10 mm crossed after [ms]", measure_crossings(arm, recording, targets, protocol).time
             else:
-                name, found = "settled at [um]", 1e3 * measure_holds(arm, recording, targets, protocol).settled
+                what, found = "settled at [um]", 1e3 * measure_holds(arm, recording, targets, protocol).settled
             mean = 1e3 * found.mean(axis=-1)
             change = mean - before.setdefault(kind, mean)
             held = (recording.reasons[recording.active] & np.uint16(Reason.ACCELERATION) > 0).mean()
             half = 1.96 * change.std(ddof=1) / np.sqrt(ARMS)
-            told = f"{name} {mean.mean():.0f}, change {change.mean():+.1f} +- {half:.1f}"
+            told = f"{what} {mean.mean():.0f}, change {change.mean():+.1f} +- {half:.1f}"
             print(f"ramp {ramp:g} s: {told}, held back in {held:.2%} of the cycles")
