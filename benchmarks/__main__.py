@@ -1,38 +1,19 @@
-"""`make bench`: every benchmark in one run. Ratios within a run are what counts; machines differ.
+"""Run the benchmarks: all of them, or those that are named.
 
-Run one of them alone with `python -m benchmarks plant`. Identification takes the logs of a real SO-101 with
-`--logs FOLDER` (or `make bench LOGS=FOLDER`, or the environment variable REJOINT_SO101), else an emulated one's.
+``make bench`` or ``python -m benchmarks [NAME ...]``.
 """
 
+from __future__ import annotations
+
 import argparse
-from collections.abc import Callable
+from importlib import import_module
 from pathlib import Path
 
-from benchmarks import (
-    agents,
-    control,
-    diagnosis,
-    emulator,
-    hostile,
-    identification,
-    plant,
-    policy,
-    rivals,
-    training,
-)
-
-BENCHMARKS: dict[str, Callable[[Path | None], None]] = {
-    "plant": lambda _logs: plant.main(),
-    "control": lambda _logs: control.main(),
-    "training": lambda _logs: training.main(),
-    "rivals": lambda _logs: rivals.main(),
-    "agents": lambda _logs: agents.main(),
-    "policy": lambda _logs: policy.main(),
-    "diagnosis": lambda _logs: diagnosis.main(),
-    "hostile": lambda _logs: hostile.main(),
-    "identification": identification.bench,
-    "emulator": lambda _logs: emulator.main(),
-}
+BENCHMARKS = (
+    "plant", "control", "guard", "following", "training", "rivals", "agents", "policy", "diagnosis", "identification",
+    "emulator", "hostile", "journal", "kills",
+)  # fmt: skip
+"""Modules beside this one; each has a `main`, that of `identification` takes a folder of logs."""
 
 
 def main() -> None:
@@ -45,7 +26,11 @@ def main() -> None:
         parser.error(f"no benchmark is called {', '.join(sorted(unknown))}; known: {', '.join(BENCHMARKS)}")
     for name in options.names or BENCHMARKS:
         print(f"\n== {name} ==")
-        BENCHMARKS[name](options.logs)
+        module = import_module(f"benchmarks.{name}")
+        if name == "identification":
+            module.bench(options.logs)
+        else:
+            module.main()
 
 
 main()

@@ -15,10 +15,24 @@ import mujoco
 import numpy as np
 import pytest
 
-from rejoint.arms import Arm, Box, Loaded, frames, gravity_torque, jacobian, read_arm, so101, solve_position, tcp_pose
+from rejoint.arms import (
+    Arm,
+    Box,
+    Loaded,
+    clearances,
+    frames,
+    gravity_torque,
+    jacobian,
+    read_arm,
+    so101,
+    solve_position,
+    tcp_pose,
+)
 from rejoint.arms.chain import cut
 from rejoint.arms.draft import DEFAULT_SPEED, finish
 from rejoint.arms.modelfile import read_tree
+from rejoint.control.guard import GuardLimits
+from rejoint.diagnosis.excitation import plan_excitation
 
 
 def packaged(package: str, path: str) -> Path:
@@ -140,6 +154,21 @@ def test_the_urdfs_own_limits_are_kept_and_its_speeds_read() -> None:
     loaded = loaded_of("panda")
     assert (loaded.arm.max_speed == DEFAULT_SPEED).all()
     assert any(note.startswith("speed: no limit for joint1, joint2") for note in loaded.notes)
+
+
+def jaco() -> Arm:
+    """Read an arm whose thin wrist has capsules that overlap at its targets."""
+    return read_arm(str(file_of("jaco")), base=MORE["jaco"][2], tip=MORE["jaco"][3]).arm
+
+
+@pytest.mark.parametrize("name", [*FILES, "jaco"])
+def test_no_arm_is_kept_from_its_work_by_the_thickness_that_its_links_are_guessed_to_have(name: str) -> None:
+    arm = jaco() if name == "jaco" else arm_of(name)
+    limits, targets = GuardLimits.of(arm), arm.targets.sample(np.random.default_rng(8), (300,))
+    plan = plan_excitation(arm, seed=0)
+    driven = plan.command(np.arange(0.0, plan.duration, 0.03))
+    for q in (solve_position(arm, targets, arm.rest).q, driven):
+        assert (clearances(arm, q, limits.floors) >= 0.0).all()
 
 
 def test_base_and_tip_are_found_where_there_is_one_choice() -> None:

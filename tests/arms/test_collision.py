@@ -5,7 +5,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from rejoint.arms import collides, frames, mycobot280, segment_distance, so101, solve_position
+from rejoint.arms import clearances, collides, frames, mycobot280, segment_distance, so101, solve_position
 from rejoint.arms.collision import collision_shape
 
 ARM = mycobot280()
@@ -68,6 +68,29 @@ def test_the_broad_test_hides_nothing():
     np.testing.assert_array_equal(found, expected)
     assert 0.2 < found.mean() < 0.95
     np.testing.assert_array_equal(collides(ARM, frames(ARM, postures.reshape(20, 20, 6))), found.reshape(20, 20))
+
+
+@pytest.mark.parametrize("arm", [mycobot280(), so101()], ids=lambda arm: arm.name)
+def test_clearances_are_distances_and_contacts_are_those_below_zero(arm):
+    postures = np.random.default_rng(2).uniform(arm.lower, arm.upper, (300, arm.joints))
+    shape, f = collision_shape(arm), frames(arm, postures)
+    ends = np.concatenate([np.zeros((300, 1, 3)), f.position, f.tcp_position[:, None]], axis=1)
+    i, j = shape.pairs.T
+    apart = segment_distance(ends[:, i], ends[:, i + 1], ends[:, j], ends[:, j + 1]) - 2 * shape.radius
+    floors = 0.01 * np.arange(arm.joints)
+    found = clearances(arm, postures, floors)
+    wanted = np.concatenate([ends[:, 2:, 2] - floors, apart, ends[:, shape.grounded, 2] - shape.radius], axis=-1)
+    np.testing.assert_allclose(found, wanted, atol=1e-9)
+    np.testing.assert_array_equal((found[:, arm.joints :] < 0.0).any(axis=-1), collides(arm, f))
+    again = clearances(arm, postures.reshape(20, 15, arm.joints), floors)
+    np.testing.assert_array_equal(again, found.reshape(20, 15, -1))
+
+
+def test_the_plane_under_an_arm_is_its_floor_where_that_is_lower():
+    pedestal = dataclasses.replace(ARM, floor=-0.4)
+    down = frames(ARM, np.radians([0.0, -135, 0, 0, 0, 0]))
+    assert collides(ARM, down)
+    assert not collides(pedestal, down)
 
 
 @given(POINT, POINT, POINT, POINT)

@@ -106,7 +106,10 @@ def check(limits: GuardLimits, case: Case) -> Guarded:
     least = check_clear(limits, good.sent, sound.command)
     changed = (sound.command != good.command).any(axis=-1)
     np.testing.assert_array_equal(sound.reasons != 0, changed, err_msg="a reason for every change, and no other")
-    fine = (good.command >= bounds[0]).all(axis=-1) & (good.command <= bounds[1]).all(axis=-1)
+    rounding = np.minimum(STEP_ROUNDING * (1.0 + np.abs(good.sent)), 1.0)
+    fine = ((good.command >= bounds[0] + rounding) & (good.command <= bounds[1] - rounding)).all(axis=-1)
+    at_home = (good.sent >= bounds[0]) & (good.sent <= bounds[1])
+    fine |= ((good.command == good.sent) & at_home).all(axis=-1)  # a hold is always allowed
     free = (clearances(limits, np.where(fine[:, None], good.command, good.sent)) >= least + GAP_ROUNDING).all(axis=-1)
     assert not (fine & free & changed).any(), "an acceptable command passes unchanged"
     _check_again(limits, case, out, ok)

@@ -119,6 +119,22 @@ def test_limits_are_applied_in_order(seed):
 
 @settings(deadline=None)
 @given(SEEDS)
+def test_steps_end_before_the_first_share_that_is_not_clear(seed):
+    rng = np.random.default_rng(seed)
+    start, command = rng.normal(size=(2, 7, 6))
+    clear = rng.normal(loc=rng.choice([0.5, 2.0, 4.0], (7, 1, 1)), size=(7, 9, 10))
+    bad = clear < np.where(clear[:, :1] < 0.0, clear[:, :1] - 1e-3, 0.0)
+    worse, first = bad[:, -1].any(axis=-1), bad.any(axis=-1).argmax(axis=-1)
+    shorter = start + ((first - 1) / 8)[:, None] * (command - start)
+    reached = bad[np.arange(7), first] & worse[:, None]
+    found, why = command.copy(), np.zeros((2, 7), dtype=bool)
+    compiled.shorten(found, why, start, command - start, clear, 1e-3)
+    np.testing.assert_array_equal(found, np.where(worse[:, None], shorter, command))
+    np.testing.assert_array_equal(why, [reached[:, :6].any(axis=-1), reached[:, 6:].any(axis=-1)])
+
+
+@settings(deadline=None)
+@given(SEEDS)
 def test_the_speed_of_a_command_is_its_step_over_the_time(seed):
     rng = np.random.default_rng(seed)
     command, last = rng.normal(scale=0.1, size=(2, 4, 6))

@@ -136,6 +136,27 @@ def test_a_motion_inside_the_limits_passes_bit_for_bit(arm, period):
         sent, speed = out.command, out.speed
 
 
+@pytest.mark.parametrize(
+    ("arm", "degrees"),
+    [
+        (so101(), (0, -100, 96, 75, 0)),
+        (mycobot280(), (0, -135, 149, -100, 0, 0)),
+        (mycobot280(), (0, 130, -149, 60, 0, 0)),
+    ],
+)
+def test_an_arm_that_was_folded_away_comes_out_unhindered(arm, degrees):
+    # Capsules overlap there, and the SO-101's TCP lies on the table: as `move` does, straight to rest.
+    limits, folded = GuardLimits.of(arm), np.radians(degrees)
+    assert (clearances(limits, folded[None]) < 0.0).any()
+    sent, speed = folded[None], np.zeros((1, arm.joints))
+    steps = int(np.abs(arm.rest - folded).max() / (0.5 * 0.025)) + 1
+    for share in np.linspace(0.0, 1.0, steps + 1)[1:]:
+        wanted = folded[None] + share * (arm.rest - folded)
+        sent, reasons, speed = guard(limits, wanted, sent, speed, calm(sent), 0.025)
+        assert reasons[0] == 0
+    np.testing.assert_allclose(sent[0], arm.rest)
+
+
 @settings(max_examples=40, deadline=None)
 @given(st.integers(0, ARMS - 1), SEEDS)
 def test_speeds_and_periods_of_one_arm_are_not_those_of_another(kind, seed):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from rejoint.arms import mycobot280, tcp_position
-from rejoint.control.guard import GuardLimits, Reason
+from rejoint.control.guard import RAMP, GuardLimits, Reason
 from rejoint.control.integrator import IntegratorController
 from rejoint.control.loop import Schedule, move, play, run
 from rejoint.control.recording import recording_of
@@ -168,6 +168,18 @@ def test_commands_keep_the_guards_limits_through_the_loop():
     assert (np.abs(np.diff(rec.command[:, 0], axis=0)) <= ARM.max_speed * 0.02 + 1e-9).all()
     assert (rec.command <= limits.upper).all()
     assert (rec.reasons[:-1, 0] & Reason.STEP).any()
+
+
+def test_the_speed_of_the_commands_is_remembered_from_cycle_to_cycle():
+    class Violent(Straight):
+        def command(self, situation):
+            return situation.sent + np.where(situation.since_target % 0.08 < 0.04, 1.0, -1.0)[:, None]
+
+    rec = run(LaggingRobot([0.02]), Violent(), TARGETS[:1], Schedule(dwell=1.0))
+    speed = np.diff(rec.command[:-1, 0], axis=0) / 0.02
+    assert (np.abs(np.diff(speed, axis=0)) <= ARM.max_speed / RAMP * 0.02 + 1e-9).all()
+    assert (rec.reasons[:, 0] & Reason.ACCELERATION).any()
+    assert (np.sign(speed[:-1]) == -np.sign(speed[1:])).any()  # it does turn round, in its own time
 
 
 def test_a_trip_stops_the_robot_and_keeps_the_recording():

@@ -94,17 +94,17 @@ def collides(arm: Arm, f: Frames) -> NDArray[np.bool_]:
     return touched.reshape(ends.shape[:-2])
 
 
-def clearances(arm: Arm, q: Array) -> tuple[Array, Array]:
-    """Heights (..., n + 1) [m] of joint frames and TCP, and distances (..., P + G) [m] between capsules, at ``q``.
+def clearances(arm: Arm, q: Array, floors: Array) -> Array:
+    """Heights above ``floors`` (n,) [m], then distances between capsules, (..., n + P + G) [m] at ``q`` (..., n) [rad].
 
-    ``q`` is (..., n) [rad]. The distances are those of the shape's pairs of links and of its ends from the ground; one
-    below zero is a contact.
+    The heights are those of all joint frames but the first, and of the TCP; the distances those of the shape's pairs of
+    links and of its ends from the ground, below zero where they touch.
     """
-    shape, lead = collision_shape(arm), q.shape[:-1]
-    placed = all_poses(arm, q, slice(0, 3))
-    apart = np.empty((placed.shape[-1], len(shape.pairs) + len(shape.places)))
-    compiled.fill_clearances(placed, shape.pairs, shape.places, shape.radius, shape.ground, apart)
-    return placed[:, 2, 3].T.reshape(*lead, arm.joints + 1), apart.reshape(*lead, apart.shape[1])
+    shape, poses = collision_shape(arm), all_poses(arm, q, slice(0, 3))
+    clear = np.empty((*q.shape[:-1], arm.joints + len(shape.pairs) + len(shape.places)))
+    rows = clear.reshape(poses.shape[-1], clear.shape[-1])
+    compiled.fill_clearances(poses, floors, shape.pairs, shape.places, shape.radius, shape.ground, rows)
+    return clear
 
 
 def segment_distance(start: Array, end: Array, other_start: Array, other_end: Array) -> Array:

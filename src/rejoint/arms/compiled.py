@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numba import float64, int64, njit, types, void
 
-IN2, IN3, IN4 = (types.Array(float64, dimensions, "C", readonly=True) for dimensions in (2, 3, 4))
+IN1, IN2, IN3, IN4 = (types.Array(float64, dimensions, "C", readonly=True) for dimensions in (1, 2, 3, 4))
 ROWS1, ROWS2 = (types.Array(int64, dimensions, "C", readonly=True) for dimensions in (1, 2))
 OUT2, OUT3, OUT4 = float64[:, ::1], float64[:, :, ::1], float64[:, :, :, ::1]
 
@@ -99,20 +99,23 @@ def _axis_distance(ends, i, j):  # noqa: ANN001, ANN202
     return np.sqrt(square)
 
 
-@njit(void(IN4, ROWS2, ROWS1, float64, float64, OUT2), cache=True, nogil=True)
-def fill_clearances(poses, pairs, grounded, radius, ground, out):  # noqa: ANN001, ANN201
-    """Fill ``out`` (B, P + G) [m] with how far capsules are apart: of the ``pairs`` (P, 2) of links, and of the ground.
+@njit(void(IN4, IN1, ROWS2, ROWS1, float64, float64, OUT2), cache=True, nogil=True)
+def fill_clearances(poses, floors, pairs, grounded, radius, ground, out):  # noqa: ANN001, ANN201
+    """Fill ``out`` (B, n + P + G) [m] with heights above the ``floors`` (n,) and with how far capsules are apart.
 
-    ``poses`` (n + 1, 3, 4, B) are those of `fill_poses`, ``grounded`` (G,) the ends, the base's lower one being 0,
-    that can touch the ``ground`` [m].
+    The heights are those of the second joint frame to the TCP; the capsules those of the ``pairs`` (P, 2) of links,
+    then those of the ends ``grounded`` (G,), the base's lower one being 0, from the ``ground`` [m]. ``poses``
+    (n + 1, 3, 4, B) are those of `fill_poses`.
     """
-    joints = poses.shape[0]
+    joints, first = poses.shape[0], len(floors) + len(pairs)
     ends = np.zeros((joints + 1, 3))
     for b in range(len(out)):
         for i in range(joints):
             for r in range(3):
                 ends[i + 1, r] = poses[i, r, 3, b]
+        for k in range(len(floors)):
+            out[b, k] = ends[k + 2, 2] - floors[k]
         for k in range(len(pairs)):
-            out[b, k] = _axis_distance(ends, pairs[k, 0], pairs[k, 1]) - 2.0 * radius
+            out[b, len(floors) + k] = _axis_distance(ends, pairs[k, 0], pairs[k, 1]) - 2.0 * radius
         for k in range(len(grounded)):
-            out[b, len(pairs) + k] = ends[grounded[k], 2] - ground - radius
+            out[b, first + k] = ends[grounded[k], 2] - ground - radius

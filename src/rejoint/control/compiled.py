@@ -108,6 +108,34 @@ def limit(stages, measured, last, speed, elapsed, fastest, acceleration, lower, 
             stages[4, i, j] = min(max(step, last[i, j] + min(way - gain, 0.0)), last[i, j] + max(way + gain, 0.0))
 
 
+@njit(void(OUT2, bool_[:, ::1], IN2, IN2, OUT3, float64), **OPTIONS)
+def shorten(command, why, start, way, clear, tolerance):  # noqa: ANN001, ANN201
+    """Take ``command`` (B, n) back to where, from ``start`` (B, n) along ``way`` (B, n), it is still clear enough.
+
+    ``clear`` (B, S, n + c) are clearances at S equal shares of the way, from none to all of it. None may become
+    negative, or more so by the ``tolerance``. A command that ends well stays; else ``why`` (2, B) tells whether one of
+    the first n or one of the others would have been the first not to be.
+    """
+    arms, shares, kinds = clear.shape
+    joints = start.shape[1]
+    least = np.empty(kinds)
+    for i in range(arms):
+        worse = False
+        for c in range(kinds):
+            least[c] = clear[i, 0, c] - tolerance if clear[i, 0, c] < 0.0 else 0.0
+            worse = worse or clear[i, shares - 1, c] < least[c]
+        if not worse:
+            continue
+        k = 0
+        while not (why[0, i] or why[1, i]):
+            k += 1
+            for c in range(kinds):
+                if clear[i, k, c] < least[c]:
+                    why[int(c >= joints), i] = True
+        for j in range(joints):
+            command[i, j] = start[i, j] + (k - 1) / (shares - 1) * way[i, j]
+
+
 @njit(void(OUT2, *[IN2] * 2, *[IN1] * 2), **OPTIONS)
 def take_speed(speed, command, last, elapsed, fastest):  # noqa: ANN001, ANN201
     """Fill ``speed`` (B, n) with that of the ``command`` (B, n), ``elapsed`` (1 or B,) after the ``last`` (B, n).

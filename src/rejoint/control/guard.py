@@ -13,8 +13,8 @@ step from the last command, which is within each of them: whatever comes in, a h
 of them are ever in conflict. So the acceleration limit holds back what gains speed or turns round; braking is free,
 since the hardest braking is the hold. With periods of `RAMP` and more this is a limit of every change of speed.
 
-What is judged is the command: where it is the posture of an arm that touches something, or is too low. The arm itself
-lags, sags and swings beyond it, and its way between two commands is not judged either.
+What is judged is the commanded posture. Where the arm really is, lagging and sagging behind its commands or swinging
+beyond them, is not, and neither is its way from one command to the next.
 """
 
 from __future__ import annotations
@@ -35,10 +35,7 @@ __all__ = ["RAMP", "TRIPS", "GuardLimits", "Guarded", "Reason", "Reasons", "guar
 
 compiled = Late("rejoint.control.compiled")
 
-_SHARES = np.arange(1, 33) / 32  # of a step that are tried, all at once (chosen: 0.2 deg of the largest step)
 _TOLERANCE = 1e-9  # [m] rounding of the kinematics: a joint that cannot move must not look sinking
-
-
 _TRIP_BITS = np.uint16(TRIPS.value)
 _LIMIT_BITS = np.array(  # as applied
     [Reason.LEAD, Reason.POSITION, Reason.STEP, Reason.ACCELERATION, Reason.FLOOR, Reason.COLLISION], dtype=np.uint16
@@ -167,17 +164,13 @@ def _keep_clear(limits: GuardLimits, command: Array, sent: Array) -> tuple[Array
     if not np.count_nonzero(clear < 0.0):
         return command, shortened
     index = np.flatnonzero(np.logical_or.reduce(clear < 0.0, axis=-1))
-    now = _clearances(limits, sent[index])
-    least = np.where(now < 0.0, now - _TOLERANCE, 0.0)
-    worse = np.logical_or.reduce(clear[index] < least, axis=-1)
-    index, least, n = index[worse], least[worse], limits.arm.joints
-    start, way, result = sent[index], command[index] - sent[index], command.copy()
-    bad = _clearances(limits, start[:, None] + _SHARES[:, None] * way[:, None]) < least[:, None]
-    bad[:, -1] = clear[index] < least  # the whole command, without rounding
-    first = np.logical_or.reduce(bad, axis=-1).argmax(axis=-1)
-    result[index] = start + (first / len(_SHARES))[:, None] * way
-    reached = bad[np.arange(len(index)), first]
-    shortened[:, index] = [reached[:, :n].any(axis=-1), reached[:, n:].any(axis=-1)]
+    start, way = sent[index], command[index] - sent[index]
+    on_way = _clearances(limits, start[:, None] + limits.shares * way[:, None])
+    on_way[:, -1] = clear[index]  # of the command itself, without rounding
+    nearer, why = command[index], np.zeros((2, len(index)), dtype=bool)
+    compiled.shorten(nearer, why, start, way, plain(on_way), _TOLERANCE)
+    result = command.copy()
+    result[index], shortened[:, index] = nearer, why
     return result, shortened
 
 
@@ -187,7 +180,6 @@ def _clearances(limits: GuardLimits, q: Array) -> Array:
     These are the heights above their floors of all joint frames but the first, and of the TCP; then the distances
     between what can touch.
     """
-    if not limits.collisions:
-        return heights(limits.arm, q)[..., 1:] - limits.floors
-    height, apart = clearances(limits.arm, q)
-    return np.concatenate([height[..., 1:] - limits.floors, apart], axis=-1)
+    if limits.collisions:
+        return clearances(limits.arm, q, limits.floors)
+    return heights(limits.arm, q)[..., 1:] - limits.floors
