@@ -8,7 +8,7 @@ import argparse
 from collections.abc import Callable
 from pathlib import Path
 
-from benchmarks import agents, control, identification, plant, policy, rivals, training
+from benchmarks import agents, control, identification, journal, kills, plant, policy, rivals, training
 
 BENCHMARKS: dict[str, Callable[[Path | None], None]] = {
     "plant": lambda _logs: plant.main(),
@@ -17,6 +17,8 @@ BENCHMARKS: dict[str, Callable[[Path | None], None]] = {
     "rivals": lambda _logs: rivals.main(),
     "agents": lambda _logs: agents.main(),
     "policy": lambda _logs: policy.main(),
+    "journal": lambda _logs: journal.main(),
+    "kills": lambda _logs: kills.main(),
     "identification": identification.bench,
 }
 
