@@ -1,6 +1,7 @@
-"""Run the benchmarks: all of them, or those that are named.
+"""`make bench`: every benchmark in one run. Ratios within a run are what counts; machines differ.
 
-``make bench`` or ``python -m benchmarks [NAME ...]``.
+Run one of them alone with `python -m benchmarks plant`. Identification takes the logs of a real SO-101 with
+`--logs FOLDER` (or `make bench LOGS=FOLDER`, or the environment variable REJOINT_SO101), else an emulated one's.
 """
 
 from __future__ import annotations

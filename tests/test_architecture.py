@@ -1,5 +1,6 @@
-"""The import graph is the one that docs/architecture.md draws."""
+"""The import graph is the one that docs/architecture.md draws, and no file that is read can run code."""
 
+import ast
 import configparser
 import subprocess
 import sys
@@ -13,6 +14,23 @@ def test_imports_point_one_way() -> None:
     result = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert result.returncode == 0, result.stdout + result.stderr
     assert "0 broken" in result.stdout
+
+
+def test_nothing_is_unpickled() -> None:
+    """A file that is read can then run no code. PyTorch's own reader is told to read tensors and plain data alone."""
+    suspects = {"load", "loads", "Unpickler", "eval", "exec", "read_pickle"}
+    allowed = {"json.loads", "tomllib.loads", "json.load", "msgspec.json.decode"}
+    calls = []
+    for path in sorted((ROOT / "src").rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Call):
+                name = ast.unparse(node.func)
+                if name.rsplit(".", 1)[-1] in suspects and name not in allowed:
+                    calls.append((path.name, name, {word.arg: ast.unparse(word.value) for word in node.keywords}))
+    kept = [call for call in calls if call[1] != "learner.load"]
+    assert [(file, name, words.get("weights_only")) for file, name, words in kept] == [
+        ("learner.py", "torch.load", "True")
+    ]
 
 
 def test_the_page_draws_the_graph_that_is_kept() -> None:

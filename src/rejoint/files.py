@@ -68,7 +68,7 @@ def write_whole(path: Path, write: Callable[[Path], object]) -> None:
 
 def unwritable(path: Path, error: OSError) -> FileError:
     """Return the error of a file that cannot be written, which names it."""
-    return FileError(path, f"cannot be written ({error.strerror or error})", UNWRITABLE)
+    return FileError(path, f"cannot be written ({error.strerror or first_line(error)})", UNWRITABLE)
 
 
 def read_bounded(path: Path, most: int, remedy: str) -> bytes:

@@ -226,9 +226,9 @@ def test_a_folder_holds_one_seed(bench):
 
 def test_a_training_that_cannot_go_on_says_why_and_stops_the_others(tmp_path):
     bench = Bench(folder=tmp_path, arm=ARM, seed=0, scale=QUICK, threads=1)
-    damaged = bench.training(WORN[0]).training / "checkpoint.pt"
-    damaged.parent.mkdir(parents=True)
-    damaged.write_bytes(b"no checkpoint")
-    with pytest.raises(RejointError, match="damaged checkpoint"):
+    taken = bench.training(WORN[0]).training
+    taken.parent.mkdir(parents=True)
+    taken.write_bytes(b"a file where a folder should be")
+    with pytest.raises(RejointError, match="training: cannot be written"):
         finish_trainings(bench, (WORN[0], LITERAL))
     assert not bench.training(LITERAL).policy.exists()

@@ -129,15 +129,34 @@ def test_a_checkpoint_of_another_training_is_neither_continued_nor_lost(tmp_path
     train(ARM, None, out=tmp_path, options=options(resume=True, seed=9), on_progress=lambda done, *_: seen.append(done))
     assert seen == [1, 2, 3, 4, 5, 6]
     kept = list(RunFolder(tmp_path).training.glob("checkpoint-*.pt"))
-    assert [torch.load(path, weights_only=True)["identity"]["seed"] for path in kept] == [0]
+    assert len(kept) == 1
+    kept[0].rename(RunFolder(tmp_path).training / "checkpoint.pt")
+    train(ARM, None, out=tmp_path, options=options(resume=True), on_progress=lambda done, *_: seen.append(done))
+    assert seen[6:] == [3, 4, 5, 6]
 
 
-def test_a_damaged_checkpoint_is_named(tmp_path):
-    path = RunFolder(tmp_path).training / "checkpoint.pt"
-    path.parent.mkdir(parents=True)
-    path.write_bytes(b"PK half a file")
-    with pytest.raises(FileError, match="damaged checkpoint"):
-        train(ARM, None, out=tmp_path, options=options(resume=True))
+def test_after_a_damaged_checkpoint_a_training_begins_anew_and_says_so(tmp_path, caplog):
+    with pytest.raises(InterruptedTrainingError):
+        train(ARM, None, out=tmp_path / "damaged", options=options(), on_progress=interrupt_after(3))
+    path = RunFolder(tmp_path / "damaged").training / "checkpoint.pt"
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 1
+    path.write_bytes(data)
+    seen = []
+    changes = {"options": options(resume=True), "on_progress": lambda done, *_: seen.append(done)}
+    again = train(ARM, None, out=tmp_path / "damaged", **changes)
+    assert seen == [1, 2, 3, 4, 5, 6]
+    (line,) = [record.getMessage() for record in caplog.records if record.name == "rejoint"]
+    assert line.startswith(f"{path}: damaged checkpoint (it is not what was written)")
+    assert line.endswith("the training begins anew")
+    whole = train(ARM, None, out=tmp_path / "whole", options=options())
+    assert again.policy.read_bytes() == whole.policy.read_bytes()
+
+
+def test_a_training_folder_that_cannot_be_written_is_named(tmp_path):
+    RunFolder(tmp_path).training.write_bytes(b"a file where a folder should be")
+    with pytest.raises(FileError, match="training: cannot be written"):
+        train(ARM, None, out=tmp_path, options=options())
 
 
 def test_exported_network_agrees_with_the_trained_one():

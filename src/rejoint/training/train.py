@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,7 @@ from rejoint.arms import Arm
 from rejoint.control.contract import PolicyContract, arm_digest, law_digests
 from rejoint.control.observation import layout_slots
 from rejoint.errors import FileError
-from rejoint.files import set_aside, write_whole
+from rejoint.files import set_aside, unwritable, write_whole
 from rejoint.runs import RunFolder
 from rejoint.training.export import export_policy
 from rejoint.training.learner import CurvePoint, Learner
@@ -107,9 +108,8 @@ def train(
     if options.resume and not _resumed(learner, checkpoint, identity):
         learner = make_learner(arm, twin, recipe, options)  # a damaged one may have been taken over in part
     total = recipe.ppo.iterations
-    writer = SummaryWriter(str(folder.training))
     contract = policy_contract(arm, twin, recipe, options.seed)
-    try:
+    with _tensorboard(folder.training) as writer:
         while learner.iteration < total:
             if options.snapshot_every and learner.iteration % options.snapshot_every == 0:
                 export_policy(snapshot_path(folder, learner.iteration), learner.actor.net, contract)
@@ -119,8 +119,6 @@ def train(
                 learner.save(checkpoint, identity)
             if on_progress is not None:
                 on_progress(learner.iteration, total, describe(point))
-    finally:
-        writer.close()
     write_curves(curves, learner.curve)
     export_policy(folder.policy, learner.actor.net, contract)
     checkpoint.unlink(missing_ok=True)
@@ -222,6 +220,19 @@ def policy_contract(arm: Arm, twin: Twin | None, recipe: Preset, seed: int, name
         seed=seed,
         software=__version__,
     )
+
+
+@contextmanager
+def _tensorboard(folder: Path) -> Iterator[SummaryWriter]:
+    """Open TensorBoard's file of curves; its errors name no file."""
+    try:
+        writer = SummaryWriter(str(folder))
+        try:
+            yield writer
+        finally:
+            writer.close()
+    except OSError as error:
+        raise unwritable(folder, error) from error
 
 
 def _write_scalars(writer: SummaryWriter, point: CurvePoint) -> None:

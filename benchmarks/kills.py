@@ -1,0 +1,258 @@
+"""`kill -9` at random moments of every stage of a repair and of deployments over TCP; what is lost, and what goes on.
+
+    python -m benchmarks kills
+    python -m benchmarks.kills 20 --stages train,deploy
+
+A repair is killed ten times in a folder and then let come to its end: its files must be those of one that nobody
+disturbed, to the bit. Excitation, identification and training are cut down, so that the kills meet every stage and
+not the longest alone. Every process is forked from this one, which has imported everything and started no thread.
+"""
+
+import argparse
+import mmap
+import os
+import re
+import shutil
+import signal
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+
+import rejoint.diagnosis.diagnosis
+import rejoint.report.page
+import rejoint.training.presets
+import rejoint.training.train
+import rejoint.twin.identify
+from rejoint import opening
+from rejoint.arms import mycobot280
+from rejoint.cli import main as command_line
+from rejoint.diagnosis.excitation import SHORT
+from rejoint.journal import Journal
+from rejoint.runlog import read_log
+from rejoint.runs import RunFolder, locked
+
+STAGES = {
+    "diagnose": ("diagnosis.json", "logs/targets.parquet", "logs/excitation.parquet"),
+    "identify": ("twin.toml",),
+    "train": ("policy.onnx", "training/curves.parquet"),
+    "compare": ("comparison.json", *(f"logs/{kind}-{name}-0-0.parquet" for kind in ("crossing", "hold")
+                                     for name in ("integrator", "policy"))),
+    "report": ("report.html", "finished.json"),
+}  # fmt: skip
+"""What each stage leaves; the first file is the one by which it counts as done. The last stage's hold dates."""
+
+TARGETS = "x,y,z\n170,0,200\n180,30,210\n"
+KILLS, KILLS_EACH = 120, 10
+DWELL = 1.5
+"""[s] per target of a deployment"""
+
+
+class WrongError(AssertionError):
+    """Something was lost that should not be."""
+
+
+def small() -> None:
+    """Cut the stages of this process down."""
+    rejoint.diagnosis.diagnosis.diagnose.__kwdefaults__["plan"] = SHORT
+    settings = partial(rejoint.twin.identify.IdentifySettings, starts=4, iterations=3)
+    rejoint.twin.identify.IdentifySettings = settings  # type: ignore[misc,assignment]
+    preset = rejoint.training.presets.DEFAULT
+    ppo = replace(preset.ppo, agents=8, iterations=25, rollout=8, epochs=1, mini_batches=2)
+    rejoint.training.presets.PRESETS["default"] = replace(preset, ppo=ppo)
+
+
+def start(words: list[str], out: Path, prepare: Callable[[], object]) -> int:
+    """Run the command line with ``words`` in a process of its own; returns its id."""
+    child = os.fork()
+    if child:
+        return child
+    try:
+        handle = os.open(out, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
+        os.dup2(handle, 1)
+        os.dup2(handle, 2)
+        sys.stdout = sys.stderr = open(1, "w", closefd=False, buffering=1)  # noqa: SIM115
+        prepare()
+        sys.argv = ["rejoint", *words]
+        command_line()
+    except SystemExit as done:
+        os._exit(int(done.code or 0))
+    finally:
+        os._exit(70)
+
+
+def wait(child: int) -> int:
+    """Return the exit code of a process; minus the signal that ended it."""
+    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+
+
+def kill(child: int, after: float) -> bool:
+    """Kill a process ``after`` [s]; returns whether it was still running."""
+    time.sleep(after)
+    os.kill(child, signal.SIGKILL)
+    return wait(child) == -signal.SIGKILL
+
+
+def repair(folder: Path, out: Path) -> int:
+    """Begin or resume a repair."""
+    few = ["--sets", "1", "--repetitions", "1", "--controllers", "integrator,policy"]
+    points = ["--targets", str(folder.parent / "points.csv")]
+    return start(["repair", "emulated:worn", "--run", str(folder), *few, *points], out, small)
+
+
+def stage_of(folder: Path) -> str:
+    """Name the stage that a repair is in."""
+    return next((name for name, files in STAGES.items() if not (folder / files[0]).exists()), "report")
+
+
+def leftovers(folder: Path) -> list[str]:
+    """Name what a killed process left behind and nobody put right."""
+    return [str(path.relative_to(folder)) for path in folder.rglob(".*") if path.name != ".lock"]
+
+
+def check_same(folder: Path, good: Path) -> None:
+    """Raise WrongError unless a repair ended as the undisturbed one."""
+    for name in [name for stage in list(STAGES)[:-1] for name in STAGES[stage]]:
+        if name.endswith("curves.parquet"):
+            tables = [pq.read_table(where / name).drop_columns("wall_s") for where in (folder, good)]
+            same = tables[0].equals(tables[1])
+        else:
+            same = (folder / name).read_bytes() == (good / name).read_bytes()
+        if not same:
+            raise WrongError(f"{name} is another than that of the undisturbed repair")
+    if "</html>" not in (folder / "report.html").read_text(encoding="utf-8")[-20:]:
+        raise WrongError("half a report")
+    if not (folder / "finished.json").exists() or leftovers(folder):
+        raise WrongError(f"not put right: {leftovers(folder)}")
+
+
+def kill_repairs(work: Path, stage: str, kills: int, seconds: float, rng: np.random.Generator) -> Counter[str]:
+    """Kill repairs that begin with ``stage``, which takes ``seconds``; returns how many kills met which stage."""
+    met: Counter[str] = Counter()
+    earlier = [name for before in list(STAGES)[: list(STAGES).index(stage)] for name in STAGES[before]]
+    folder, good, out = work / "run", work / "good", work / "out.txt"
+    while met.total() < kills:
+        shutil.rmtree(folder, ignore_errors=True)
+        for name in ["run.json", *earlier]:
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy2(good / name, folder / name)
+        out.unlink(missing_ok=True)
+        for _ in range(min(KILLS_EACH, kills - met.total())):
+            if kill(repair(folder, out), rng.uniform(0.0, 1.1 * seconds)):
+                met[stage_of(folder)] += 1
+        if wait(repair(folder, out)) != 0:
+            raise WrongError(out.read_text())
+        if "Traceback" in out.read_text():
+            raise WrongError(out.read_text())
+        check_same(folder, good)
+    return met
+
+
+def kill_trainings(work: Path, kills: int, rng: np.random.Generator) -> None:
+    """Kill trainings without a twin: the quick part of what `kill_repairs` does, for `make test`."""
+    good, folder, out = work / "good", work / "run", work / "out.txt"
+    began = time.monotonic()
+    for path, times in ((good, 0), (folder, kills)):
+        words = ["train", str(path), "--broad"]
+        took = time.monotonic() - began
+        for _ in range(times):
+            kill(start(words, out, small), rng.uniform(0.2, 1.0) * took)
+            (path / "policy.onnx").unlink(missing_ok=True)  # begun again after its end, the kill came too late
+        if wait(start(words, out, small)) != 0 or "Traceback" in out.read_text():
+            raise WrongError(out.read_text())
+    if (folder / "policy.onnx").read_bytes() != (good / "policy.onnx").read_bytes() or leftovers(folder):
+        raise WrongError(f"another policy than that of the undisturbed training, or left behind: {leftovers(folder)}")
+
+
+def kill_deployments(work: Path, kills: int, rng: np.random.Generator) -> list[float]:
+    """Kill deployments over TCP; returns for each that had begun what the log lacks [s]."""
+    lost, counter = [], np.frombuffer(mmap.mmap(-1, 16))  # shared: rows so far, time of the last one [s]
+    counter.flags.writeable = True
+    append = Journal.append
+
+    def count(self: Journal, time: float, *columns: object) -> None:
+        append(self, time, *columns)  # type: ignore[arg-type]
+        counter[:] = counter[0] + 1, time
+
+    def counting() -> None:
+        Journal.append = count  # type: ignore[method-assign,assignment]
+
+    emulator = start(["emulate", "--port", "0"], work / "emulator.txt", lambda: None)
+    try:
+        found = None
+        while found is None:
+            time.sleep(0.1)
+            text = (work / "emulator.txt").read_text() if (work / "emulator.txt").exists() else ""
+            found = re.search(r"tcp://\S+:\d+(?=\s)", text)
+        folder, out = RunFolder(work / "deploy"), work / "deploy.txt"
+        opening.begin(folder.path, "emulated:worn", mycobot280(), 0)
+        words = ["deploy", found[0], str(folder.path), "--controller", "integrator", "--dwell", str(DWELL)]
+        words += ["--targets", str(work / "points.csv")]
+        began = time.monotonic()
+        if wait(start(words, out, counting)) != 0:
+            raise WrongError(out.read_text())
+        took, motion = time.monotonic() - began, 2 * DWELL
+        for _ in range(kills):
+            shutil.rmtree(folder.path / "logs", ignore_errors=True)
+            counter[:] = 0.0
+            child, early = start(words, out, counting), rng.random() < 0.2
+            deadline = time.monotonic() + 60.0
+            while not (early or counter[0]) and time.monotonic() < deadline:
+                time.sleep(0.005)
+            kill(child, rng.uniform(0.0, took - motion if early else 1.05 * motion))
+            rows, last = counter
+            with locked(folder):  # so does the next command: nobody holds it any more, and it puts things right
+                logs = [read_log(path) for path in folder.logs().values()]
+            if leftovers(folder.path):
+                raise WrongError(f"not put right: {leftovers(folder.path)}")
+            if rows and not logs:
+                lost.append(last)
+            elif rows:
+                lost.append(last - float(logs[0].time[-1]))
+    finally:
+        os.kill(emulator, signal.SIGTERM)
+        wait(emulator)
+    return lost
+
+
+def main(kills: int = KILLS, stages: tuple[str, ...] = (*STAGES, "deploy"), seed: int = 0) -> None:
+    rng = np.random.default_rng(seed)
+    with tempfile.TemporaryDirectory() as name:
+        work = Path(name)
+        (work / "points.csv").write_text(TARGETS)
+        met: Counter[str] = Counter()
+        if set(stages) & set(STAGES):
+            began = time.time()
+            if wait(repair(work / "good", work / "good.txt")) != 0:
+                raise WrongError((work / "good.txt").read_text())
+            ends = [(work / "good" / files[0]).stat().st_mtime for files in STAGES.values()]
+            took = dict(zip(STAGES, np.diff([began, *ends]), strict=True))
+            print("undisturbed: " + ", ".join(f"{stage} {seconds:.1f} s" for stage, seconds in took.items()))
+            for stage in [stage for stage in STAGES if stage in stages]:
+                met += kill_repairs(work, stage, round(kills / len(stages)), took[stage], rng)
+            told = ", ".join(f"{met[stage]} in {stage}" for stage in STAGES)
+            print(f"repairs: {met.total()} kills ({told}); each came to the end of the undisturbed one, nothing left")
+        if "broad" in stages:
+            kill_trainings(work, round(kills / len(stages)), rng)
+        if "deploy" in stages:
+            lost = kill_deployments(work, round(kills / len(stages)), rng)
+            print(
+                f"deployments over TCP: {round(kills / len(stages))} kills, {len(lost)} of them while it moved; "
+                f"the log lacks {np.median(lost):.2f} s in the middle, {np.max(lost):.2f} s at most"
+            )
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.kills")
+    parser.add_argument("kills", nargs="?", type=int, default=KILLS)
+    parser.add_argument("--stages", default=",".join((*STAGES, "deploy")))
+    parser.add_argument("--seed", type=int, default=0)
+    options = parser.parse_args()
+    main(options.kills, tuple(options.stages.split(",")), options.seed)
