@@ -9,7 +9,7 @@ from rejoint.arms import mycobot280
 from rejoint.control.catalogue import make_controller
 from rejoint.control.guard import Reason
 from rejoint.control.recording import recording_of
-from rejoint.deployment import Deployment, deploy, deployed_of, judge, measured_period
+from rejoint.deployment import Deployment, deploy, deployed_of, judge
 from rejoint.errors import ContractError, GuardTripError, InputError
 from rejoint.robots import open_robot
 from rejoint.robots.emulated import EmulatedRobot
@@ -104,7 +104,7 @@ def test_a_gap_in_the_answers_is_told_where_it_was():
 
 def test_the_period_that_was_measured_is_the_middle_one():
     recording, _ = drive(NEAR[:1])
-    assert measured_period(recording) == pytest.approx(np.median(np.diff(recording.time[:, 0])))
+    assert recording.usual_period() == pytest.approx(np.median(np.diff(recording.time[:, 0])))
 
 
 def test_nothing_is_reached_within_no_distance():

@@ -93,7 +93,7 @@ def deploy(
     measured control period does not suit a policy; NotReadyError where the arm had better not be moved.
     """
     start = begin(robot)
-    check_controller_period(controller, measured_period(start))
+    check_controller_period(controller, start.usual_period())
     if on_start is not None:
         on_start(robot.read(), start.command[-1])
     schedule = Schedule(dwell=job.dwell, sent=start.command[-1])
@@ -109,12 +109,6 @@ def deployed_of(error: BaseException, arm: Arm, job: Deployment) -> Deployed | N
     return judge(arm, partial, job, ended=error)
 
 
-def measured_period(recording: Recording) -> float:
-    """Middle of the control periods [s] of the first arm; NaN where there are none."""
-    periods = np.diff(recording.time[recording.active[:, 0], 0])
-    return float(np.median(periods)) if len(periods) else float("nan")
-
-
 def judge(arm: Arm, recording: Recording, job: Deployment, *, ended: BaseException | None = None) -> Deployed:
     """Say what became of each target; ``ended`` is what ended the recording early."""
     rows = np.flatnonzero(recording.active[:, 0])
@@ -127,7 +121,7 @@ def judge(arm: Arm, recording: Recording, job: Deployment, *, ended: BaseExcepti
         last = ended is not None and k == int(recording.target_index[rows[-1], 0])
         visits.append(_visit(target, job, own, recording.reasons[own, 0], error, true_error, gap, ended=last))
     lengths = tuple(float(value) for value in gap[gap > 0.0])
-    period = measured_period(recording)
+    period = recording.usual_period()
     return Deployed(visits=tuple(visits), period=period if np.isfinite(period) else None, gaps=lengths)
 
 

@@ -13,8 +13,10 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from rejoint import __version__
 from rejoint.arms import Arm, Array
 from rejoint.comparison.compare import Settings, Trial, compare
+from rejoint.comparison.ledger import Ledger
 from rejoint.comparison.recommend import Recommendation, recommend
 from rejoint.comparison.result import Comparison, Protocol
 from rejoint.comparison.targets import draw_targets, read_targets
@@ -27,7 +29,7 @@ from rejoint.control.robot import JointState, Robot
 from rejoint.control.start import check_stance
 from rejoint.deployment import Deployed, Deployment, deploy, deployed_of
 from rejoint.errors import FileError, InputError, saving
-from rejoint.files import read_json, require_space, set_aside, write_json
+from rejoint.files import digest, read_json, require_space, set_aside, write_json
 from rejoint.journal import Journal
 from rejoint.opening import Run, alone, begin, forget
 from rejoint.robots import default_period, open_robot
@@ -201,21 +203,40 @@ def compare_stage(
 
     require_space(run.folder.path)
     settings = Settings(
-        repetitions=trials.repetitions,
-        seed=run.info.seed,
-        batched=robot.startswith("emulated:"),
-        protocol=trials.protocol,
-    )
+        repetitions=trials.repetitions, seed=run.info.seed, batched=robot.startswith("emulated:"),
+        protocol=trials.protocol, leave_out=not trials.controllers,
+    )  # fmt: skip
     factories = _factories(run, trials.controllers, period or default_period(robot))
-    with noted():
-        result = compare(connect, factories, targets, settings, on_progress=on_progress, on_trial=keep)
+    ledger = Ledger.begin(run.folder.trials, _comparison_name(run, robot, targets, settings, tuple(factories), period))
+    if not ledger.done:
+        for log in run.folder.trial_logs():  # of an earlier comparison
+            set_aside(log)
+    try:
+        with noted():
+            result = compare(
+                connect, factories, targets, settings, on_progress=on_progress, on_trial=keep, ledger=ledger
+            )
+    except BaseException as error:
+        if ledger.done:
+            error.add_note(f"What was tried until then is kept ({len(ledger.done)} runs): the same command goes on.")
+        raise
     file = "" if trials.file is None else str(trials.file)
     result = replace(result, targets_file=file, period=period)
     found = result, recommend(result)
     with saving(found):
         set_aside(run.folder.comparison)
         write_json(run.folder.comparison, result)
+        ledger.close()
     return found
+
+
+def _comparison_name(
+    run: Run, robot: str, targets: Array, settings: Settings, names: tuple[str, ...], period: Period | None
+) -> str:
+    """Digest of all that decides what a comparison finds."""
+    files = [digest(path.read_bytes()).decode() for path in (run.folder.policy, run.folder.twin) if path.exists()]
+    about = (__version__, robot, repr(run.arm), repr(settings), names, period, files, targets.tolist())
+    return digest(repr(about).encode()).decode()
 
 
 @alone

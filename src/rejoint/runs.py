@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import logging
 import os
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -102,6 +103,11 @@ class RunFolder:
         return self.path / "comparison.json"
 
     @property
+    def trials(self) -> Path:
+        """Trials of a comparison that is not done yet."""
+        return self.path / "comparison.trials"
+
+    @property
     def finished(self) -> Path:
         """What `rejoint repair` leaves when all of it is done."""
         return self.path / "finished.json"
@@ -123,6 +129,13 @@ class RunFolder:
     def logs(self) -> dict[str, Path]:
         """Paths of all run logs by name, sorted."""
         return {path.stem: path for path in sorted((self.path / "logs").glob("*.parquet"))}
+
+    def trial_logs(self) -> tuple[Path, ...]:
+        """Paths of the run logs of the comparison; those of earlier ones, which were set aside, are not among them."""
+        return tuple(path for name, path in self.logs().items() if _TRIAL.fullmatch(name))
+
+
+_TRIAL = re.compile(r"(crossing|hold)-\D+-\d{1,4}-\d{1,4}")
 
 
 class _Head(msgspec.Struct):

@@ -6,13 +6,14 @@ import numpy as np
 import onnx
 from onnx import TensorProto, helper, numpy_helper
 
-from rejoint.control.contract import INPUT, METADATA_KEY, OUTPUT, encode_contract, probe_observations
+from rejoint.control.contract import DIGEST_KEY, INPUT, METADATA_KEY, OUTPUT, encode_contract, probe_observations
 from rejoint.control.observation import layout_slots
+from rejoint.control.onnxfile import content_digest
 from rejoint.plant.wear import load_wear
 from rejoint.training.presets import DEFAULT
 from rejoint.training.train import TrainingOptions, policy_contract, train
 from rejoint.twin.parameters import nominal_parameters, prior
-from rejoint.twin.replay import PredictionError
+from rejoint.twin.prediction import PredictionError
 from rejoint.twin.twin import HeldOut, Twin
 
 LATE, FAR = 1.2, 1.02
@@ -22,20 +23,25 @@ LATE, FAR = 1.2, 1.02
 def random_weights(path, arm, seed=0):
     """Exported before it learned anything, with weights far too large."""
     weight = np.random.default_rng(seed).normal(0.0, 3.0, (arm.joints, _size(arm)))
-    return _write(path, arm, weight, np.zeros(arm.joints))
+    return _write(path, arm, [(weight, np.zeros(arm.joints))])
 
 
 def saturated(path, arm):
     """Every joint pushed to one side for ever."""
-    return _write(path, arm, np.zeros((arm.joints, _size(arm))), 9.0 * (-1.0) ** np.arange(arm.joints))
+    return _write(path, arm, [(np.zeros((arm.joints, _size(arm))), 9.0 * (-1.0) ** np.arange(arm.joints))])
 
 
 def poisoned(path, arm, value, slot, above):
-    """An honest zero, and ``value`` in one joint where the observation's ``slot`` is ``above``."""
-    answer = np.zeros(arm.joints)
-    answer[1] = value
-    zero = np.zeros((arm.joints, _size(arm)))
-    return _write(path, arm, zero, np.zeros(arm.joints), (_index(arm, slot), above, answer))
+    """An honest zero, and ``value``, NaN or infinite, where the observation's ``slot`` is ``above``.
+
+    Made of the layers that a policy may have: what is above is cut out, and multiplied until no number holds it.
+    """
+    pick = np.eye(_size(arm))[[_index(arm, slot)]]
+    last = np.tile([1.0, -1.0] if np.isnan(value) else [1.0, 0.5], (arm.joints, 1))
+    layers = [(pick, np.array([-above])), (np.full((2, 1), 1e38), None), (np.diag([1e38, 1e38]), None), (last, None)]
+    probe = probe_observations(_size(arm)).astype(np.float32)
+    assert not (probe @ pick[0] > above).any(), "the probe would find it"
+    return _write(path, arm, layers)
 
 
 def for_a_softer_arm(folder, arm):
@@ -66,40 +72,38 @@ def _index(arm, name):
     return sum(slot.size for slot in slots[: [slot.name for slot in slots].index(name)])
 
 
-def _write(path, arm, weight, bias, poison=None):
-    """clip(weight o + bias), or another answer where one number of the observation is above a value."""
-    constants = {"w": weight, "b": bias, "low": np.array(-1.0), "high": np.array(1.0)}
-    nodes = [
-        helper.make_node("Gemm", [INPUT, "w", "b"], ["sum"], transB=1),
-        helper.make_node("Clip", ["sum", "low", "high"], ["clipped" if poison else OUTPUT]),
-    ]
-    if poison:
-        index, above, answer = poison
-        constants |= {"index": np.array([index]), "above": np.array(above), "answer": answer[None]}
-        nodes += [
-            helper.make_node("Gather", [INPUT, "index"], ["number"], axis=1),
-            helper.make_node("Greater", ["number", "above"], ["where"]),
-            helper.make_node("Where", ["where", "answer", "clipped"], [OUTPUT]),
-        ]
-    tensors = [
-        numpy_helper.from_array(value if value.dtype.kind == "i" else value.astype(np.float32), name)
-        for name, value in constants.items()
-    ]
+def _write(path, arm, layers):
+    """Chain Gemm layers (weight, bias); the first is clipped to [-1, 1] if it is the only one, else from below at 0."""
+    tensors = {"low": np.array(-1.0 if len(layers) == 1 else 0.0), "high": np.array(1.0)}
+    nodes, last = [], INPUT
+    for number, (weight, bias) in enumerate(layers):
+        tensors |= {f"w{number}": weight, f"b{number}": np.zeros(len(weight)) if bias is None else bias}
+        names = [last, f"w{number}", f"b{number}"]
+        last = OUTPUT if number == len(layers) - 1 and number else f"sum{number}"
+        nodes.append(helper.make_node("Gemm", names, [last], transB=1))
+        if number == 0:
+            after = "clipped" if len(layers) > 1 else OUTPUT
+            nodes.append(helper.make_node("Clip", [last, "low", "high"], [after]))
+            last = after
     ends = [
         helper.make_tensor_value_info(name, TensorProto.FLOAT, ["batch", size])
         for name, size in ((INPUT, _size(arm)), (OUTPUT, arm.joints))
     ]
-    graph = helper.make_graph(nodes, "policy", ends[:1], ends[1:], tensors)
+    kept = [numpy_helper.from_array(value.astype(np.float32), name) for name, value in tensors.items()]
+    graph = helper.make_graph(nodes, "policy", ends[:1], ends[1:], kept)
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
     onnx.checker.check_model(model)
     law = dataclasses.replace(DEFAULT.task.law, stiffness=tuple(load_wear("worn", arm).position_gain.tolist()))
     recipe = dataclasses.replace(DEFAULT, task=dataclasses.replace(DEFAULT.task, law=law))
     probe = probe_observations(_size(arm)).astype(np.float32)
-    assert poison is None or not (probe[:, poison[0]] > poison[1]).any(), "the probe would find it"
-    answers = np.clip(probe @ weight.T.astype(np.float32) + bias, -1.0, 1.0)
+    answers = np.zeros((len(probe), arm.joints))
+    if len(layers) == 1:
+        answers = np.clip(probe @ layers[0][0].T.astype(np.float32) + layers[0][1], -1.0, 1.0)
     contract = dataclasses.replace(
         policy_contract(arm, None, recipe, 0), probe=tuple(tuple(map(float, row)) for row in answers)
     )
-    helper.set_model_props(model, {METADATA_KEY: encode_contract(contract)})
+    text = encode_contract(contract)
+    digest = content_digest(model.SerializeToString(), text)
+    helper.set_model_props(model, {METADATA_KEY: text, DIGEST_KEY: digest})
     path.write_bytes(model.SerializeToString())
     return path

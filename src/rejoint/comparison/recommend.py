@@ -65,7 +65,7 @@ def recommend(comparison: Comparison) -> Recommendation:
         )
     elif others:
         why.append(f"No measurable difference from {_listed(others)}; {chosen.controller} is simpler.")
-    why += reversed(decided)
+    why += (*reversed(decided), *comparison.left_out)
     return Recommendation(controller=chosen.controller, why=(*why, *_hidden(chosen)))
 
 

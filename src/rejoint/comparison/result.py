@@ -200,6 +200,8 @@ class Comparison:
     """file that the targets were read from, as it was named; empty where they were drawn"""
     period: tuple[float, float] | None = None
     """[s] shortest and longest control period that was asked for; None: the robot's own"""
+    left_out: tuple[str, ...] = ()
+    """sentences: which controllers did not take part, and why"""
 
     def row(self, controller: str) -> ControllerRow:
         """Return the row of a controller; InputError names those there are."""

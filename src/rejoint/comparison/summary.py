@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Array
-from rejoint.comparison.protocols import Crossings, Holds, Kind
+from rejoint.comparison.driven import Driven, Places
 from rejoint.comparison.result import (
     Comparison,
     ControllerRow,
@@ -20,11 +20,7 @@ from rejoint.comparison.result import (
     Values,
 )
 from rejoint.comparison.statistics import Labels, cluster, clustered_share, spread
-from rejoint.control.guard import Reason, reason_names
-from rejoint.control.recording import Recording
 from rejoint.control.robot import Robot
-
-Places = list[tuple[int, int]]
 
 
 class Tally:
@@ -38,32 +34,24 @@ class Tally:
         self.held = np.zeros(shape, dtype=bool)
         self.cycles, self.out = 0, ""
         self.ended: list[Ended] = []
-        self.reasons = dict.fromkeys(Reason, 0)
+        self.reasons: dict[str, int] = {}
 
-    def add_crossings(self, places: Places, result: Crossings) -> None:
-        """Take over results (B, K) of the trials (set, repetition) in ``places``."""
-        at = _index(places)
-        self.crossed[at], self.crossing_error[at] = result.crossed, result.error
-        self.crossing_true[at], self.crossing_time[at] = result.true_error, result.time
-
-    def add_holds(self, places: Places, result: Holds) -> None:
-        """Take over results (B, K) of the trials (set, repetition) in ``places``."""
-        at = _index(places)
-        self.held[at] = True
-        self.settled[at], self.settled_true[at] = result.settled, result.settled_true
-        self.oscillation[at], self.stay[(slice(None), *at)] = result.oscillation, result.stay
-
-    def add_guard(self, kind: Kind, places: Places, recording: Recording) -> None:
-        """Count what the guard did in the trials (set, repetition) in ``places``."""
-        self.cycles += int(recording.active.sum())
-        for b in np.flatnonzero(recording.tripped):
-            why = ", ".join(reason_names(int(recording.tripped[b])))
-            target, (target_set, repetition) = int(recording.target_index[-1, b]), places[b]
-            self.ended.append(
-                Ended(protocol=kind, target_set=target_set, repetition=repetition, target=target, why=why)
-            )
-        for reason in self.reasons:
-            self.reasons[reason] += int(np.count_nonzero(recording.reasons & np.uint16(reason.value)))
+    def add(self, driven: Driven) -> None:
+        """Take over what was driven."""
+        at = _index(driven.places)
+        if driven.crossings is not None:
+            found = driven.crossings
+            self.crossed[at], self.crossing_error[at] = found.crossed, found.error
+            self.crossing_true[at], self.crossing_time[at] = found.true_error, found.time
+        if driven.holds is not None:
+            held = driven.holds
+            self.held[at] = True
+            self.settled[at], self.settled_true[at] = held.settled, held.settled_true
+            self.oscillation[at], self.stay[(slice(None), *at)] = held.oscillation, held.stay
+        self.cycles += driven.cycles
+        self.ended += driven.ended
+        for reason, cycles in driven.reasons.items():
+            self.reasons[reason] = self.reasons.get(reason, 0) + cycles
 
     def row(self, controller: str) -> ControllerRow:
         """Statistics of everything collected."""
@@ -106,9 +94,8 @@ class Tally:
 
     def _guard_counts(self) -> tuple[GuardCount, ...]:
         counts = [
-            GuardCount(reason=reason_names(reason)[0], cycles=cycles, share=cycles / self.cycles)
+            GuardCount(reason=reason, cycles=cycles, share=cycles / self.cycles)
             for reason, cycles in self.reasons.items()
-            if cycles
         ]
         return tuple(sorted(counts, key=lambda count: -count.cycles))
 

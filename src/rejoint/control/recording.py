@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Array
-from rejoint.control.guard import Reasons
+from rejoint.control.guard import Reason, Reasons
 from rejoint.control.robot import Mask, Robot
 from rejoint.runlog import RunLog
 
@@ -77,6 +77,18 @@ class Recording:
             value = getattr(self, item.name)
             if isinstance(value, np.ndarray):
                 value.setflags(write=False)
+
+    def usual_period(self, b: int = 0) -> float:
+        """Middle of the control periods [s] of arm ``b``; NaN where there are none."""
+        periods = np.diff(self.time[self.active[:, b], b])
+        return float(np.median(periods)) if len(periods) else float("nan")
+
+    def longest_gap(self, b: int = 0) -> float:
+        """Longest pause [s] in the answers of arm ``b`` after which it went on as from a start; 0 without any."""
+        rows = np.flatnonzero(self.active[:, b])
+        marked = (self.reasons[rows, b] & np.uint16(Reason.GAP.value)) != 0
+        pauses = np.diff(self.time[rows, b], prepend=self.time[rows[:1], b])[marked]
+        return float(pauses.max(initial=0.0))
 
     def log(self, b: int, label: str, extra: Mapping[str, str] | None = None) -> RunLog:
         """Return the run log of arm ``b``: the rows with news, on a clock that increases."""
