@@ -19,7 +19,7 @@ from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as BagWriter
 from rosbags.typesys import Stores, get_typestore
 
-from rejoint.errors import FileError, InputError
+from rejoint.errors import FileError, InputError, MissingExtraError
 from rejoint.logs import ImportOptions, detect, import_logs
 
 BARE = {
@@ -255,8 +255,12 @@ def test_names_can_be_declared_where_there_are_none(tmp_path: Path):
 
 def test_a_missing_library_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     source = write_json(tmp_path / "bag.mcap", sample())
+    with monkeypatch.context() as without:
+        without.setattr("rejoint.extras.find_spec", lambda name: None if name == "mcap_ros2" else name)
+        with pytest.raises(MissingExtraError, match=r"missing: mcap_ros2\); .* pip install 'rejoint\[logs\]'"):
+            import_logs(source, ARM, out=tmp_path / "logs")
     monkeypatch.setitem(sys.modules, "mcap_ros2.decoder", None)
-    with pytest.raises(InputError, match=r"install rejoint\[logs\]"):
+    with pytest.raises(InputError, match=r"pip install 'rejoint\[logs\]'"):
         import_logs(source, ARM, out=tmp_path / "logs")
 
 

@@ -17,7 +17,7 @@ from typing import IO, Any, NamedTuple
 import numpy as np
 
 from rejoint.arms import Arm
-from rejoint.errors import FileError
+from rejoint.errors import FileError, InputError
 from rejoint.extras import require
 from rejoint.logs.joints import Match, match_joints, means_a_joint, radians
 from rejoint.logs.options import OPTIONS, ImportOptions
@@ -168,6 +168,8 @@ def _reporting(file: Path) -> Iterator[None]:
         yield
     except FileError:
         raise
+    except ImportError as error:  # of what those bring themselves, such as decompressors
+        raise InputError(f"{file}: MCAP needs {error.name}; install it with: pip install 'rejoint[logs]'") from error
     except FileNotFoundError as error:
         raise FileError(file, "no such file", "check the path") from error
     # Three decoders, two decompressors and a message compiler stand behind this; none lists what it raises.
