@@ -29,7 +29,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "control"))
 from guard_laws import check, draw_cases, random_chain
 
 CASES = 1_000_000
-BATCH, CALLS = 2000, 5000
+BATCH, CALLS = 1000, 5000
 GARBAGE = (0.0, 0.1, 0.5)
 """Shares of arms with numbers that are none"""
 ARMS, RAMPS = 16, (1e-6, RAMP, 0.03, 0.06)

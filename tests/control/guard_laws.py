@@ -172,21 +172,26 @@ def segments_apart(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -
     """Distance of segments a-b and c-d (..., 3): the least of four ends from a segment, or zero gap of their planes."""
     ends = [_point_apart(a, c, d), _point_apart(b, c, d), _point_apart(c, a, b), _point_apart(d, a, b)]
     normal = np.cross(b - a, d - c)
-    area = (normal**2).sum(axis=-1)
+    area = _dot(normal, normal)
     solid = area > 1e-14
     safe = np.where(solid, area, 1.0)
-    s = (np.cross(c - a, d - c) * normal).sum(axis=-1) / safe
-    t = (np.cross(c - a, b - a) * normal).sum(axis=-1) / safe
+    s = _dot(np.cross(c - a, d - c), normal) / safe
+    t = _dot(np.cross(c - a, b - a), normal) / safe
     inside = solid & (s >= 0.0) & (s <= 1.0) & (t >= 0.0) & (t <= 1.0)
-    across = np.abs(((c - a) * normal).sum(axis=-1)) / np.sqrt(safe)
+    across = np.abs(_dot(c - a, normal)) / np.sqrt(safe)
     return np.minimum(np.min(ends, axis=0), np.where(inside, across, np.inf))
 
 
 def _point_apart(point: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.ndarray:
     way = end - start
-    length = (way**2).sum(axis=-1)
-    share = np.clip(((point - start) * way).sum(axis=-1) / np.where(length > 0.0, length, 1.0), 0.0, 1.0)
-    return np.linalg.norm(point - start - share[..., None] * way, axis=-1)
+    length = _dot(way, way)
+    share = np.clip(_dot(point - start, way) / np.where(length > 0.0, length, 1.0), 0.0, 1.0)
+    gap = point - start - share[..., None] * way
+    return np.sqrt(_dot(gap, gap))
+
+
+def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    return np.einsum("...i,...i->...", a, b)
 
 
 def _check_holds(limits: GuardLimits, case: Case, out: Guarded, tripped: np.ndarray) -> None:
