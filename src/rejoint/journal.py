@@ -111,15 +111,13 @@ class Journal:
             self._rows.append(data + zlib.crc32(data).to_bytes(_CHECK, "little"))
 
     def finish(self, log: RunLog) -> None:
-        """Write the run log and remove the journal; where that fails, the FileError says whether the journal stays."""
+        """Write the run log and remove the journal; where that fails, the journal stays, and the FileError says so."""
         self.close()
         try:
             write_log(self.path, log)
         except FileError as error:
-            if self.problem is None:
-                error.add_note(
-                    f"What the arm did is in {self.file}; the next command in this folder makes a log of it."
-                )
+            share = "What the arm did" if self.problem is None else "What was written of it before the disk was full"
+            error.add_note(f"{share} is in {self.file}; the next command in this folder makes a log of it.")
             raise
         self.file.unlink(missing_ok=True)
 
