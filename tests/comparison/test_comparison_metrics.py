@@ -9,6 +9,8 @@ from rejoint.arms import mycobot280
 from rejoint.comparison.metrics import crossing, oscillation, settled, stay_time
 from rejoint.comparison.result import Protocol
 from rejoint.comparison.statistics import (
+    FEWEST_CLUSTERS,
+    above_zero,
     bootstrap_mean,
     cluster,
     clustered_share,
@@ -103,6 +105,18 @@ def test_the_bootstrap_covers_the_mean_of_dependent_results():
         naive += single.low <= 0.0 <= single.high
     assert 0.86 <= hits / 300 <= 0.98
     assert naive / 300 < 0.7
+
+
+@pytest.mark.parametrize("clusters", range(1, 7))
+def test_few_clusters_have_no_interval(clusters):
+    """Their least and greatest mean would miss the truth more often than in one case of twenty."""
+    values, labels = np.random.default_rng(0).normal(size=6 * clusters), np.repeat(np.arange(clusters), 6)
+    for found in (bootstrap_mean(values, labels), spread(values, labels).mean):
+        assert found.value == pytest.approx(values.mean())
+        known = clusters >= FEWEST_CLUSTERS
+        assert (found.low is not None, found.high is not None, above_zero(found)) == (known, known, False)
+    assert spread(values[:1], labels[:1]).std is None
+    assert 1 - 2.0 ** (1 - FEWEST_CLUSTERS) > 0.9 > 1 - 2.0 ** (2 - FEWEST_CLUSTERS)
 
 
 def test_shares_of_dependent_results_are_less_certain():

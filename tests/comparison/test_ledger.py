@@ -1,6 +1,7 @@
 """An interrupted comparison goes on after the trials that are done, and finds what it would have found."""
 
 from dataclasses import replace
+from importlib import import_module
 
 import numpy as np
 import pytest
@@ -109,8 +110,6 @@ def test_a_ledger_that_cannot_be_written_is_named(tmp_path):
 
 def test_a_trial_with_a_long_gap_is_driven_again(monkeypatch):
     """At most twice; then it counts, and the guard's column says so."""
-    from rejoint.comparison import compare as module
-
     paused, trials = [], []
 
     def pausing(robot, controller, targets, schedule, **options):
@@ -123,7 +122,7 @@ def test_a_trial_with_a_long_gap_is_driven_again(monkeypatch):
         reasons[5] |= np.uint16(Reason.GAP.value)
         return replace(recording, time=time, reasons=reasons)
 
-    monkeypatch.setattr(module, "run", pausing)
+    monkeypatch.setattr(import_module("rejoint.comparison.compare"), "run", pausing)
     one = replace(ALONE, repetitions=1)
     result = compare(
         connect,

@@ -106,6 +106,14 @@ def test_a_difference_of_arms_is_paired():
     assert difference(np.full((2, 2), np.nan), np.ones((2, 2))) is None
 
 
+def test_few_arms_have_no_interval():
+    few, many = np.ones((4, 3)), np.ones((5, 3))
+    for estimate in (difference(few, 2 * few), time_ratio(few, 2 * few)):
+        assert (estimate.low, estimate.high) == (None, None)
+        assert estimate.value in (-1.0, 0.5)
+    assert time_ratio(many, 2 * many).low == difference(many, 2 * many).high + 1.5 == 0.5
+
+
 def test_a_row_counts_what_it_says():
     settled = np.array([[0.2, 0.4], [0.3, 6.0], [np.nan, 0.5]])
     row = make_row("worn", "x", [outcome(settled, np.array([[1.0, 2.0], [3.0, np.inf], [np.nan, 4.0]]))], Protocol())

@@ -145,7 +145,7 @@ def compare(
     seed: opt.RunSeed = None,
     json: opt.Json = False,
 ) -> None:
-    """Try every controller on the same arm with the same targets.
+    """Try every controller on the same arm with the same targets; on a real arm, who misses three in a row is out.
 
     Example: `rejoint compare emulated:worn runs/mine --sets 10 --repetitions 6`
     """

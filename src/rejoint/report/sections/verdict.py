@@ -8,6 +8,7 @@ from rejoint.comparison.failure import failure
 from rejoint.comparison.recommend import NO_INTERVAL, Recommendation, difference
 from rejoint.comparison.result import Comparison, ControllerRow, Spread
 from rejoint.comparison.statistics import above_zero
+from rejoint.diagnosis.diagnosis import ringing_most
 from rejoint.report.contents import Contents
 from rejoint.report.numerals import UNKNOWN, interval, number
 from rejoint.report.sections.diagnosed import error_range, mean_error
@@ -155,9 +156,10 @@ def _turn(missing: str) -> int:
 def _wrong(contents: Contents) -> tuple[str, ...]:
     if contents.diagnosis is None:
         return ()
-    return tuple(finding.sentence for finding in contents.diagnosis.findings[:4]) or (
-        "No joint shows wear that its encoder can see.",
-    )
+    worst = contents.diagnosis.findings[:4]
+    ringing = ringing_most(contents.diagnosis.findings)
+    shown = worst if ringing is None or ringing in worst else (*worst, ringing)
+    return tuple(finding.sentence for finding in shown) or ("No joint shows wear that its encoder can see.",)
 
 
 def _done(contents: Contents) -> tuple[str, ...]:
