@@ -30,8 +30,8 @@ from rejoint.training.learner import CurvePoint, Learner, _save
 from rejoint.training.train import TrainingOptions, know_stiffness, make_learner, policy_contract, write_curves
 from rejoint.twin.file import read_twin, write_twin
 from rejoint.twin.parameters import pack, prior, unpack
+from rejoint.twin.prediction import PredictionError
 from rejoint.twin.published import read_published
-from rejoint.twin.replay import PredictionError
 from rejoint.twin.twin import HeldOut, Twin
 
 ARM = mycobot280()

@@ -15,12 +15,13 @@ from rejoint.cli.options import controller_names, period_seconds
 from rejoint.comparison import Comparison, recommend
 from rejoint.comparison.recommend import NO_INTERVAL
 from rejoint.comparison.result import Ended, Estimate
+from rejoint.files import read_json, write_json
 from rejoint.report.contents import read_contents
 from rejoint.report.numerals import interval
 from rejoint.report.page import write_report
 from rejoint.report.sections.details import commands
 from rejoint.report.tables import comparison_table, comparison_view
-from rejoint.runs import RunFolder, RunInfo, read_json, write_json
+from rejoint.runs import RunFolder, RunInfo
 
 
 def options(line):
