@@ -42,6 +42,9 @@ def test_a_jump_depends_on_the_time_between_answers():
     far = np.radians([0, 40.0, 0, 0, 0, 0])
     with pytest.raises(ImpossibleReplyError, match="joint 2"):
         continuity.check(0.05, far)
+    with pytest.raises(ImpossibleReplyError, match="joint 2"):
+        continuity.check(0.2, far)  # it stays impossible, however often it is asked for
+    continuity.check(0.06, np.zeros(6))
     continuity.check(0.2, far)
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from rejoint.arms import Array
 from rejoint.errors import ImpossibleReplyError, NoReplyError
 from rejoint.robots.link import VendorLink
-from rejoint.robots.plausibility import insist, read_bytes
+from rejoint.robots.plausibility import read_bytes
 
 ALARMING = 60.0
 """[deg C] from which a temperature is asked for once more before it is believed (chosen: below what trips the guard)"""
@@ -37,8 +37,8 @@ class Health:
     def find(self) -> None:
         """Learn whether this firmware reports temperatures and faults; older ones are silent."""
         try:
-            insist(self._ask)
-            insist(self._ask)
+            self._link.insist(self._ask)
+            self._link.insist(self._ask)
         except NoReplyError:
             self.temperature = self.fault = None
         else:
@@ -47,7 +47,7 @@ class Health:
     def poll(self, spare: float) -> None:
         """Ask for one of the two, in turn, if ``spare`` [s] are enough for it or the last answer is too old."""
         if self._reported and (spare > _SPARE * self._cost or time.monotonic() >= self._due):
-            insist(self._ask)
+            self._link.insist(self._ask)
 
     def _ask(self) -> None:
         began = time.monotonic()

@@ -101,6 +101,16 @@ class VendorLink:
             raise ConnectionLostError(f"{self.address}: not connected; open the robot again")
         return self._persist(lambda: self._once(method, arguments), self._recover)
 
+    def insist(self, question: Callable[[], T]) -> T:
+        """Ask a ``question`` again whose answer was impossible, `ATTEMPTS` times: a bad byte is no reason to end."""
+        for _ in range(ATTEMPTS):
+            try:
+                return question()
+            except ImpossibleReplyError:
+                with contextlib.suppress(ConnectionLostError):  # the next question tries more than that
+                    self._resynchronise(time.monotonic() + SILENCE)
+        return question()
+
     def close(self) -> None:
         """Drop the connection; the arm holds."""
         client, self._client = self._client, None

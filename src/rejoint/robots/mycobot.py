@@ -20,7 +20,7 @@ from rejoint.control.robot import JointState, Mask
 from rejoint.errors import InputError, RobotError
 from rejoint.robots.health import Health
 from rejoint.robots.link import VendorLink
-from rejoint.robots.plausibility import Continuity, insist, read_angles
+from rejoint.robots.plausibility import Continuity, read_angles
 from rejoint.robots.vendor import HIGHEST_DEG, LOWEST_DEG
 from rejoint.stopping import pause
 
@@ -90,7 +90,7 @@ class MyCobotRobot:
         """
         if self._state is None:
             self._health.find()
-        return insist(self._read_once)
+        return self._link.insist(self._read_once)
 
     def step(self, command: Array, active: Mask | None = None) -> JointState:
         """Send ``command`` (1, n) [rad], let the period pass, read.

@@ -2,15 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import TypeVar
-
 import numpy as np
 
 from rejoint.arms import Arm, Array
 from rejoint.errors import ImpossibleReplyError, StaleReplyError
-
-T = TypeVar("T")
 
 UNREADABLE_DEG = 180.08
 """[deg] what a joint shows whose servo cannot be read (elephantrobotics/pymycobot, issue 43)"""
@@ -20,6 +15,8 @@ MAX_SPEED_FACTOR = 2.0
 """Times the arm's speed limit: 300 deg/s, just above the no-load speed of the servos (chosen)."""
 JUMP_SLACK = np.radians(5.0)
 """[rad] covers that answers are sampled up to 30 ms away from their arrival (chosen)"""
+DOUBT = 1.0
+"""[s] during which a doubted answer stays as impossible as it was (chosen: longer than it is asked for again)"""
 COMMAND_TRAVEL = np.radians(10.0)
 """[rad] a command that went this far moves at least one joint by an encoder step (chosen)"""
 COMMANDED_JOINTS = 2
@@ -53,30 +50,29 @@ def read_bytes(reply: object, count: int) -> Array:
     return np.array(reply, dtype=float)
 
 
-def insist(question: Callable[[], T]) -> T:
-    """Ask once more after an impossible answer: a single bad byte on the servo bus is no reason to end."""
-    try:
-        return question()
-    except ImpossibleReplyError:
-        return question()
-
-
 class Continuity:
     """Compares every answer with the one before it and with what was commanded."""
 
     def __init__(self, arm: Arm) -> None:
         self._max_speed = MAX_SPEED_FACTOR * arm.max_speed
         self._last: tuple[float, Array] | None = None
+        self._doubted: float | None = None
         self._command_then: Array | None = None
         self._waiting_since: float | None = None
 
     def check(self, time: float, position: Array) -> None:
-        """ImpossibleReplyError if no servo gets from the last answer to ``position`` (n,) [rad] by ``time`` [s]."""
+        """ImpossibleReplyError if no servo gets from the last answer to ``position`` (n,) [rad] by ``time`` [s].
+
+        An answer that comes again after it was doubted, within `DOUBT`, had no more time for its way than the first.
+        """
         if self._last is None:
             return
         then, before = self._last
+        if self._doubted is not None and time - self._doubted < DOUBT:
+            time = self._doubted
         reach = self._max_speed * max(time - then, 0.0) + JUMP_SLACK
         jumped = np.abs(position - before) > reach
+        self._doubted = time if jumped.any() else None
         if jumped.any():
             i = int(np.argmax(jumped))
             raise ImpossibleReplyError(

@@ -1,0 +1,139 @@
+"""Faults against reactions, row by row as in docs/safety.md: the driver and the loop on an emulated arm, over TCP.
+
+The vendor's client is slow to give up: what takes its whole patience is tried once here, and at length by
+``python -m benchmarks faults``.
+"""
+
+import signal
+import subprocess
+import sys
+import time
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from rejoint import opening
+from rejoint.arms import mycobot280
+from rejoint.control.guard import Reason
+from rejoint.control.integrator import IntegratorController
+from rejoint.control.loop import Schedule, run
+from rejoint.control.recording import recording_of
+from rejoint.emulator import Timing, build_firmware, serve_tcp
+from rejoint.emulator.faults import parse_faults
+from rejoint.errors import ConnectionLostError, GuardTripError, RobotError
+from rejoint.robots import (
+    open_robot,
+    vendor,  # noqa: F401 - imports the client without the deprecation that it raises
+)
+
+ARM = mycobot280()
+TARGETS = np.array([[[0.20, 0.05, 0.20], [0.18, -0.05, 0.22]]])
+TIMING = Timing(state=0.004, acknowledgement=0.003)
+PERIOD = 0.04
+
+
+@pytest.fixture(autouse=True)
+def awake(monkeypatch):
+    """The client without the 1.5 s that its constructor sleeps."""
+    monkeypatch.setattr("pymycobot.mycobot280socket.time", SimpleNamespace(sleep=lambda _: None, time=time.time))
+
+
+def drive(fault, *, dwell=2.0, seed=0):
+    """Drive to two targets with a fault; returns the recording and what ended it."""
+    with serve_tcp(
+        build_firmware(ARM, "worn"), port=0, timing=TIMING, faults=parse_faults(fault, 6), seed=seed
+    ) as server:
+        robot = open_robot(server.address, period=(PERIOD, PERIOD))
+        try:
+            return run(robot, IntegratorController(ARM), TARGETS, Schedule(dwell=dwell)), None
+        except RobotError as error:
+            return recording_of(error), error
+        except GuardTripError as error:
+            return recording_of(error), error
+        finally:
+            robot.close()
+
+
+def gaps(recording):
+    return int(np.count_nonzero(recording.reasons & np.uint16(Reason.GAP.value)))
+
+
+@pytest.mark.parametrize(
+    "fault",
+    ["drop=0.03", "garbage=0.1", "split=0.1", "double=0.1", "stale=0.05", "half=0.03", "echo=0.05", "stall=0.4/1.5"],
+)
+def test_a_lossy_link_is_got_over(fault):
+    recording, error = drive(fault)
+    assert error is None
+    assert np.isfinite(recording.position).all()
+    assert recording.time[-1, 0] - recording.time[0, 0] >= 4.0
+    steps = np.abs(np.diff(recording.command[:, 0], axis=0)).max(axis=0)
+    assert (steps <= 0.1 * ARM.max_speed + 1e-9).all()
+
+
+def test_after_a_long_stall_the_arm_goes_on_slowly():
+    recording, error = drive("stall=1.2/3", dwell=3.0)
+    assert error is None
+    assert gaps(recording) >= 1
+    after = np.flatnonzero(recording.reasons[:, 0] & np.uint16(Reason.GAP.value))[0]
+    first = np.abs(recording.command[after, 0] - recording.command[after - 1, 0]).max()
+    assert np.degrees(first) < 1.0
+
+
+def test_a_link_that_was_gone_and_is_back_is_taken_up_again():
+    recording, error = drive("gone=1/1", dwell=3.0)
+    assert error is None
+    assert gaps(recording) == 1
+
+
+def test_a_link_that_stays_away_ends_the_run_and_keeps_the_log(monkeypatch):
+    monkeypatch.setattr("rejoint.robots.link.PATIENCE", 2.0)
+    recording, error = drive("gone=0.5/60")
+    assert isinstance(error, ConnectionLostError)
+    assert len(recording.time) > 5
+    assert "holds there" in error.__notes__[-1]
+
+
+@pytest.mark.parametrize(
+    ("fault", "reason", "says"),
+    [
+        ("overheat=3@0", "temperature", "joint3 is at"),
+        ("current=2@0.8", "servo fault", "joint2 reports a servo fault"),
+        ("voltage@0.8", "servo fault", "reports a servo fault"),
+    ],
+)
+def test_what_servos_suffer_from_holds_the_arm_within_a_few_periods(fault, reason, says):
+    _, error = drive(fault, dwell=3.0)
+    assert isinstance(error, GuardTripError)
+    assert reason in error.reason
+    assert says in str(error)
+    assert "was stopped" in error.__notes__[-1]
+
+
+def test_an_impossible_jump_is_no_reading():
+    recording, error = drive("jump=2@0.8")
+    assert np.abs(np.diff(recording.position[:, 0], axis=0)).max() < 0.6
+    assert error is None or isinstance(error, RobotError)
+
+
+def test_the_arm_holds_by_itself_when_whoever_drives_it_is_killed(tmp_path):
+    """SIGKILL cannot be noticed: what the firmware was told last is what it holds."""
+    opening.begin(tmp_path / "run", "tcp://127.0.0.1:1", ARM, 0)
+    firmware = build_firmware(ARM, "worn")
+    with serve_tcp(firmware, port=0) as server:
+        words = ["deploy", server.address, str(tmp_path / "run"), "--controller", "integrator", "--dwell", "30"]
+        process = subprocess.Popen([sys.executable, "-m", "rejoint", *words], stderr=subprocess.PIPE)
+        begin, until = firmware.planned_angles, time.monotonic() + 60.0
+        while np.abs(firmware.planned_angles - begin).max() < 0.1 and time.monotonic() < until:
+            time.sleep(0.02)
+        process.send_signal(signal.SIGKILL)
+        process.communicate(timeout=30)
+        time.sleep(1.0)
+        there, goal = firmware.angles, firmware.destination
+        time.sleep(1.5)
+        assert process.returncode == -signal.SIGKILL
+        assert firmware.powered
+        np.testing.assert_allclose(firmware.angles, there, atol=np.radians(1.0))
+        np.testing.assert_array_equal(firmware.destination, goal)
+        assert np.abs(firmware.destination - begin).max() > 0.1, "it was on its way"
