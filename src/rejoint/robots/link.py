@@ -209,12 +209,14 @@ class VendorLink:
         while True:
             try:
                 self._connect()
-                break
-            except ConnectionLostError as error:
+                self._prepare(power_on=False)
+                return
+            except PowerLostError:
+                raise
+            except RobotError as error:
                 if time.monotonic() + REOPEN_PAUSE > deadline:
                     raise ConnectionLostError(f"{cause}; connecting again failed: {error}") from cause
                 pause(REOPEN_PAUSE)
-        self._prepare(power_on=False)
 
     def _connect(self) -> None:
         """Make a client; ConnectionLostError in one line if nothing is there."""
