@@ -130,7 +130,7 @@ def test_an_error_ends_no_run_without_its_log_and_no_log_hides_the_error(
 
     with pytest.raises(KeyboardInterrupt) as caught:
         work.deploy_stage(run, "emulated:worn", job, on_progress=interrupt)
-    assert "cannot be written (No space left on device)" in caught.value.__notes__[0]
+    assert "cannot be written (No space left on device)" in caught.value.__notes__[-1]
     monkeypatch.undo()
     with locked(folder):
         ((_, path),) = folder.logs().items()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import datetime
 from functools import wraps
@@ -117,6 +118,10 @@ def forget(run: Run) -> None:
         for entry in path.iterdir():
             entry.unlink()
         path.rmdir()
+        if RUNS in path.parents:  # what was made for it goes with it
+            for parent in (path.parent, RUNS):
+                with suppress(OSError):  # other runs are there
+                    parent.rmdir()
 
 
 def _empty(path: Path) -> bool:

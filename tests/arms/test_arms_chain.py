@@ -25,7 +25,7 @@ from rejoint.arms.chain import cut
 from rejoint.arms.draft import finish
 from rejoint.arms.inertia import LINK_DENSITY, Lump, inertia_matrix, lump, usable
 from rejoint.arms.modelfile import read_tree
-from rejoint.errors import FileError, InputError
+from rejoint.errors import FileError, InputError, MissingExtraError
 
 # Anchors off the body's origin, mixed axes, a joint reference, two joints on one body, a branch whose
 # reference lies outside of its limits, and a gripper.
@@ -309,7 +309,7 @@ def test_without_mujoco_the_remedy_is_named(tmp_path: Path, monkeypatch: pytest.
     write_arm_toml(tmp_path / "arm.toml", so101())
     monkeypatch.setitem(sys.modules, "mujoco", None)
     assert load_arm(str(tmp_path / "arm.toml")).joints == load_arm("so101").joints == 5
-    with pytest.raises(InputError, match=r"needs MuJoCo.*install rejoint\[train\]"):
+    with pytest.raises(MissingExtraError, match=r"missing: mujoco.*install 'rejoint\[train\]'"):
         read_arm(written(tmp_path, AWKWARD))
 
 
