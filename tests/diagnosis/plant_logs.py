@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 
 from rejoint.arms import so101
+from rejoint.control.guard import GuardLimits
 from rejoint.control.loop import move, play
 from rejoint.plant.wear import load_wear
 from rejoint.robots.emulated import EmulatedRobot
@@ -39,12 +40,12 @@ def wandering(seed, seconds, size=0.3):
 
 def record_motions(wears, count, seconds, seed=0):
     """Lists of ``count`` run logs, one list for each wear."""
-    robot = EmulatedRobot(ARM, wears, seed=seed)
+    robot, limits = EmulatedRobot(ARM, wears, seed=seed), GuardLimits.of(ARM).of_simulation()  # nothing to touch
     logs = [[] for _ in wears]
     for motion in range(count):
         centre, command = wandering(100 * seed + motion, seconds)
         move(robot, centre)
-        recording = play(robot, command, seconds)
+        recording = play(robot, command, seconds, limits=limits)
         for arm, found in enumerate(logs):
             found.append(recording.log(arm, f"motion{motion}"))
     return logs
