@@ -238,15 +238,15 @@ class VendorLink:
                 raise PowerLostError(f"{self.address}: the arm lost its power; support it, then start again")
             self._confirm("power_on")
             self._await_power()
-        if self._confirm("get_fresh_mode") == 1:
-            return
-        try:
-            self._once("set_fresh_mode", (1,))
-        except (NoReplyError, StaleReplyError):
+        for _ in range(ATTEMPTS + 1):
+            if self._confirm("get_fresh_mode") == 1:
+                return
+            with contextlib.suppress(NoReplyError, StaleReplyError, ImpossibleReplyError):
+                self._once("set_fresh_mode", (1,))
+                continue
             # The vendor's server swallows acknowledgements that equal their order, as this one does.
             pause(RELAY_BUSY)
-        if self._confirm("get_fresh_mode") != 1:
-            raise NoReplyError(f"{self.address}: the arm does not take up fresh mode; update its firmware to 7.3")
+        raise NoReplyError(f"{self.address}: the arm does not take up fresh mode; update its firmware to 7.3")
 
     def _confirm(self, method: str) -> object:
         """Ask during the preparation of a connection, which must not be made anew by itself."""
