@@ -147,6 +147,8 @@ def kill_repairs(work: Path, stage: str, kills: int, seconds: float, rng: np.ran
         for _ in range(min(KILLS_EACH, kills - met.total())):
             if kill(repair(folder, out), rng.uniform(0.0, 1.1 * seconds)):
                 met[stage_of(folder)] += 1
+            else:  # the machine has become faster
+                seconds *= 0.8
         if wait(repair(folder, out)) != 0:
             raise WrongError(out.read_text())
         if "Traceback" in out.read_text():
@@ -173,13 +175,13 @@ def kill_trainings(work: Path, kills: int, rng: np.random.Generator) -> None:
 
 def kill_deployments(work: Path, kills: int, rng: np.random.Generator) -> list[float]:
     """Kill deployments over TCP; returns for each that had begun what the log lacks [s]."""
-    lost, counter = [], np.frombuffer(mmap.mmap(-1, 16))  # shared: rows so far, time of the last one [s]
+    lost, counter = [], np.frombuffer(mmap.mmap(-1, 24))  # shared: rows so far, times of the first and the last [s]
     counter.flags.writeable = True
     append = Journal.append
 
     def count(self: Journal, time: float, *columns: object) -> None:
         append(self, time, *columns)  # type: ignore[arg-type]
-        counter[:] = counter[0] + 1, time
+        counter[:] = counter[0] + 1, counter[1] or time, time
 
     def counting() -> None:
         Journal.append = count  # type: ignore[method-assign,assignment]
@@ -207,13 +209,13 @@ def kill_deployments(work: Path, kills: int, rng: np.random.Generator) -> list[f
             while not (early or counter[0]) and time.monotonic() < deadline:
                 time.sleep(0.005)
             kill(child, rng.uniform(0.0, took - motion if early else 1.05 * motion))
-            rows, last = counter
+            rows, first, last = counter
             with locked(folder):  # so does the next command: nobody holds it any more, and it puts things right
                 logs = [read_log(path) for path in folder.logs().values()]
             if leftovers(folder.path):
                 raise WrongError(f"not put right: {leftovers(folder.path)}")
             if rows and not logs:
-                lost.append(last)
+                lost.append(last - first)
             elif rows:
                 lost.append(last - float(logs[0].time[-1]))
     finally:
