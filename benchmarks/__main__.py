@@ -8,11 +8,12 @@ import argparse
 from collections.abc import Callable
 from pathlib import Path
 
-from benchmarks import agents, control, identification, plant, policy, rivals, training
+from benchmarks import agents, control, following, identification, plant, policy, rivals, training
 
 BENCHMARKS: dict[str, Callable[[Path | None], None]] = {
     "plant": lambda _logs: plant.main(),
     "control": lambda _logs: control.main(),
+    "following": lambda _logs: following.main(),
     "training": lambda _logs: training.main(),
     "rivals": lambda _logs: rivals.main(),
     "agents": lambda _logs: agents.main(),

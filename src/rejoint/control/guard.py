@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, heights
 from rejoint.arms.size import length_size
+from rejoint.control.following import Following, Knowledge
 from rejoint.control.law import plain
 from rejoint.control.robot import JointState, Mask
 from rejoint.errors import InputError
@@ -62,9 +63,14 @@ class Reason(IntFlag):
     """a servo is too hot"""
     SERVO_FAULT = 256
     """a servo reports a fault"""
+    NOT_FOLLOWING = 512
+    """a joint's reading stands still and is not believed, see `rejoint.control.following`"""
 
 
-TRIPS = Reason.NOT_FINITE | Reason.STALE | Reason.OUT_OF_RANGE | Reason.TEMPERATURE | Reason.SERVO_FAULT
+TRIPS = (
+    Reason.NOT_FINITE | Reason.STALE | Reason.OUT_OF_RANGE | Reason.TEMPERATURE | Reason.SERVO_FAULT
+    | Reason.NOT_FOLLOWING
+)  # fmt: skip
 """Reasons that end the motion."""
 _TRIP_BITS = np.uint16(TRIPS.value)
 _LIMIT_BITS = np.array([Reason.LEAD, Reason.POSITION, Reason.STEP, Reason.FLOOR], dtype=np.uint16)  # as applied
@@ -95,6 +101,8 @@ class GuardLimits:
     """[deg C] hottest servo (chosen: 5 below the 70 at which servos of this class switch themselves off)"""
     range_margin: float = np.radians(10.0)
     """[rad] a measured position further than this outside the arm's limits is not believed (chosen)"""
+    servos: Knowledge | None = None
+    """what is known of the servos beforehand; it makes the monitor of joints that do not follow quicker"""
 
     def __post_init__(self) -> None:
         for name in ("lower", "upper", "max_speed"):
@@ -180,7 +188,9 @@ def warm_up(limits: GuardLimits) -> None:
     A control cycle that waited for them would be long, and a long one allows a long step.
     """
     rest = limits.arm.rest[None]
-    guard(limits, rest, rest, JointState(time=np.zeros(1), position=rest, age=np.zeros(1)), 0.0)
+    state = JointState(time=np.zeros(1), position=rest, age=np.zeros(1))
+    guard(limits, rest, rest, state, 0.0)
+    Following(limits.arm, state, rest).check(state, rest, np.ones(1, dtype=bool))
 
 
 def reason_names(reasons: int) -> tuple[str, ...]:

@@ -15,6 +15,7 @@ import numpy as np
 
 from rejoint.arms import Array, tcp_position
 from rejoint.control.controller import Controller, Situation
+from rejoint.control.following import Following
 from rejoint.control.guard import TRIPS, GuardLimits, Reason, Reasons, guard, reason_names, warm_up
 from rejoint.control.recording import Cycle, OnCycle, Recorder, Recording, attach
 from rejoint.control.robot import JointState, Mask, Robot
@@ -22,6 +23,10 @@ from rejoint.errors import GuardTripError, InputError, RejointError
 
 FIRST_PERIOD = 0.02
 """[s] period assumed before one has been measured (chosen: the shortest regular one, so the smallest first step)."""
+
+RELEASE_CYCLES = 12
+"""Cycles in which a joint that is not believed is led back to where it was in balance (chosen: twice what the longest
+lead needs at the largest step)."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -71,7 +76,7 @@ def run(
     progress: _Progress | None = None
     warm_up(limits)
     try:
-        progress = _Progress.begin(_own(robot.read()), targets, schedule.sent)
+        progress = _Progress.begin(_own(robot.read()), targets, schedule.sent, limits)
         controller.reset(progress.situation(), np.ones(robot.count, dtype=bool))
         while loop.cycle(progress):
             pass
@@ -150,13 +155,16 @@ class _Progress:
     active: Mask
     tripped: Reasons
     period: Array
+    following: Following
+    unbelieved: Mask | None = None
+    """(B, n) joints whose readings are not believed in this cycle, None where all are"""
     last_time: Array = field(init=False)
 
     def __post_init__(self) -> None:
         self.last_time = self.state.time
 
     @classmethod
-    def begin(cls, state: JointState, targets: Array, sent: Array | None) -> _Progress:
+    def begin(cls, state: JointState, targets: Array, sent: Array | None, limits: GuardLimits) -> _Progress:
         count = len(targets)
         if sent is not None and np.shape(sent) != state.position.shape:
             raise InputError(f"schedule: sent has shape {np.shape(sent)}, expected {state.position.shape}")
@@ -164,7 +172,7 @@ class _Progress:
         return cls(
             state=state, targets=targets, sent=sent, index=np.zeros(count, dtype=np.intp),
             set_at=state.time.copy(), active=np.ones(count, dtype=bool), tripped=np.zeros(count, dtype=np.uint16),
-            period=np.full(count, FIRST_PERIOD),
+            period=np.full(count, FIRST_PERIOD), following=Following(limits.arm, state, sent, limits.servos),
         )  # fmt: skip
 
     @property
@@ -238,18 +246,48 @@ class _Loop:
         situation = progress.situation()
         if renewed.any():
             self.controller.reset(situation, renewed)
-        wanted = self.controller.command(situation)
+        aimed = np.isfinite(situation.target[:, 0])
+        progress.unbelieved = progress.following.check(progress.state, progress.sent, aimed)
+        wanted = progress.following.bound(self.controller.command(situation), progress.state.position, aimed)
         guarded = guard(self.limits, wanted, progress.sent, progress.state, progress.period)
-        return np.where(active[:, None], guarded.command, progress.sent), guarded.reasons * active
+        command, reasons = guarded
+        if progress.unbelieved is not None:
+            lost = progress.unbelieved.any(axis=-1)
+            command = np.where(lost[:, None], progress.sent, command)
+            reasons = reasons | lost * np.uint16(Reason.NOT_FOLLOWING)
+        return np.where(active[:, None], command, progress.sent), reasons * active
 
     def _stop_tripped(self, progress: _Progress, reasons: Reasons) -> None:
         trips = reasons & np.uint16(TRIPS.value)
         if not trips.any():
             return
         progress.tripped = progress.tripped | trips
+        self._release(progress, trips)
         if not self.schedule.keep_going:
             raise _trip_error(int(np.flatnonzero(trips)[0]), progress, self.limits)
         progress.active = progress.active & (trips == 0)
+
+
+    def _release(self, progress: _Progress, trips: Reasons) -> None:
+        """Lead joints that are not believed back to where they were in balance: to hold a blind one is to drive it."""
+        if progress.unbelieved is None:
+            return
+        where = progress.active & ((trips & np.uint16(Reason.NOT_FOLLOWING)) != 0)
+        goal = progress.following.balance(progress.unbelieved & where[:, None], progress.sent)
+        sent = progress.sent
+        with suppress(RejointError, OSError):  # the trip is the error to report
+            for _ in range(RELEASE_CYCLES):
+                reach = self.limits.max_speed * np.minimum(progress.period, self.limits.max_period)[:, None]
+                sent = np.minimum(np.maximum(goal, sent - reach), sent + reach)
+                progress.state = _own(self.robot.step(sent, where))
+                last = self.recorder.cycles[-1]
+                self.recorder.cycles.append(
+                    last._replace(
+                        time=progress.state.time, position=progress.state.position, command=sent, active=where,
+                        since_target=progress.situation().since_target, true_tcp=self.robot.true_tcp().copy(),
+                    )
+                )  # fmt: skip
+        progress.sent = np.where(where[:, None], sent, progress.sent)
 
 
 def _own(state: JointState) -> JointState:
@@ -276,6 +314,8 @@ def _trip_error(b: int, progress: _Progress, limits: GuardLimits) -> GuardTripEr
     if Reason.OUT_OF_RANGE in flags:
         degrees = np.round(np.degrees(state.position[b]), 1).tolist()
         details.append(f"measured {degrees} deg lies far outside the joint limits; check the arm's zero")
+    if Reason.NOT_FOLLOWING in flags and progress.unbelieved is not None:
+        details.append(progress.following.describe(b, progress.unbelieved[b]))
     if Reason.NOT_FINITE in flags:
         details.append("a command or a measured position is not a number; check the controller and the connection")
     where = f"arm {b} at {progress.state.time[b] - progress.set_at[b]:.2f} s into target {int(progress.index[b]) + 1}"
