@@ -1,13 +1,15 @@
 """Joints that do not follow: how soon frozen and blind encoders are noticed, and whether others are taken for them.
 
-Every arm is driven twice with the same noise, once with a fault. Three monitors look on and stop nothing, so that all of
-them see the same motion: one that is told the load and knows the servos to 10 %, as a twin does; one that is told the
-load alone; one that is told nothing but positions.
+Every arm is driven twice with the same noise, once with a fault. Three monitors look on and stop nothing, so that all
+of them see the same motion: one that is told the load and knows the servos to 10 %, as a twin does; one that is told
+the load alone; one that is told nothing but positions.
 """
 
+import tempfile
 import time
 from collections import Counter
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
@@ -19,10 +21,11 @@ from rejoint.control.guard import GuardLimits, guard, warm_up
 from rejoint.control.robot import Mask
 from rejoint.plant.wear import Wear, load_wear
 from rejoint.robots.emulated import EmulatedRobot
+from rejoint.training.train import TrainingOptions, train
 
 ARM = mycobot280()
 LIMITS = GuardLimits.of(ARM)
-CONTROLLERS = ("default", "integrator", "feedforward")
+CONTROLLERS = ("default", "integrator", "feedforward", "policy")
 PROFILES = ("worn", "healthy", "play-in-loop")
 STUCK = (5.0, 10.0, 15.0, 1000.0)
 """[deg] of lead at which a stuck joint moves"""
@@ -40,6 +43,7 @@ class Faults:
     blind: Mask
 
     def break_now(self, robot: EmulatedRobot, done: Mask) -> None:
+        """Break what is due and not ``done`` (B,) yet."""
         due = (robot.plant.time >= self.at) & ~done
         if due.any():
             joints = (np.arange(ARM.joints) == self.joint[:, None]) & due[:, None]
@@ -66,8 +70,16 @@ def arms(kind: str, count: int, seed: int) -> list[Wear]:
 
 
 @dataclass(frozen=True)
+class Trial:
+    """What every arm does: so many targets, `DWELL` each; and the policy's file."""
+
+    targets: int
+    policy: Path
+
+
+@dataclass(frozen=True)
 class Driven:
-    """What came of a batch, by monitor (M, B): clock of the first trip, infinite without one, its joint, the tool then."""
+    """What came of a batch; by monitor (M, B) the clock of the first trip (or infinite), its joint, the tool."""
 
     trip: Array
     joint: Array
@@ -78,11 +90,15 @@ class Driven:
     """(T, B) [s]"""
 
 
-def drive(wears: list[Wear], name: str, seed: int, targets: int, faults: Faults | None = None) -> Driven:
+def drive(wears: list[Wear], name: str, seed: int, trial: Trial, faults: Faults | None = None) -> Driven:
     """Drive a batch with nobody but the guard, and see what the monitors say."""
+    targets = trial.targets
     count = len(wears)
     robot = EmulatedRobot(ARM, wears, seed=seed, threads=2)
-    controller, goals = make_controller(name, ARM), ARM.targets.sample(np.random.default_rng(seed), (count, targets))
+    controller, goals = (
+        make_controller(name, ARM, policy=trial.policy),
+        ARM.targets.sample(np.random.default_rng(seed), (count, targets)),
+    )
     gain = np.array([wear.position_gain / wear.torque_limit for wear in wears])
     gain = gain * np.random.default_rng(seed).normal(1.0, SPREAD, gain.shape).clip(0.75, 1.25)
     state, sent = robot.read(), robot.read().position
@@ -116,7 +132,7 @@ def drive(wears: list[Wear], name: str, seed: int, targets: int, faults: Faults 
     return Driven(trip, joint, tool, np.array(path), np.array(clock))
 
 
-def false_trips(runs: int, targets: int) -> None:
+def false_trips(runs: int, trial: Trial) -> None:
     """Count trips of arms on which nothing is broken."""
     batch = max(1, runs // (4 * len(CONTROLLERS)))
     print(f"{'arms':>14} {'runs':>5}  false trips: {', '.join(MONITORS)}")
@@ -124,13 +140,13 @@ def false_trips(runs: int, targets: int) -> None:
         wrong, total, joints = np.zeros(3, int), 0, Counter()
         for c, name in enumerate(CONTROLLERS):
             seed = 10_000 * (k + 1) + 1000 * c
-            seen = drive(arms(kind, batch, seed), name, seed, targets)
+            seen = drive(arms(kind, batch, seed), name, seed, trial)
             wrong, total = wrong + np.isfinite(seen.trip).sum(axis=1), total + batch
             joints.update(int(j) + 1 for j in seen.joint[2] if j >= 0)
         print(f"{kind:>14} {total:>5}  {wrong.tolist()}  joints by positions alone: {dict(joints)}", flush=True)
 
 
-def caught(runs: int, targets: int) -> None:
+def caught(runs: int, trial: Trial) -> None:
     """Break encoders, and measure how far the tool is from where it would be at the first trip."""
     batch = max(1, runs // (2 * len(CONTROLLERS) * 2))
     for kind in ("worn", "healthy"):
@@ -140,9 +156,9 @@ def caught(runs: int, targets: int) -> None:
             for c, name in enumerate(CONTROLLERS):
                 seed = 100_000 + 1000 * c + 10 * blind + (kind == "worn")
                 rng, wears = np.random.default_rng(seed), arms(kind, batch, seed)
-                at = rng.uniform(0.5, (targets - 1) * DWELL, batch)
+                at = rng.uniform(0.5, (trial.targets - 1) * DWELL, batch)
                 faults = Faults(rng.integers(0, 5, batch), at, np.full(batch, blind))
-                whole, broken = (drive(wears, name, seed, targets, given) for given in (None, faults))
+                whole, broken = (drive(wears, name, seed, trial, given) for given in (None, faults))
                 length = min(len(whole.path), len(broken.path))
                 off = np.linalg.norm(broken.path[:length] - whole.path[:length], axis=-1)
                 far = off.max(axis=0)
@@ -163,9 +179,12 @@ def caught(runs: int, targets: int) -> None:
                 )  # fmt: skip
 
 
-def main(runs: int = 1000, faults: int = 200, targets: int = 10) -> None:
+def main(runs: int = 1000, faults: int = 200, targets: int = 4, iterations: int = 75) -> None:
     warm_up(LIMITS)
     start = time.perf_counter()
-    false_trips(runs, targets)
-    caught(faults, 4)
+    with tempfile.TemporaryDirectory() as folder:
+        trained = train(ARM, None, out=Path(folder), options=TrainingOptions(iterations=iterations))
+        trial = Trial(targets, trained.policy)
+        false_trips(runs, trial)
+        caught(faults, trial)
     print(f"{time.perf_counter() - start:.0f} s")

@@ -46,6 +46,8 @@ MOVED, SETTLED = 10, 30
 GAIN, GAIN_SPREAD = 20.0, 1.0
 """[1/rad] share of its largest torque that a servo gives per radian, and its relative standard deviation where nothing
 is known (measured: 7 to 35 on worn and healthy emulated arms)"""
+LEAST_GAIN = 3.0
+"""[1/rad] of any position servo (chosen: it gives all it has at the guard's longest lead)"""
 OFFSET_SPREAD = 0.02
 """standard deviation of the load at no lead, a share of the largest torque (chosen)"""
 _EARLIEST = np.radians(2.0)  # [rad] travel from which levers are computed (chosen: 10 mm at 0.28 m)
@@ -77,8 +79,9 @@ class Following:
         self._tracks["position"], self._tracks["held"] = state.position, sent
         self._tracks["since"] = state.time[:, None]
         gain = np.broadcast_to(GAIN if knowledge is None else knowledge.gain, shape)
-        self._tracks["gain"] = gain
-        self._tracks["p00"] = ((GAIN_SPREAD if knowledge is None else knowledge.spread) * gain) ** 2
+        spread = GAIN_SPREAD if knowledge is None else knowledge.spread
+        self._tracks["gain"], self._tracks["p00"] = gain, (spread * gain) ** 2
+        self._tracks["least"] = np.maximum((1.0 - 3.0 * spread) * gain, LEAST_GAIN)
         self._tracks["p11"] = OFFSET_SPREAD**2
         self._sent_at = np.repeat(state.time[:, None], watching.HISTORY, axis=1) - 1.0
         self._sent = np.repeat(np.asarray(sent, dtype=float)[:, None], watching.HISTORY, axis=1)
@@ -103,8 +106,7 @@ class Following:
         worst = self._verdict.max()
         if worst < _UNKNOWN:
             return None
-        travelled = self._travelled(state.position) & aimed[:, None] if worst >= _UNKNOWN else False
-        bad: Mask = (self._verdict == _TURNING) | travelled
+        bad: Mask = (self._verdict == _TURNING) | (self._travelled(state.position) & aimed[:, None])
         return bad if bad.any() else None
 
     def bound(self, wanted: Array, position: Array, aimed: Mask) -> Array:
@@ -119,7 +121,7 @@ class Following:
         return np.where(far, np.minimum(np.maximum(wanted, held - reach), held + reach), wanted)
 
     def balance(self, joints: Mask, sent: Array) -> Array:
-        """Commands (B, n) [rad] to hold by: ``sent``, but for ``joints`` (B, n) those that they were in balance with."""
+        """Commands (B, n) [rad] to hold by: ``sent``, but ``joints`` (B, n) by those that they were in balance with."""
         return np.where(joints, self._tracks["held"], sent)
 
     def describe(self, b: int, joints: Mask) -> str:
@@ -157,6 +159,6 @@ class Following:
                 f"before servo and cable of {name} are replaced"
             )
         return (
-            f"{seen}; no load tells whether it is stuck or its encoder is dead; switch the arm off, turn {name} by hand "
-            "and see whether its reading changes"
+            f"{seen}; no load tells whether it is stuck or its encoder is dead; support the arm, switch it off, turn "
+            f"{name} by hand and see whether its reading changes"
         )

@@ -252,7 +252,7 @@ class _Loop:
         guarded = guard(self.limits, wanted, progress.sent, progress.state, progress.period)
         command, reasons = guarded
         if progress.unbelieved is not None:
-            lost = progress.unbelieved.any(axis=-1)
+            lost: Mask = np.logical_or.reduce(progress.unbelieved, axis=-1)
             command = np.where(lost[:, None], progress.sent, command)
             reasons = reasons | lost * np.uint16(Reason.NOT_FOLLOWING)
         return np.where(active[:, None], command, progress.sent), reasons * active
@@ -266,7 +266,6 @@ class _Loop:
         if not self.schedule.keep_going:
             raise _trip_error(int(np.flatnonzero(trips)[0]), progress, self.limits)
         progress.active = progress.active & (trips == 0)
-
 
     def _release(self, progress: _Progress, trips: Reasons) -> None:
         """Lead joints that are not believed back to where they were in balance: to hold a blind one is to drive it."""
@@ -284,7 +283,7 @@ class _Loop:
                 self.recorder.cycles.append(
                     last._replace(
                         time=progress.state.time, position=progress.state.position, command=sent, active=where,
-                        since_target=progress.situation().since_target, true_tcp=self.robot.true_tcp().copy(),
+                        true_tcp=self.robot.true_tcp().copy(),
                     )
                 )  # fmt: skip
         progress.sent = np.where(where[:, None], sent, progress.sent)

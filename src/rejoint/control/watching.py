@@ -9,19 +9,20 @@ from numba import bool_, float64, from_dtype, int64, njit, types, void
 HISTORY = 8
 """Commands that are remembered (chosen: 160 ms of the shortest regular period)."""
 SETTLE = 0.08
-"""[s] after which a command has reached the servo and a reading shows it: latency, one period of 25 ms, age of a reading
+"""[s] after which a command has reached the servo and a reading shows it: latency, a period of 25 ms, age of a reading
 and the time in which a worn joint sets off (measured, `python -m benchmarks following`)."""
 STILL = 2
 """Cycles with the same reading after which a joint is taken to stand (chosen: the load is a median of three)."""
 STRIKES = 2
 """Cycles in a row in which the load has to disagree (chosen)."""
-MARGIN = 0.04
-"""Share of the largest torque by which a load may be off (chosen: twice what healthy emulated arms show)."""
-COUNTS = 1.5
+MARGIN = 0.03
+"""Share of the largest torque by which a load may be off (chosen: tried from
+0.025 to 0.05: less is quicker, and at two strikes none was wrong)."""
+COUNTS = 1.1
 """Encoder steps by which the servo's own reading may differ from the one told (chosen: dead zone and flicker)."""
 NOISE = 0.015
 """Standard deviation of a load, share of the largest torque (chosen)."""
-SURE = 2.0
+SURE = 1.5
 """Standard deviations of the expected load that are allowed for (chosen)."""
 FULL = 0.9
 """Share of the largest torque from which a servo gives all it has (chosen)."""
@@ -34,7 +35,7 @@ LEARN_LAST = 200
 TRACK = np.dtype(
     [
         ("position", "f8"), ("held", "f8"), ("since", "f8"), ("travel", "f8"), ("stuck", "f8"),
-        ("gain", "f8"), ("offset", "f8"), ("p00", "f8"), ("p01", "f8"), ("p11", "f8"),
+        ("gain", "f8"), ("least", "f8"), ("offset", "f8"), ("p00", "f8"), ("p01", "f8"), ("p11", "f8"),
         ("load", "f8"), ("load1", "f8"), ("load2", "f8"), ("expected", "f8"),
         ("still", "i8"), ("strikes", "i8"), ("moves", "i8"),
     ]
@@ -42,7 +43,8 @@ TRACK = np.dtype(
 """What is remembered of a joint. ``held`` [rad] is the command in force when its reading last changed (at ``since``
 [s]), ``travel`` [rad] how far the command has gone from there, ``stuck`` [rad] how far it went before the reading
 changed, at most, and ``moves`` how often it did. Standing, it should tell the load ``gain`` * (command - position) +
-``offset``, known with the covariance ``p``."""
+``offset``, known with the covariance ``p``; a gain below ``least`` is not learned, or a joint that turns slowly
+would teach its own."""
 
 FINE, STANDING, UNKNOWN, TURNING = range(4)
 """Verdicts: the reading changes; it stands, and by its load the joint does; it stands, and no load tells; it stands,
@@ -71,7 +73,7 @@ def _learn(track, lead):  # noqa: ANN001, ANN202
     a, b = track.p00 * lead + track.p01, track.p01 * lead + track.p11
     share = NOISE * NOISE + lead * a + b
     wrong = track.load - track.gain * lead - track.offset
-    track.gain += a * wrong / share
+    track.gain = max(track.gain + a * wrong / share, track.least)
     track.offset += b * wrong / share
     track.p00 -= a * a / share
     track.p01 -= a * b / share
@@ -93,9 +95,9 @@ def _judge(track, low, high, step):  # noqa: ANN001, ANN202
     off = max(least - track.load, track.load - most)
     agrees = off <= MARGIN + COUNTS * step * abs(track.gain) + unsure
     track.strikes = 0 if agrees else track.strikes + 1
-    if agrees and LEARN_STILL <= track.still <= LEARN_LAST and high - low < LEARN_SPREAD:
-        if abs(lead) > COUNTS * step and abs(track.load) < FULL:
-            _learn(track, lead)
+    telling = high - low < LEARN_SPREAD and abs(lead) > COUNTS * step and abs(track.load) < FULL
+    if agrees and telling and LEARN_STILL <= track.still <= LEARN_LAST:
+        _learn(track, lead)
     if track.strikes >= STRIKES:
         return TURNING
     full = abs(track.load) >= FULL and track.load * lead > 0.0
