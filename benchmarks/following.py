@@ -31,6 +31,7 @@ STUCK = (5.0, 10.0, 15.0, 1000.0)
 """[deg] of lead at which a stuck joint moves"""
 DWELL = 2.5
 SPREAD = 0.1
+"""relative standard deviation of what is known of servos, cut off at twice as much"""
 MONITORS = ("load, servos known", "load", "positions alone")
 
 
@@ -100,10 +101,10 @@ def drive(wears: list[Wear], name: str, seed: int, trial: Trial, faults: Faults 
         ARM.targets.sample(np.random.default_rng(seed), (count, targets)),
     )
     gain = np.array([wear.position_gain / wear.torque_limit for wear in wears])
-    gain = gain * np.random.default_rng(seed).normal(1.0, SPREAD, gain.shape).clip(0.75, 1.25)
+    gain = gain * np.random.default_rng(seed).normal(1.0, SPREAD, gain.shape).clip(1 - 2 * SPREAD, 1 + 2 * SPREAD)
     state, sent = robot.read(), robot.read().position
     watchers = [
-        Following(ARM, state, sent, Knowledge(gain=gain, spread=SPREAD)),
+        Following(ARM, state, sent, Knowledge(gain=gain, within=2.5 * SPREAD)),
         Following(ARM, state, sent),
         Following(ARM, state, sent),
     ]

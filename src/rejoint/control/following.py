@@ -5,9 +5,9 @@ encoder tells the same for ever while the servo goes where it is sent (frozen), 
 else (blind) and runs away as soon as it is moved. Two rules tell them apart, once per cycle:
 
 * **Turning.** A servo gives a torque in proportion to the error that it sees. While a joint stands, its load is a line
-  over command minus reading. A load off that line, two cycles in a row, says that the joint turns although its reading
-  does not: by its own feedback (frozen), or by the voltage that a turning motor induces (blind). The line is learned
-  from the joint itself while it stands, and known at once where `Knowledge` gives it.
+  over command minus reading. A load off that line, for two cycles or more, says that the joint turns although its
+  reading does not: by its own feedback (frozen), or by the voltage that a turning motor induces (blind). The line is
+  learned from the joint itself while it stands, and known at once where `Knowledge` gives it.
 * **Travel.** Where no load tells, a command may leave the place where the reading last changed by no more than
   moves the tool by `TRAVEL`, and as far on top as the joint has been seen to stick. One whose reading has
   hardly ever changed in this run is not judged but held within `TRAVEL`: a frozen encoder then carries the tool no
@@ -43,9 +43,9 @@ SHORT_LEVER = 0.13
 a weak wrist joint stands at any lead)"""
 MOVED, SETTLED = 10, 30
 """changes of a reading after which its joint is known to move, and how far it sticks (chosen)"""
-GAIN, GAIN_SPREAD = 20.0, 1.0
+GAIN, GAIN_SPREAD = 20.0, 2.0
 """[1/rad] share of its largest torque that a servo gives per radian, and its relative standard deviation where nothing
-is known (measured: 7 to 35 on worn and healthy emulated arms)"""
+is known (emulated arms: 7 to 35, and 64 with a failing motor)"""
 LEAST_GAIN = 3.0
 """[1/rad] of any position servo (chosen: it gives all it has at the guard's longest lead)"""
 OFFSET_SPREAD = 0.02
@@ -60,12 +60,12 @@ class Knowledge:
 
     gain: Array
     """(n,) or (B, n) [1/rad] share of its largest torque that a servo gives per radian of error"""
-    spread: float = 0.1
-    """relative standard deviation of ``gain`` (chosen: that of identified stiffnesses)"""
+    within: float = 0.2
+    """largest relative error of ``gain`` (chosen: twice the standard deviation of identified stiffnesses)"""
 
     def __post_init__(self) -> None:
-        if not (np.isfinite(self.gain).all() and (self.gain > 0.0).all() and self.spread > 0.0):
-            raise InputError(f"following: gains and their spread must be positive, got {self.gain} and {self.spread}")
+        if not (np.isfinite(self.gain).all() and (self.gain > 0.0).all() and self.within > 0.0):
+            raise InputError(f"following: gains and their errors must be positive, got {self.gain} and {self.within}")
 
 
 class Following:
@@ -79,9 +79,9 @@ class Following:
         self._tracks["position"], self._tracks["held"] = state.position, sent
         self._tracks["since"] = state.time[:, None]
         gain = np.broadcast_to(GAIN if knowledge is None else knowledge.gain, shape)
-        spread = GAIN_SPREAD if knowledge is None else knowledge.spread
+        spread = GAIN_SPREAD if knowledge is None else knowledge.within / watching.SURE
         self._tracks["gain"], self._tracks["p00"] = gain, (spread * gain) ** 2
-        self._tracks["least"] = np.maximum((1.0 - 3.0 * spread) * gain, LEAST_GAIN)
+        self._tracks["least"] = np.maximum((1.0 - 2.0 * spread) * gain, LEAST_GAIN)
         self._tracks["p11"] = OFFSET_SPREAD**2
         self._sent_at = np.repeat(state.time[:, None], watching.HISTORY, axis=1) - 1.0
         self._sent = np.repeat(np.asarray(sent, dtype=float)[:, None], watching.HISTORY, axis=1)

@@ -15,6 +15,9 @@ STILL = 2
 """Cycles with the same reading after which a joint is taken to stand (chosen: the load is a median of three)."""
 STRIKES = 2
 """Cycles in a row in which the load has to disagree (chosen)."""
+PUSHED, UNPUSHED_STRIKES = np.radians(0.3), 8
+"""[rad] travel of the command below which it takes more cycles (chosen: a joint that rings about its place shows one
+reading by chance for three or four)"""
 MARGIN = 0.03
 """Share of the largest torque by which a load may be off (chosen: tried from
 0.025 to 0.05: less is quicker, and at two strikes none was wrong)."""
@@ -24,8 +27,12 @@ NOISE = 0.015
 """Standard deviation of a load, share of the largest torque (chosen)."""
 SURE = 1.5
 """Standard deviations of the expected load that are allowed for (chosen)."""
+KNOWN = 0.5
+"""relative error of a gain from which nothing is concluded (chosen)"""
 FULL = 0.9
 """Share of the largest torque from which a servo gives all it has (chosen)."""
+FULL_CYCLES = 8
+"""Cycles of that which show that a joint is stuck: one that turns has no full torque for long (chosen)"""
 LEARN_SPREAD = np.radians(0.5)
 """[rad] commands in `SETTLE` may differ by this where a load is learned from (chosen)."""
 LEARN_STILL = 4
@@ -37,7 +44,7 @@ TRACK = np.dtype(
         ("position", "f8"), ("held", "f8"), ("since", "f8"), ("travel", "f8"), ("stuck", "f8"),
         ("gain", "f8"), ("least", "f8"), ("offset", "f8"), ("p00", "f8"), ("p01", "f8"), ("p11", "f8"),
         ("load", "f8"), ("load1", "f8"), ("load2", "f8"), ("expected", "f8"),
-        ("still", "i8"), ("strikes", "i8"), ("moves", "i8"),
+        ("still", "i8"), ("strikes", "i8"), ("moves", "i8"), ("full", "i8"),
     ]
 )  # fmt: skip
 """What is remembered of a joint. ``held`` [rad] is the command in force when its reading last changed (at ``since``
@@ -64,7 +71,7 @@ def _follow(track, now, position, command):  # noqa: ANN001, ANN202
     track.stuck = max(track.stuck, abs(track.travel))
     track.moves += 1
     track.position, track.held, track.since, track.travel = position, command, now, 0.0
-    track.still = track.strikes = 0
+    track.still = track.strikes = track.full = 0
 
 
 @njit(cache=True)
@@ -93,16 +100,18 @@ def _judge(track, low, high, step):  # noqa: ANN001, ANN202
         most = max(most, 0.0)
     track.expected = 0.5 * (least + most)
     off = max(least - track.load, track.load - most)
+    known = SURE * np.sqrt(track.p00) < KNOWN * track.gain
     agrees = off <= MARGIN + COUNTS * step * abs(track.gain) + unsure
-    track.strikes = 0 if agrees else track.strikes + 1
+    track.strikes = 0 if agrees or not known else track.strikes + 1
     telling = high - low < LEARN_SPREAD and abs(lead) > COUNTS * step and abs(track.load) < FULL
-    if agrees and telling and LEARN_STILL <= track.still <= LEARN_LAST:
+    if (agrees or not known) and telling and LEARN_STILL <= track.still <= LEARN_LAST:
         _learn(track, lead)
-    if track.strikes >= STRIKES:
+    if track.strikes >= (STRIKES if abs(track.travel) > PUSHED else UNPUSHED_STRIKES):
         return TURNING
-    full = abs(track.load) >= FULL and track.load * lead > 0.0
-    known = SURE * np.sqrt(track.p00) < 0.5 * track.gain
-    return STANDING if full or known else UNKNOWN
+    if abs(track.load) >= FULL and track.load * lead > 0.0:
+        track.full += 1
+        return STANDING
+    return STANDING if known or track.full >= FULL_CYCLES else UNKNOWN
 
 
 @njit(void(_TRACKS, float64[:, ::1], float64[:, :, ::1], _IN1, _IN1, _IN2, _IN2, _IN2, bool_, float64, int64[:, ::1]),
