@@ -82,8 +82,9 @@ def test_every_dead_encoder_trips_and_hardly_any_tool_is_off_its_way_by_then(bli
         cycle = np.flatnonzero(broken.reasons[mine, b] & Reason.NOT_FOLLOWING)[0]
         assert broken.time[mine[cycle], b] >= at[b], "not before it broke"
         off.append(np.linalg.norm(broken.true_tcp[mine[cycle], b] - whole.true_tcp[cycle, b]))
-    # A blind servo has run as far as 60 mm before it is noticed, see docs/benchmarks.md; a frozen one goes nowhere.
-    assert np.count_nonzero(np.array(off) > 0.030) <= (4 if blind else 0)
+    # Blind servos are noticed late by some, see docs/benchmarks.md; frozen ones are not.
+    assert np.count_nonzero(np.array(off) > 0.030) <= (8 if blind else 0)
+    assert np.max(off) < 0.050
     assert np.median(off) < 0.015
 
 

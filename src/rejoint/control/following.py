@@ -6,12 +6,13 @@ else (blind) and runs away as soon as it is moved. Two rules tell them apart, on
 
 * **Turning.** A servo gives a torque in proportion to the error that it sees. While a joint stands, its load is a line
   over command minus reading. A load off that line, for two cycles or more, says that the joint turns although its
-  reading does not: by its own feedback (frozen), or by the voltage that a turning motor induces (blind). The line is
-  learned from the joint itself while it stands, and known at once where `Knowledge` gives it.
+  reading does not: by its own feedback (frozen), or by the voltage that a turning motor induces (blind). The line has
+  to be known beforehand, as a twin has it (`Knowledge`), and is made more precise from the joint itself while it
+  stands; learned from nothing it only tells that a joint is stuck.
 * **Travel.** Where no load tells, a command may leave the place where the reading last changed by no more than
-  moves the tool by `TRAVEL`, and as far on top as the joint has been seen to stick. One whose reading has
-  hardly ever changed in this run is not judged but held within `TRAVEL`: a frozen encoder then carries the tool no
-  farther, and a stuck joint is let be.
+  moves the tool by `TRAVEL`, and as far on top as the joint has been seen to stick. One whose reading has gone
+  nowhere in this run is not judged but held within `TRAVEL`: a frozen encoder then carries the tool no farther, and a
+  stuck joint is let be.
 
 After a trip the joint is led back to the command under which its reading last changed: there it was in balance, and a
 blind servo gives the torque of then.
@@ -41,15 +42,19 @@ following`)"""
 SHORT_LEVER = 0.13
 """[m] joints nearer to the tool are not judged without load (chosen: 20 deg, the guard's longest lead, are 45 mm there;
 a weak wrist joint stands at any lead)"""
-MOVED, SETTLED = 10, 30
-"""changes of a reading after which its joint is known to move, and how far it sticks (chosen)"""
+MOVED = np.radians(2.0)
+"""[rad] that a reading must have gone in this run before its joint is known to move (chosen: more than a stuck gear
+yields)"""
+SETTLED = 30
+"""changes of a reading after which it is known how far its joint sticks (chosen)"""
 GAIN, GAIN_SPREAD = 20.0, 2.0
 """[1/rad] share of its largest torque that a servo gives per radian, and its relative standard deviation where nothing
 is known (emulated arms: 7 to 35, and 64 with a failing motor)"""
 LEAST_GAIN = 3.0
 """[1/rad] of any position servo (chosen: it gives all it has at the guard's longest lead)"""
-OFFSET_SPREAD = 0.02
-"""standard deviation of the load at no lead, a share of the largest torque (chosen)"""
+OFFSET_SPREAD, UNKNOWN_OFFSET = 0.02, 0.15
+"""standard deviations of the load at no lead, shares of the largest torque: where the offset of a servo is known, and
+where it is not (chosen: a real SO-101 has 0.8 deg, which are 0.1)"""
 _EARLIEST = np.radians(2.0)  # [rad] travel from which levers are computed (chosen: 10 mm at 0.28 m)
 _TURNING, _UNKNOWN = 3, 2  # as in `watching`, which is imported late
 
@@ -60,6 +65,8 @@ class Knowledge:
 
     gain: Array
     """(n,) or (B, n) [1/rad] share of its largest torque that a servo gives per radian of error"""
+    offset: Array | float = 0.0
+    """(n,) [rad] where a servo brings its joint without load, minus the command"""
     within: float = 0.2
     """largest relative error of ``gain`` (chosen: twice the standard deviation of identified stiffnesses)"""
 
@@ -76,13 +83,16 @@ class Following:
         shape = state.position.shape
         self._arm, self._last = arm, state.time.copy()
         self._tracks = np.zeros(shape, watching.TRACK)
-        self._tracks["position"], self._tracks["held"] = state.position, sent
+        self._tracks["position"] = self._tracks["home"] = state.position
+        self._tracks["held"] = sent
         self._tracks["since"] = state.time[:, None]
         gain = np.broadcast_to(GAIN if knowledge is None else knowledge.gain, shape)
         spread = GAIN_SPREAD if knowledge is None else knowledge.within / watching.SURE
+        self._tracks["given"] = knowledge is not None
         self._tracks["gain"], self._tracks["p00"] = gain, (spread * gain) ** 2
         self._tracks["least"] = np.maximum((1.0 - 2.0 * spread) * gain, LEAST_GAIN)
-        self._tracks["p11"] = OFFSET_SPREAD**2
+        self._tracks["offset"] = 0.0 if knowledge is None else knowledge.gain * knowledge.offset
+        self._tracks["p11"] = (UNKNOWN_OFFSET if knowledge is None else OFFSET_SPREAD) ** 2
         self._sent_at = np.repeat(state.time[:, None], watching.HISTORY, axis=1) - 1.0
         self._sent = np.repeat(np.asarray(sent, dtype=float)[:, None], watching.HISTORY, axis=1)
         self._verdict = np.zeros(shape, dtype=np.int64)
@@ -114,7 +124,7 @@ class Following:
         if self._loaded:
             return wanted
         held = self._tracks["held"]
-        far = (self._tracks["moves"] < MOVED) & (np.abs(wanted - held) > _EARLIEST) & aimed[:, None]
+        far = (self._tracks["moved"] < MOVED) & (np.abs(wanted - held) > _EARLIEST) & aimed[:, None]
         if not far.any():
             return wanted
         reach = TRAVEL / self._levers(position)
@@ -136,10 +146,8 @@ class Following:
         if not asked.any():
             return asked
         lever = self._levers(position)
-        if self._loaded:
-            return asked & (travel * lever > TRAVEL)
         stuck = np.where(tracks["moves"] >= SETTLED, tracks["stuck"], np.maximum(tracks["stuck"], STICKS))
-        judged = asked & (lever > SHORT_LEVER) & (tracks["moves"] >= MOVED)
+        judged = asked & (lever > SHORT_LEVER) & (tracks["moved"] >= MOVED)
         return judged & (travel - STICKING * stuck > TRAVEL / lever)
 
     def _levers(self, position: Array) -> Array:

@@ -42,16 +42,18 @@ LEARN_LAST = 200
 TRACK = np.dtype(
     [
         ("position", "f8"), ("held", "f8"), ("since", "f8"), ("travel", "f8"), ("stuck", "f8"),
+        ("home", "f8"), ("moved", "f8"),
         ("gain", "f8"), ("least", "f8"), ("offset", "f8"), ("p00", "f8"), ("p01", "f8"), ("p11", "f8"),
         ("load", "f8"), ("load1", "f8"), ("load2", "f8"), ("expected", "f8"),
-        ("still", "i8"), ("strikes", "i8"), ("moves", "i8"), ("full", "i8"),
+        ("still", "i8"), ("strikes", "i8"), ("moves", "i8"), ("full", "i8"), ("given", "?"),
     ]
 )  # fmt: skip
 """What is remembered of a joint. ``held`` [rad] is the command in force when its reading last changed (at ``since``
 [s]), ``travel`` [rad] how far the command has gone from there, ``stuck`` [rad] how far it went before the reading
-changed, at most, and ``moves`` how often it did. Standing, it should tell the load ``gain`` * (command - position) +
-``offset``, known with the covariance ``p``; a gain below ``least`` is not learned, or a joint that turns slowly
-would teach its own."""
+changed, at most, ``moves`` how often it did, and ``moved`` [rad] how far from ``home``, its first. Standing, it should
+tell the load ``gain`` * (command - position) + ``offset``, known with the covariance ``p``; a gain below ``least`` is
+not learned, or a joint that turns slowly would teach its own. Only a gain that was ``given`` beforehand tells of joints
+that turn: one learned from nothing says too little."""
 
 FINE, STANDING, UNKNOWN, TURNING = range(4)
 """Verdicts: the reading changes; it stands, and by its load the joint does; it stands, and no load tells; it stands,
@@ -70,6 +72,7 @@ def _follow(track, now, position, command):  # noqa: ANN001, ANN202
         return
     track.stuck = max(track.stuck, abs(track.travel))
     track.moves += 1
+    track.moved = max(track.moved, abs(position - track.home))
     track.position, track.held, track.since, track.travel = position, command, now, 0.0
     track.still = track.strikes = track.full = 0
 
@@ -78,8 +81,8 @@ def _follow(track, now, position, command):  # noqa: ANN001, ANN202
 def _learn(track, lead):  # noqa: ANN001, ANN202
     """Recursive least squares of load = gain * lead + offset."""
     a, b = track.p00 * lead + track.p01, track.p01 * lead + track.p11
-    share = NOISE * NOISE + lead * a + b
     wrong = track.load - track.gain * lead - track.offset
+    share = NOISE * NOISE + lead * a + b
     track.gain = max(track.gain + a * wrong / share, track.least)
     track.offset += b * wrong / share
     track.p00 -= a * a / share
@@ -102,7 +105,7 @@ def _judge(track, low, high, step):  # noqa: ANN001, ANN202
     off = max(least - track.load, track.load - most)
     known = SURE * np.sqrt(track.p00) < KNOWN * track.gain
     agrees = off <= MARGIN + COUNTS * step * abs(track.gain) + unsure
-    track.strikes = 0 if agrees or not known else track.strikes + 1
+    track.strikes = 0 if agrees or not track.given else track.strikes + 1
     telling = high - low < LEARN_SPREAD and abs(lead) > COUNTS * step and abs(track.load) < FULL
     if (agrees or not known) and telling and LEARN_STILL <= track.still <= LEARN_LAST:
         _learn(track, lead)
