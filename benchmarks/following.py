@@ -1,7 +1,7 @@
 """Joints that do not follow: how soon frozen and blind encoders are noticed, and whether others are taken for them.
 
 Every arm is driven twice with the same noise, once with a fault. Three monitors look on and stop nothing, so that all
-of them see the same motion: one that is told the load and knows the servos to 10 %, as a twin does; one that is told
+of them see the same motion: one that is told the load and knows the servos to 10 %; one that is told
 the load alone; one that is told nothing but positions.
 """
 

@@ -7,8 +7,8 @@ else (blind) and runs away as soon as it is moved. Two rules tell them apart, on
 * **Turning.** A servo gives a torque in proportion to the error that it sees. While a joint stands, its load is a line
   over command minus reading. A load off that line, for two cycles or more, says that the joint turns although its
   reading does not: by its own feedback (frozen), or by the voltage that a turning motor induces (blind). The line has
-  to be known beforehand, as a twin has it (`Knowledge`), and is made more precise from the joint itself while it
-  stands; learned from nothing it only tells that a joint is stuck.
+  to be known beforehand (`Knowledge`) and is made more precise from the joint itself while it stands; learned from
+  nothing it only tells that a joint is stuck.
 * **Travel.** Where no load tells, a command may leave the place where the reading last changed by no more than
   moves the tool by `TRAVEL`, and as far on top as the joint has been seen to stick. One whose reading has gone
   nowhere in this run is not judged but held within `TRAVEL`: a frozen encoder then carries the tool no farther, and a
@@ -61,14 +61,17 @@ _TURNING, _UNKNOWN = 3, 2  # as in `watching`, which is imported late
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Knowledge:
-    """What is known of the servos of an arm before it moves, as a twin has it."""
+    """What is known of the servos of an arm before it moves: read from their registers, or measured when it was well.
+
+    A twin does not have it: the largest torque of a joint that never gave it is a guess, and a gain with it.
+    """
 
     gain: Array
     """(n,) or (B, n) [1/rad] share of its largest torque that a servo gives per radian of error"""
     offset: Array | float = 0.0
     """(n,) [rad] where a servo brings its joint without load, minus the command"""
     within: float = 0.2
-    """largest relative error of ``gain`` (chosen: twice the standard deviation of identified stiffnesses)"""
+    """largest relative error of ``gain`` (chosen: what a measurement of leads and loads should reach)"""
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.gain).all() and (self.gain > 0.0).all() and self.within > 0.0):

@@ -114,7 +114,8 @@ def _judge(track, low, high, step):  # noqa: ANN001, ANN202
     if abs(track.load) >= FULL and track.load * lead > 0.0:
         track.full += 1
         return STANDING
-    return STANDING if known or track.full >= FULL_CYCLES else UNKNOWN
+    explained = known and (agrees or track.given)
+    return STANDING if explained or track.full >= FULL_CYCLES else UNKNOWN
 
 
 @njit(void(_TRACKS, float64[:, ::1], float64[:, :, ::1], _IN1, _IN1, _IN2, _IN2, _IN2, bool_, float64, int64[:, ::1]),
