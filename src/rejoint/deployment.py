@@ -17,7 +17,8 @@ from rejoint.comparison.result import Protocol
 from rejoint.control.contract import check_controller_period
 from rejoint.control.controller import Controller
 from rejoint.control.guard import Reason, Reasons, reason_names
-from rejoint.control.loop import GAP, Schedule, run
+from rejoint.control.loop import Schedule, run
+from rejoint.control.progress import GAP
 from rejoint.control.recording import OnCycle, Recording, recording_of
 from rejoint.control.robot import JointState, Robot
 from rejoint.control.start import begin

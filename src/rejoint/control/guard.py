@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Array, clearances, heights
+from rejoint.control.following import Following
 from rejoint.control.law import plain
 from rejoint.control.limits import RAMP, TRIPS, GuardLimits, Reason, Reasons, reason_names
 from rejoint.control.robot import JointState, Mask
@@ -100,7 +101,9 @@ def warm_up(limits: GuardLimits) -> None:
     A control cycle that waited for them would be long, and a long one allows a long step.
     """
     rest = limits.arm.rest[None]
-    guard(limits, rest, rest, 0.0 * rest, JointState(time=np.zeros(1), position=rest, age=np.zeros(1)), 0.0)
+    state = JointState(time=np.zeros(1), position=rest, age=np.zeros(1))
+    guard(limits, rest, rest, 0.0 * rest, state, 0.0)
+    Following(limits.arm, state, rest).check(state, rest, np.ones(1, dtype=bool))
 
 
 def _check_shapes(

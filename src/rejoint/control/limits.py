@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array
 from rejoint.arms.size import length_size
+from rejoint.control.following import Knowledge
 from rejoint.errors import InputError
 
 Reasons = NDArray[np.uint16]
@@ -49,13 +50,18 @@ class Reason(IntFlag):
     """a servo reports a fault"""
     GAP = 512
     """no answers came for a while; the arm held, and goes on as from a start (flagged by the control loop)"""
+    NOT_FOLLOWING = 1024
+    """a joint's reading stands still and is not believed, see `rejoint.control.following`"""
     ACCELERATION = 2048
     """the command would gain speed, or turn round, faster than allowed"""
     COLLISION = 4096
     """a link would touch another one or the ground"""
 
 
-TRIPS = Reason.NOT_FINITE | Reason.STALE | Reason.OUT_OF_RANGE | Reason.TEMPERATURE | Reason.SERVO_FAULT
+TRIPS = (
+    Reason.NOT_FINITE | Reason.STALE | Reason.OUT_OF_RANGE | Reason.TEMPERATURE | Reason.SERVO_FAULT
+    | Reason.NOT_FOLLOWING
+)  # fmt: skip
 """Reasons that end the motion."""
 
 
@@ -91,6 +97,8 @@ class GuardLimits:
     """[deg C] hottest servo (chosen: 5 below the 70 at which servos of this class switch themselves off)"""
     range_margin: float = np.radians(10.0)
     """[rad] a measured position further than this outside the arm's limits is not believed (chosen)"""
+    servos: Knowledge | None = None
+    """what is known of the servos beforehand; it makes the monitor of joints that do not follow quicker"""
 
     def __post_init__(self) -> None:
         for name in ("lower", "upper", "max_speed", "max_acceleration"):

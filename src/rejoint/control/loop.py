@@ -8,33 +8,24 @@ clock and its own target; an arm that is done is not stepped any more.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from contextlib import suppress
+from dataclasses import dataclass
 
 import numpy as np
 
 from rejoint.arms import Array, tcp_position
 from rejoint.control.controller import Controller, Situation
-from rejoint.control.guard import TRIPS, Guarded, GuardLimits, Reason, Reasons, guard, reason_names, warm_up
+from rejoint.control.guard import TRIPS, Guarded, GuardLimits, Reason, Reasons, guard, warm_up
+from rejoint.control.progress import Progress, own
 from rejoint.control.recording import Cycle, OnCycle, Recorder, Recording, attach
-from rejoint.control.robot import JointState, Mask, Robot
-from rejoint.errors import GuardTripError, InputError, RejointError, first_line
+from rejoint.control.robot import Mask, Robot
+from rejoint.control.trips import trip_error
+from rejoint.errors import InputError, RejointError, first_line
 from rejoint.stopping import check, noted, shielded
 
-FIRST_PERIOD = 0.02
-"""[s] period assumed before one has been measured (chosen: the shortest regular one, so the smallest first step)."""
-
-GAP = 0.5
-"""[s] without an answer after which an arm goes on as from a start (chosen: ten periods of the slowest regular wire)"""
-GAP_PERIODS = 3.0
-"""Times the usual period that a gap also exceeds (chosen: where periods of half a second were asked for)"""
-LATE_PERIODS = 2.0
-"""Times the usual period from which a cycle is late: the arm may move as far as in a usual one, not farther (chosen)"""
-_SMOOTHING = 0.1  # share of the newest period in that mean (chosen)
-
-EASE = 1.0
-"""[s] after a gap during which an arm may move at `EASE_SHARE` of its speed only (chosen: long enough to be seen)"""
-EASE_SHARE = 0.2
-"""(chosen: the share that `move` takes by default)"""
+RELEASE_CYCLES = 12
+"""Cycles in which a joint that is not believed is led back to where it was in balance (chosen: twice what the longest
+lead needs at the largest step)."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -92,10 +83,10 @@ def run(
 
 def _drive(loop: _Loop, targets: Array) -> Recording:
     robot, recorder = loop.robot, loop.recorder
-    progress: _Progress | None = None
+    progress: Progress | None = None
     try:
         check()
-        progress = _Progress.begin(_own(robot.read()), targets, loop.schedule.sent)
+        progress = Progress.begin(own(robot.read()), targets, loop.schedule.sent, loop.limits)
         loop.controller.reset(progress.situation(), np.ones(robot.count, dtype=bool))
         while loop.cycle(progress):
             check()
@@ -176,91 +167,6 @@ class Playback:
         return self._trajectory(situation.since_target)
 
 
-@dataclass(kw_only=True, eq=False)
-class _Progress:
-    """Where every arm is in its sequence of targets."""
-
-    state: JointState
-    targets: Array
-    sent: Array
-    speed: Array
-    index: np.typing.NDArray[np.intp]
-    set_at: Array
-    active: Mask
-    tripped: Reasons
-    period: Array
-    last_time: Array = field(init=False)
-    usual: Array = field(init=False)
-    """(B,) [s] running mean of the periods; NaN before one has been measured"""
-    gap: Mask = field(init=False)
-    """(B,) whether the state came after a gap"""
-    eased_until: Array = field(init=False)
-    """(B,) [s]"""
-
-    def __post_init__(self) -> None:
-        self.last_time = self.state.time
-        count = len(self.sent)
-        self.usual, self.eased_until = np.full(count, np.nan), np.full(count, -np.inf)
-        self.gap = np.zeros(count, dtype=bool)
-
-    @classmethod
-    def begin(cls, state: JointState, targets: Array, sent: Array | None) -> _Progress:
-        count = len(targets)
-        if sent is not None and np.shape(sent) != state.position.shape:
-            raise InputError(f"schedule: sent has shape {np.shape(sent)}, expected {state.position.shape}")
-        sent = np.array(state.position if sent is None else sent, dtype=float)
-        return cls(
-            state=state, targets=targets, sent=sent, speed=np.zeros_like(sent), index=np.zeros(count, dtype=np.intp),
-            set_at=state.time.copy(), active=np.ones(count, dtype=bool), tripped=np.zeros(count, dtype=np.uint16),
-            period=np.full(count, FIRST_PERIOD),
-        )  # fmt: skip
-
-    @property
-    def target(self) -> Array:
-        return self.targets[np.arange(len(self.index)), self.index]
-
-    def situation(self) -> Situation:
-        since = self.state.time - self.set_at
-        return Situation(state=self.state, target=self.target, sent=self.sent, since_target=since)
-
-    def advance(self, finished: Mask) -> Mask:
-        """Set the next target where the present one is finished; returns the arms that got one."""
-        last = self.index == self.targets.shape[1] - 1
-        renewed = finished & ~last
-        self.active = self.active & ~(finished & last)
-        self.index = self.index + renewed
-        self.set_at = np.where(renewed, self.state.time, self.set_at)
-        return renewed
-
-    def stepped(self, state: JointState, command: Array, speed: Array) -> None:
-        """Take over what the robot was sent and what it answered."""
-        self.sent, self.speed = np.where(self.active[:, None], command, self.sent), speed
-        elapsed = state.time - self.last_time
-        self.gap = elapsed > np.fmax(GAP, GAP_PERIODS * self.usual)
-        late = elapsed > LATE_PERIODS * self.usual  # NaN: not known yet
-        # A repeated answer has no news of the clock: the last period stands.
-        self.period = np.where(elapsed > 0.0, np.where(late, self.usual, elapsed), self.period)
-        known = np.where(np.isnan(self.usual), elapsed, self.usual)
-        self.usual = np.where(elapsed > 0.0, known + _SMOOTHING * (np.minimum(elapsed, GAP) - known), self.usual)
-        self.state, self.last_time = state, state.time
-        if np.count_nonzero(self.gap):
-            self._begin_again(self.gap)
-
-    def _begin_again(self, where: Mask) -> None:
-        """After a gap, nothing is known of what happened: go on as from a start."""
-        self.period = np.where(where, FIRST_PERIOD, self.period)
-        self.eased_until = np.where(where, self.state.time + EASE, self.eased_until)
-        # An arm that sags keeps its command; one that stands elsewhere no longer knows it.
-        elsewhere = where[:, None] & (np.abs(self.sent - self.state.position) > GuardLimits.max_lead)
-        self.sent = np.where(elsewhere, self.state.position, self.sent)
-        self.speed = np.where(where[:, None], 0.0, self.speed)
-
-    @property
-    def ease(self) -> Array:
-        """(B,) share of its speed at which an arm may move: less of it after a gap."""
-        return np.where(self.state.time < self.eased_until, EASE_SHARE, 1.0)
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Loop:
     """The parts of a run that stay the same from cycle to cycle."""
@@ -272,7 +178,7 @@ class _Loop:
     recorder: Recorder
     on_cycle: OnCycle | None
 
-    def cycle(self, progress: _Progress) -> bool:
+    def cycle(self, progress: Progress) -> bool:
         """Do one control cycle; returns whether there is another one."""
         before, fresh, index = progress.situation(), progress.active, progress.index
         if self.schedule.give_up is not None:
@@ -285,11 +191,11 @@ class _Loop:
             reasons=reasons,
         )  # fmt: skip
         self.recorder.cycles.append(cycle)
-        self._stop_tripped(progress, reasons)
         if self.on_cycle is not None:
             self.on_cycle(cycle)
+        self._stop_tripped(progress, reasons)
         if progress.active.any():
-            progress.stepped(_own(self.robot.step(command, progress.active)), command, speed)
+            progress.stepped(own(self.robot.step(command, progress.active)), command, speed)
         return bool(progress.active.any())
 
     def _finished(self, situation: Situation) -> Mask:
@@ -300,7 +206,7 @@ class _Loop:
             finished = finished | (error < self.schedule.stop_below)
         return finished
 
-    def _decide(self, progress: _Progress, renewed: Mask) -> Guarded:
+    def _decide(self, progress: Progress, renewed: Mask) -> Guarded:
         """Commands (B, n) that may be sent, the guard's reasons (B,), and the speed of the commands."""
         active = progress.active
         if not active.any():
@@ -309,50 +215,49 @@ class _Loop:
         fresh = renewed | progress.gap
         if fresh.any():
             self.controller.reset(situation, fresh)
-        wanted = self.controller.command(situation)
+        aimed = np.isfinite(situation.target[:, 0])
+        progress.unbelieved = progress.following.check(progress.state, progress.sent, aimed)
+        wanted = progress.following.bound(self.controller.command(situation), progress.state.position, aimed)
         ease = progress.ease  # slower time for the guard is a slower arm
         guarded = guard(
             self.limits, wanted, progress.sent, progress.speed / ease[:, None], progress.state, ease * progress.period
         )
-        command = np.where(active[:, None], guarded.command, progress.sent)
+        command = guarded.command
         reasons = guarded.reasons + progress.gap * np.uint16(Reason.GAP.value)
+        if progress.unbelieved is not None:
+            lost: Mask = np.logical_or.reduce(progress.unbelieved, axis=-1)
+            command = np.where(lost[:, None], progress.sent, command)
+            reasons = reasons | lost * np.uint16(Reason.NOT_FOLLOWING.value)
+        command = np.where(active[:, None], command, progress.sent)
         return Guarded(command, reasons * active, ease[:, None] * guarded.speed)
 
-    def _stop_tripped(self, progress: _Progress, reasons: Reasons) -> None:
+    def _stop_tripped(self, progress: Progress, reasons: Reasons) -> None:
         trips = reasons & np.uint16(TRIPS.value)
         if not trips.any():
             return
         progress.tripped = progress.tripped | trips
+        self._release(progress, trips)
         if not self.schedule.keep_going:
-            raise _trip_error(int(np.flatnonzero(trips)[0]), progress, self.limits)
+            raise trip_error(int(np.flatnonzero(trips)[0]), progress, self.limits)
         progress.active = progress.active & (trips == 0)
 
-
-def _own(state: JointState) -> JointState:
-    """Copy what is kept beyond this cycle: a robot may reuse its arrays."""
-    return replace(state, time=state.time.copy(), position=state.position.copy())
-
-
-def _trip_error(b: int, progress: _Progress, limits: GuardLimits) -> GuardTripError:
-    state, flags = progress.state, Reason(int(progress.tripped[b]))
-    names = limits.arm.joint_names
-    details = []
-    if Reason.STALE in flags:
-        details.append(
-            f"the joint state is {state.age[b]:.2f} s old, limit {limits.max_age:.2f} s; check the connection"
-        )
-    if Reason.TEMPERATURE in flags and state.temperature is not None:
-        hot = int(np.argmax(state.temperature[b]))
-        details.append(
-            f"{names[hot]} is at {state.temperature[b, hot]:.0f} deg C, limit {limits.max_temperature:.0f}; let it cool"
-        )
-    if Reason.SERVO_FAULT in flags and state.fault is not None:
-        faulty = ", ".join(np.array(names)[state.fault[b]])
-        details.append(f"{faulty} reports a servo fault; free the arm and clear the fault")
-    if Reason.OUT_OF_RANGE in flags:
-        degrees = np.round(np.degrees(state.position[b]), 1).tolist()
-        details.append(f"measured {degrees} deg lies far outside the joint limits; check the arm's zero")
-    if Reason.NOT_FINITE in flags:
-        details.append("a command or a measured position is not a number; check the controller and the connection")
-    where = f"arm {b} at {progress.state.time[b] - progress.set_at[b]:.2f} s into target {int(progress.index[b]) + 1}"
-    return GuardTripError(", ".join(reason_names(int(flags))), f"{where}: {'; '.join(details)}")
+    def _release(self, progress: Progress, trips: Reasons) -> None:
+        """Lead joints that are not believed back to where they were in balance: to hold a blind one is to drive it."""
+        if progress.unbelieved is None:
+            return
+        where = progress.active & ((trips & np.uint16(Reason.NOT_FOLLOWING)) != 0)
+        goal = progress.following.balance(progress.unbelieved & where[:, None], progress.sent)
+        sent = progress.sent
+        with shielded(), suppress(RejointError, OSError):  # the trip is the error to report
+            for _ in range(RELEASE_CYCLES):
+                reach = self.limits.max_speed * np.minimum(progress.period, self.limits.max_period)[:, None]
+                sent = np.minimum(np.maximum(goal, sent - reach), sent + reach)
+                progress.state = own(self.robot.step(sent, where))
+                last = self.recorder.cycles[-1]
+                self.recorder.cycles.append(
+                    last._replace(
+                        time=progress.state.time, position=progress.state.position, command=sent, active=where,
+                        true_tcp=self.robot.true_tcp().copy(),
+                    )
+                )  # fmt: skip
+        progress.sent = np.where(where[:, None], sent, progress.sent)

@@ -32,6 +32,9 @@ class JointState:
     """(B, n) [deg C] servo temperatures, None where the robot does not report them"""
     fault: NDArray[np.bool_] | None = None
     """(B, n) whether a servo reports a fault, None where the robot does not report it"""
+    load: Array | None = None
+    """(B, n) torque that each servo says it gives, as a share of its largest, -1 to 1, positive with the joint; None
+    where the robot does not report it"""
 
 
 @runtime_checkable

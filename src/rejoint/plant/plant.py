@@ -87,6 +87,11 @@ class Plant:
         return self._servos["torque"].copy()
 
     @property
+    def load(self) -> Array:
+        """(B, n) what the servos tell of their torque: a share of their limit, smoothed over 10 ms."""
+        return self._servos["load"].copy()
+
+    @property
     def torque_limit(self) -> Array:
         """(B, n) [N m] of the motors at standstill."""
         return self._joints["torque_limit"].copy()
@@ -139,6 +144,7 @@ class Plant:
             "measured_speed": 0.0,
             "bristle": 0.0,
             "torque": torque,
+            "load": torque / self._joints["torque_limit"],
         }
         for name, value in fresh.items():
             self._servos[name][ids] = np.broadcast_to(value, position.shape)[ids]

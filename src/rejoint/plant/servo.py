@@ -40,6 +40,7 @@ _NO_LOAD_SPEED = 5.0  # [rad/s] STS3215 at 12 V: 45 rpm and some more without it
 _NO_LOAD_MARGIN = 1.05  # least no-load speed by the joint's largest speed (chosen, as above)
 _RAMP_SHARE_OF = np.radians(150.0)  # [rad/s] the joint speed that RAMP_SPEED belongs to
 _SPEED_FILTER = 0.1  # weight of the newest encoder difference: a time constant of 10 ms (chosen)
+_LOAD_FILTER = 0.1  # weight of the newest torque in the load that is told: a time constant of 10 ms (chosen)
 _STRIBECK_SPEED = 0.06  # [rad/s] chosen
 _BRISTLE_RATE = 150.0  # [rad/s] natural frequency of bristle and reflected inertia (chosen): a stuck
 #   worn joint yields by less than half an encoder count before it breaks loose, and 1 kHz resolves it
@@ -71,8 +72,8 @@ JOINT = np.dtype(
 STATE = np.dtype(
     [
         ("goal", "f8"), ("reference", "f8"), ("speed_limit", "f8"), ("measured", "f8"),
-        ("measured_speed", "f8"), ("bristle", "f8"), ("torque", "f8"), ("temperature", "f8"), ("powered", "?"),
-        ("frozen", "?"), ("blind", "?"),
+        ("measured_speed", "f8"), ("bristle", "f8"), ("torque", "f8"), ("load", "f8"), ("temperature", "f8"),
+        ("powered", "?"), ("frozen", "?"), ("blind", "?"),
     ]
 )  # fmt: skip
 """What a servo remembers between two steps, and which readings of its encoder no longer change: those it tells
@@ -194,6 +195,7 @@ def drive(ids, tick, key, joints, servos, due, queue, qpos, qvel, applied):
             gear_angle, gear_speed = qpos[i, 2 * j + 1], qvel[i, 2 * j + 1]
             seen = servo.measured if servo.blind else read_encoder(joint, angle, gear_angle)
             servo.torque = motor_torque(joint, servo, seen, speed)
+            servo.load += _LOAD_FILTER * (servo.torque / joint.torque_limit - servo.load)
             load = gear_torque(joint, gear_angle, gear_speed)
             unit = uniform(key[i], tick[i] * n + j) if servo.powered else 0.5
             applied[i, 2 * j] = (

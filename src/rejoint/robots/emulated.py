@@ -38,12 +38,14 @@ class EmulatedRobot:
         start: Array | None = None,
         first: int = 0,
         payload: Array | float = 0.0,
+        tells_load: bool = True,
     ) -> None:
         """Put the arms at rest at ``start`` (B, n) or (n,) [rad], by default in the rest posture.
 
-        ``payload``, a number or (B,) [kg], is what their tools carry and nobody knows of.
+        ``payload``, a number or (B,) [kg], is what their tools carry and nobody knows of. ``tells_load`` says whether
+        their servos report a load, as not all do.
         """
-        self._address = address
+        self._address, self._tells_load = address, tells_load
         self._channel = Channel(latency=command_latency, age=readback_age, period=period)
         self.plant = Plant(arm, wears, seed=seed, threads=threads, first=first, payload=payload)
         self._keys = stream_keys(seed, len(wears), first=first, purpose=_CHANNEL_PURPOSE)
@@ -81,6 +83,7 @@ class EmulatedRobot:
             position=self._position.copy(),
             age=np.zeros(self.count),
             temperature=self.plant.temperature,
+            load=self.plant.load if self._tells_load else None,
         )
 
     def step(self, command: Array, active: Mask | None = None) -> JointState:

@@ -1,0 +1,179 @@
+"""The monitor of joints that do not follow: a stuck joint and a dead encoder look the same, until the load is asked.
+
+A reading that stands still while its command moves belongs to one of three: a joint that is stuck, one whose
+encoder tells the same for ever while the servo goes where it is sent (frozen), or one whose servo itself sees nothing
+else (blind) and runs away as soon as it is moved. Two rules tell them apart, once per cycle:
+
+* **Turning.** A servo gives a torque in proportion to the error that it sees. While a joint stands, its load is a line
+  over command minus reading. A load off that line, for two cycles or more, says that the joint turns although its
+  reading does not: by its own feedback (frozen), or by the voltage that a turning motor induces (blind). The line has
+  to be known beforehand (`Knowledge`) and is made more precise from the joint itself while it stands; learned from
+  nothing it only tells that a joint is stuck.
+* **Travel.** Where no load tells, a command may leave the place where the reading last changed by no more than
+  moves the tool by `TRAVEL`, and as far on top as the joint has been seen to stick. One whose reading has gone
+  nowhere in this run is not judged but held within `TRAVEL`: a frozen encoder then carries the tool no farther, and a
+  stuck joint is let be.
+
+After a trip the joint is led back to the command under which its reading last changed: there it was in balance, and a
+blind servo gives the torque of then.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rejoint.arms import Arm, Array, position_kinematics
+from rejoint.control.law import plain
+from rejoint.control.robot import JointState, Mask
+from rejoint.errors import InputError
+from rejoint.late import Late
+
+watching = Late("rejoint.control.watching")
+
+TRAVEL = 0.020
+"""[m] of the tool that a command may go beyond a reading that stands (chosen: 30 less what the arm coasts)."""
+STICKING = 1.5
+"""times as far as a joint was seen to stick may it stick again (chosen)"""
+STICKS = np.radians(4.0)
+"""[rad] that a joint is taken to stick where little is known of it (measured: worn ones, `python -m benchmarks
+following`)"""
+SHORT_LEVER = 0.13
+"""[m] joints nearer to the tool are not judged without load (chosen: 20 deg, the guard's longest lead, are 45 mm there;
+a weak wrist joint stands at any lead)"""
+MOVED = np.radians(2.0)
+"""[rad] that a reading must have gone in this run before its joint is known to move (chosen: more than a stuck gear
+yields)"""
+TURN_ROUND = 0.12
+"""[s] for which a reading must stand before it is judged without load (chosen: a joint that is sent to and fro by a
+controller at its limits stands while it turns round)"""
+SETTLED = 30
+"""changes of a reading after which it is known how far its joint sticks (chosen)"""
+GAIN, GAIN_SPREAD = 20.0, 2.0
+"""[1/rad] share of its largest torque that a servo gives per radian, and its relative standard deviation where nothing
+is known (emulated arms: 7 to 35, and 64 with a failing motor)"""
+LEAST_GAIN = 3.0
+"""[1/rad] of any position servo (chosen: it gives all it has at the guard's longest lead)"""
+OFFSET_SPREAD, UNKNOWN_OFFSET = 0.02, 0.15
+"""standard deviations of the load at no lead, shares of the largest torque: where the offset of a servo is known, and
+where it is not (chosen: a real SO-101 has 0.8 deg, which are 0.1)"""
+_EARLIEST = np.radians(2.0)  # [rad] travel from which levers are computed (chosen: 10 mm at 0.28 m)
+_TURNING, _UNKNOWN = 3, 2  # as in `watching`, which is imported late
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Knowledge:
+    """What is known of the servos of an arm before it moves: read from their registers, or measured when it was well.
+
+    A twin does not have it: the largest torque of a joint that never gave it is a guess, and a gain with it.
+    """
+
+    gain: Array
+    """(n,) or (B, n) [1/rad] share of its largest torque that a servo gives per radian of error"""
+    offset: Array | float = 0.0
+    """(n,) [rad] where a servo brings its joint without load, minus the command"""
+    within: float = 0.2
+    """largest relative error of ``gain`` (chosen: what a measurement of leads and loads should reach)"""
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.gain).all() and (self.gain > 0.0).all() and self.within > 0.0):
+            raise InputError(f"following: gains and their errors must be positive, got {self.gain} and {self.within}")
+
+
+class Following:
+    """Watches B arms; one `check` per cycle."""
+
+    def __init__(self, arm: Arm, state: JointState, sent: Array, knowledge: Knowledge | None = None) -> None:
+        """Begin with the ``state`` in which ``sent`` (B, n) [rad] is in force."""
+        shape = state.position.shape
+        self._arm, self._last = arm, state.time.copy()
+        self._tracks = np.zeros(shape, watching.TRACK)
+        self._tracks["position"] = self._tracks["home"] = state.position
+        self._tracks["held"] = sent
+        self._tracks["since"] = state.time[:, None]
+        gain = np.broadcast_to(GAIN if knowledge is None else knowledge.gain, shape)
+        spread = GAIN_SPREAD if knowledge is None else knowledge.within / watching.SURE
+        self._tracks["given"] = knowledge is not None
+        self._tracks["gain"], self._tracks["p00"] = gain, (spread * gain) ** 2
+        self._tracks["least"] = np.maximum((1.0 - 2.0 * spread) * gain, LEAST_GAIN)
+        self._tracks["offset"] = 0.0 if knowledge is None else knowledge.gain * knowledge.offset
+        self._tracks["p11"] = (UNKNOWN_OFFSET if knowledge is None else OFFSET_SPREAD) ** 2
+        self._sent_at = np.repeat(state.time[:, None], watching.HISTORY, axis=1) - 1.0
+        self._sent = np.repeat(np.asarray(sent, dtype=float)[:, None], watching.HISTORY, axis=1)
+        self._verdict = np.zeros(shape, dtype=np.int64)
+        self._nothing = np.zeros(shape)
+        self._loaded = False
+
+    def check(self, state: JointState, sent: Array, aimed: Mask) -> Mask | None:
+        """Joints (B, n) that are not believed any more, None where all are.
+
+        ``sent`` (B, n) [rad] is the command since the last check. Only arms that are ``aimed`` (B,) at a target are
+        judged by their travel: on a given trajectory the tool stays on its way, and a diagnosis has to
+        find stuck joints.
+        """
+        self._loaded = state.load is not None
+        load = self._nothing if state.load is None else state.load
+        watching.watch(
+            self._tracks, self._sent_at, self._sent, plain(state.time), self._last, plain(state.position),
+            plain(sent), plain(load), self._loaded, self._arm.encoder_step, self._verdict,
+        )  # fmt: skip
+        self._last = state.time.copy()
+        worst = self._verdict.max()
+        if worst < _UNKNOWN:
+            return None
+        bad: Mask = (self._verdict == _TURNING) | (self._travelled(state.position) & aimed[:, None])
+        return bad if bad.any() else None
+
+    def bound(self, wanted: Array, position: Array, aimed: Mask) -> Array:
+        """``wanted`` (B, n) [rad], where no load tells, within `TRAVEL` of a reading that has hardly ever changed."""
+        if self._loaded:
+            return wanted
+        held = self._tracks["held"]
+        far = (self._tracks["moved"] < MOVED) & (np.abs(wanted - held) > _EARLIEST) & aimed[:, None]
+        if not far.any():
+            return wanted
+        reach = TRAVEL / self._levers(position)
+        return np.where(far, np.minimum(np.maximum(wanted, held - reach), held + reach), wanted)
+
+    def balance(self, joints: Mask, sent: Array) -> Array:
+        """Commands (B, n) [rad] to hold by: ``sent``, but ``joints`` (B, n) by those that they were in balance with."""
+        return np.where(joints, self._tracks["held"], sent)
+
+    def describe(self, b: int, joints: Mask) -> str:
+        """Tell what was seen of the ``joints`` (n,) of arm ``b``, what it looks like, and what to do."""
+        return "; ".join(self._describe(b, int(j)) for j in np.flatnonzero(joints))
+
+    def _travelled(self, position: Array) -> Mask:
+        """Joints (B, n) whose commands have gone too far from a reading that stands, with no load to explain it."""
+        tracks = self._tracks
+        travel = np.abs(tracks["travel"])
+        stands = self._last[:, None] - tracks["since"] > TURN_ROUND
+        asked = (self._verdict == _UNKNOWN) & (travel > _EARLIEST) & stands
+        if not asked.any():
+            return asked
+        lever = self._levers(position)
+        stuck = np.where(tracks["moves"] >= SETTLED, tracks["stuck"], np.maximum(tracks["stuck"], STICKS))
+        judged = asked & (lever > SHORT_LEVER) & (tracks["moved"] >= MOVED)
+        return judged & (travel - STICKING * stuck > TRAVEL / lever)
+
+    def _levers(self, position: Array) -> Array:
+        """How far (B, n) [m/rad] the tool goes with each joint."""
+        return np.maximum(np.linalg.norm(position_kinematics(self._arm, position)[1], axis=-2), 1e-6)
+
+    def _describe(self, b: int, j: int) -> str:
+        track, name = self._tracks[b, j], self._arm.joint_names[j]
+        seen = (
+            f"{name}: the command moved {np.degrees(abs(track['travel'])):.1f} deg in "
+            f"{self._last[b] - track['since']:.2f} s, the reading 0"
+        )
+        if self._verdict[b, j] == _TURNING:
+            return (
+                f"{seen}; its servo gives {100 * track['load']:.0f} % of its torque, and one that stands would give "
+                f"{100 * track['expected']:.0f} %: the joint turns and its encoder is dead; do not drive the arm "
+                f"before servo and cable of {name} are replaced"
+            )
+        return (
+            f"{seen}; no load tells whether it is stuck or its encoder is dead; support the arm, switch it off, turn "
+            f"{name} by hand and see whether its reading changes"
+        )

@@ -1,0 +1,127 @@
+"""Where every arm of a run is in its sequence of targets, and what is known of its clock."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rejoint.arms import Array
+from rejoint.control.controller import Situation
+from rejoint.control.following import Following
+from rejoint.control.limits import GuardLimits, Reasons
+from rejoint.control.robot import JointState, Mask
+from rejoint.errors import InputError
+
+FIRST_PERIOD = 0.02
+"""[s] period assumed before one has been measured (chosen: the shortest regular one, so the smallest first step)."""
+
+GAP = 0.5
+"""[s] without an answer after which an arm goes on as from a start (chosen: ten periods of the slowest regular wire)"""
+GAP_PERIODS = 3.0
+"""Times the usual period that a gap also exceeds (chosen: where periods of half a second were asked for)"""
+LATE_PERIODS = 2.0
+"""Times the usual period from which a cycle is late: the arm may move as far as in a usual one, not farther (chosen)"""
+_SMOOTHING = 0.1  # share of the newest period in that mean (chosen)
+
+EASE = 1.0
+"""[s] after a gap during which an arm may move at `EASE_SHARE` of its speed only (chosen: long enough to be seen)"""
+EASE_SHARE = 0.2
+"""(chosen: the share that `move` takes by default)"""
+
+
+@dataclass(kw_only=True, eq=False)
+class Progress:
+    """Where every arm is in its sequence of targets."""
+
+    state: JointState
+    targets: Array
+    sent: Array
+    speed: Array
+    index: NDArray[np.intp]
+    set_at: Array
+    active: Mask
+    tripped: Reasons
+    period: Array
+    following: Following
+    unbelieved: Mask | None = None
+    """(B, n) joints whose readings are not believed in this cycle, None where all are"""
+    last_time: Array = field(init=False)
+    usual: Array = field(init=False)
+    """(B,) [s] running mean of the periods; NaN before one has been measured"""
+    gap: Mask = field(init=False)
+    """(B,) whether the state came after a gap"""
+    eased_until: Array = field(init=False)
+    """(B,) [s]"""
+
+    def __post_init__(self) -> None:
+        self.last_time = self.state.time
+        count = len(self.sent)
+        self.usual, self.eased_until = np.full(count, np.nan), np.full(count, -np.inf)
+        self.gap = np.zeros(count, dtype=bool)
+
+    @classmethod
+    def begin(cls, state: JointState, targets: Array, sent: Array | None, limits: GuardLimits) -> Progress:
+        """Begin with ``targets`` (B, K, 3) [m] and the command in force, ``sent`` (B, n) [rad]; None: the position."""
+        count = len(targets)
+        if sent is not None and np.shape(sent) != state.position.shape:
+            raise InputError(f"schedule: sent has shape {np.shape(sent)}, expected {state.position.shape}")
+        sent = np.array(state.position if sent is None else sent, dtype=float)
+        return cls(
+            state=state, targets=targets, sent=sent, speed=np.zeros_like(sent), index=np.zeros(count, dtype=np.intp),
+            set_at=state.time.copy(), active=np.ones(count, dtype=bool), tripped=np.zeros(count, dtype=np.uint16),
+            period=np.full(count, FIRST_PERIOD), following=Following(limits.arm, state, sent, limits.servos),
+        )  # fmt: skip
+
+    @property
+    def target(self) -> Array:
+        """(B, 3) [m] in force."""
+        return self.targets[np.arange(len(self.index)), self.index]
+
+    def situation(self) -> Situation:
+        """Return what a controller knows."""
+        since = self.state.time - self.set_at
+        return Situation(state=self.state, target=self.target, sent=self.sent, since_target=since)
+
+    def advance(self, finished: Mask) -> Mask:
+        """Set the next target where the present one is finished; returns the arms that got one."""
+        last = self.index == self.targets.shape[1] - 1
+        renewed = finished & ~last
+        self.active = self.active & ~(finished & last)
+        self.index = self.index + renewed
+        self.set_at = np.where(renewed, self.state.time, self.set_at)
+        return renewed
+
+    def stepped(self, state: JointState, command: Array, speed: Array) -> None:
+        """Take over what the robot was sent and what it answered."""
+        self.sent, self.speed = np.where(self.active[:, None], command, self.sent), speed
+        elapsed = state.time - self.last_time
+        self.gap = elapsed > np.fmax(GAP, GAP_PERIODS * self.usual)
+        late = elapsed > LATE_PERIODS * self.usual  # NaN: not known yet
+        # A repeated answer has no news of the clock: the last period stands.
+        self.period = np.where(elapsed > 0.0, np.where(late, self.usual, elapsed), self.period)
+        known = np.where(np.isnan(self.usual), elapsed, self.usual)
+        self.usual = np.where(elapsed > 0.0, known + _SMOOTHING * (np.minimum(elapsed, GAP) - known), self.usual)
+        self.state, self.last_time = state, state.time
+        if np.count_nonzero(self.gap):
+            self._begin_again(self.gap)
+
+    def _begin_again(self, where: Mask) -> None:
+        """After a gap, nothing is known of what happened: go on as from a start."""
+        self.period = np.where(where, FIRST_PERIOD, self.period)
+        self.eased_until = np.where(where, self.state.time + EASE, self.eased_until)
+        # An arm that sags keeps its command; one that stands elsewhere no longer knows it.
+        elsewhere = where[:, None] & (np.abs(self.sent - self.state.position) > GuardLimits.max_lead)
+        self.sent = np.where(elsewhere, self.state.position, self.sent)
+        self.speed = np.where(where[:, None], 0.0, self.speed)
+
+    @property
+    def ease(self) -> Array:
+        """(B,) share of its speed at which an arm may move: less of it after a gap."""
+        return np.where(self.state.time < self.eased_until, EASE_SHARE, 1.0)
+
+
+def own(state: JointState) -> JointState:
+    """Copy what is kept beyond this cycle: a robot may reuse its arrays."""
+    return replace(state, time=state.time.copy(), position=state.position.copy())

@@ -1,0 +1,37 @@
+"""What a trip of the guard says: which arm, when, what was seen, and what to do."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rejoint.control.limits import GuardLimits, Reason, reason_names
+from rejoint.control.progress import Progress
+from rejoint.errors import GuardTripError
+
+
+def trip_error(b: int, progress: Progress, limits: GuardLimits) -> GuardTripError:
+    """Return the error of the arm ``b`` that tripped."""
+    state, flags = progress.state, Reason(int(progress.tripped[b]))
+    names = limits.arm.joint_names
+    details = []
+    if Reason.STALE in flags:
+        details.append(
+            f"the joint state is {state.age[b]:.2f} s old, limit {limits.max_age:.2f} s; check the connection"
+        )
+    if Reason.TEMPERATURE in flags and state.temperature is not None:
+        hot = int(np.argmax(state.temperature[b]))
+        details.append(
+            f"{names[hot]} is at {state.temperature[b, hot]:.0f} deg C, limit {limits.max_temperature:.0f}; let it cool"
+        )
+    if Reason.SERVO_FAULT in flags and state.fault is not None:
+        faulty = ", ".join(np.array(names)[state.fault[b]])
+        details.append(f"{faulty} reports a servo fault; free the arm and clear the fault")
+    if Reason.OUT_OF_RANGE in flags:
+        degrees = np.round(np.degrees(state.position[b]), 1).tolist()
+        details.append(f"measured {degrees} deg lies far outside the joint limits; check the arm's zero")
+    if Reason.NOT_FOLLOWING in flags and progress.unbelieved is not None:
+        details.append(progress.following.describe(b, progress.unbelieved[b]))
+    if Reason.NOT_FINITE in flags:
+        details.append("a command or a measured position is not a number; check the controller and the connection")
+    where = f"arm {b} at {progress.state.time[b] - progress.set_at[b]:.2f} s into target {int(progress.index[b]) + 1}"
+    return GuardTripError(", ".join(reason_names(int(flags))), f"{where}: {'; '.join(details)}")

@@ -1,0 +1,156 @@
+"""The loop of `rejoint.control.following`, compiled: every joint of every arm, once per cycle."""
+
+# mypy: disallow-untyped-defs=False, disallow-untyped-calls=False, disallow-untyped-decorators=False
+from __future__ import annotations
+
+import numpy as np
+from numba import bool_, float64, from_dtype, int64, njit, types, void
+
+HISTORY = 8
+"""Commands that are remembered (chosen: 160 ms of the shortest regular period)."""
+SETTLE = 0.08
+"""[s] after which a command has reached the servo and a reading shows it: latency, a period of 25 ms, age of a reading
+and the time in which a worn joint sets off (measured, `python -m benchmarks following`)."""
+STILL = 2
+"""Cycles with the same reading after which a joint is taken to stand (chosen: the load is a median of three)."""
+STRIKES = 2
+"""Cycles in a row in which the load has to disagree (chosen)."""
+PUSHED, UNPUSHED_STRIKES = np.radians(0.3), 8
+"""[rad] travel of the command below which it takes more cycles (chosen: a joint that rings about its place shows one
+reading by chance for three or four)"""
+MARGIN = 0.03
+"""Share of the largest torque by which a load may be off (chosen: tried from
+0.025 to 0.05: less is quicker, and at two strikes none was wrong)."""
+COUNTS = 1.1
+"""Encoder steps by which the servo's own reading may differ from the one told (chosen: dead zone and flicker)."""
+NOISE = 0.015
+"""Standard deviation of a load, share of the largest torque (chosen)."""
+SURE = 1.5
+"""Standard deviations of the expected load that are allowed for (chosen)."""
+KNOWN = 0.5
+"""relative error of a gain from which nothing is concluded (chosen)"""
+FULL = 0.9
+"""Share of the largest torque from which a servo gives all it has (chosen)."""
+FULL_CYCLES = 8
+"""Cycles of that which show that a joint is stuck: one that turns has no full torque for long (chosen)"""
+LEARN_SPREAD = np.radians(0.5)
+"""[rad] commands in `SETTLE` may differ by this where a load is learned from (chosen)."""
+LEARN_STILL = 4
+"""Cycles of stillness after which a load is learned from (chosen)."""
+LEARN_LAST = 200
+"""Cycles of stillness after which it is not any more: it would say the same again (chosen)."""
+TRACK = np.dtype(
+    [
+        ("position", "f8"), ("held", "f8"), ("since", "f8"), ("travel", "f8"), ("stuck", "f8"),
+        ("home", "f8"), ("moved", "f8"),
+        ("gain", "f8"), ("least", "f8"), ("offset", "f8"), ("p00", "f8"), ("p01", "f8"), ("p11", "f8"),
+        ("load", "f8"), ("load1", "f8"), ("load2", "f8"), ("expected", "f8"),
+        ("still", "i8"), ("strikes", "i8"), ("moves", "i8"), ("full", "i8"), ("given", "?"),
+    ]
+)  # fmt: skip
+"""What is remembered of a joint. ``held`` [rad] is the command in force when its reading last changed (at ``since``
+[s]), ``travel`` [rad] how far the command has gone from there, ``stuck`` [rad] how far it went before the reading
+changed, at most, ``moves`` how often it did, and ``moved`` [rad] how far from ``home``, its first. Standing, it should
+tell the load ``gain`` * (command - position) + ``offset``, known with the covariance ``p``; a gain below ``least`` is
+not learned, or a joint that turns slowly would teach its own. Only a gain that was ``given`` beforehand tells of joints
+that turn: one learned from nothing says too little."""
+
+FINE, STANDING, UNKNOWN, TURNING = range(4)
+"""Verdicts: the reading changes; it stands, and by its load the joint does; it stands, and no load tells; it stands,
+and by its load the joint does not."""
+
+_TRACKS = types.Array(from_dtype(TRACK), 2, "C")
+_IN1, _IN2 = (types.Array(float64, dimensions, "C", readonly=True) for dimensions in (1, 2))
+_OPTIONS = {"cache": True, "nogil": True, "boundscheck": True}
+
+
+@njit(cache=True)
+def _follow(track, now, position, command):  # noqa: ANN001, ANN202
+    if position == track.position:
+        track.still += 1
+        track.travel = command - track.held
+        return
+    track.stuck = max(track.stuck, abs(track.travel))
+    track.moves += 1
+    track.moved = max(track.moved, abs(position - track.home))
+    track.position, track.held, track.since, track.travel = position, command, now, 0.0
+    track.still = track.strikes = track.full = 0
+
+
+@njit(cache=True)
+def _learn(track, lead):  # noqa: ANN001, ANN202
+    """Recursive least squares of load = gain * lead + offset."""
+    a, b = track.p00 * lead + track.p01, track.p01 * lead + track.p11
+    wrong = track.load - track.gain * lead - track.offset
+    share = NOISE * NOISE + lead * a + b
+    track.gain = max(track.gain + a * wrong / share, track.least)
+    track.offset += b * wrong / share
+    track.p00 -= a * a / share
+    track.p01 -= a * b / share
+    track.p11 -= b * b / share
+
+
+@njit(cache=True)
+def _judge(track, low, high, step):  # noqa: ANN001, ANN202
+    """Compare the load of a joint that stands with what its servo must give at leads from ``low`` to ``high``."""
+    lead = 0.5 * (low + high)
+    unsure = SURE * np.sqrt(track.p00 * lead * lead + 2.0 * track.p01 * lead + track.p11)
+    least = min(max(track.gain * low + track.offset, -1.0), 1.0)
+    most = min(max(track.gain * high + track.offset, -1.0), 1.0)
+    if low < COUNTS * step:  # the dead zone of the servo
+        least = min(least, 0.0)
+    if high > -COUNTS * step:
+        most = max(most, 0.0)
+    track.expected = 0.5 * (least + most)
+    off = max(least - track.load, track.load - most)
+    known = SURE * np.sqrt(track.p00) < KNOWN * track.gain
+    agrees = off <= MARGIN + COUNTS * step * abs(track.gain) + unsure
+    track.strikes = 0 if agrees or not track.given else track.strikes + 1
+    telling = high - low < LEARN_SPREAD and abs(lead) > COUNTS * step and abs(track.load) < FULL
+    if (agrees or not known) and telling and LEARN_STILL <= track.still <= LEARN_LAST:
+        _learn(track, lead)
+    if track.strikes >= (STRIKES if abs(track.travel) > PUSHED else UNPUSHED_STRIKES):
+        return TURNING
+    if abs(track.load) >= FULL and track.load * lead > 0.0:
+        track.full += 1
+        return STANDING
+    explained = known and (agrees or track.given)
+    return STANDING if explained or track.full >= FULL_CYCLES else UNKNOWN
+
+
+@njit(void(_TRACKS, float64[:, ::1], float64[:, :, ::1], _IN1, _IN1, _IN2, _IN2, _IN2, bool_, float64, int64[:, ::1]),
+      **_OPTIONS)  # fmt: skip
+def watch(tracks, sent_at, sent, now, last, position, command, load, loaded, step, verdict):  # noqa: ANN001, ANN201
+    """Take over a reading and give a ``verdict`` (B, n) on every joint.
+
+    ``sent_at`` (B, HISTORY) [s] and ``sent`` (B, HISTORY, n) [rad], newest first, take over ``command`` (B, n), which
+    was sent at the clock ``last`` (B,); ``now`` (B,) is that of the reading ``position`` (B, n), ``load`` (B, n) what
+    its servos told if ``loaded``, and ``step`` [rad] that of the encoders. A repeated answer says nothing new.
+    """
+    arms, joints = position.shape
+    for i in range(arms):
+        if now[i] <= last[i]:
+            continue
+        for h in range(HISTORY - 1, 0, -1):
+            sent_at[i, h] = sent_at[i, h - 1]
+            sent[i, h] = sent[i, h - 1]
+        sent_at[i, 0] = last[i]
+        sent[i, 0] = command[i]
+        reach = 0  # the newest command that has certainly arrived
+        while reach < HISTORY - 1 and sent_at[i, reach] > now[i] - SETTLE:
+            reach += 1
+        for j in range(joints):
+            low = high = sent[i, reach, j]
+            for h in range(reach):
+                low, high = min(low, sent[i, h, j]), max(high, sent[i, h, j])
+            track = tracks[i, j]
+            _follow(track, now[i], position[i, j], sent[i, reach, j])
+            verdict[i, j] = STANDING if track.still >= STILL else FINE
+            if track.still >= STILL and not loaded:
+                verdict[i, j] = UNKNOWN
+            if loaded:
+                told = load[i, j]
+                median = max(min(told, track.load1), min(max(told, track.load1), track.load2))
+                track.load2, track.load1, track.load = track.load1, told, median
+                if track.still >= STILL:
+                    verdict[i, j] = _judge(track, low - position[i, j], high - position[i, j], step)
