@@ -162,14 +162,16 @@ def caught(runs: int, trial: Trial) -> None:
                 whole, broken = (drive(wears, name, seed, trial, given) for given in (None, faults))
                 length = min(len(whole.path), len(broken.path))
                 off = np.linalg.norm(broken.path[:length] - whole.path[:length], axis=-1)
-                far = off.max(axis=0)
+                worst = np.maximum.accumulate(off, axis=0)  # an arm may be far off and come back before the trip
+                far = worst[-1]
                 total += batch
                 for m in range(3):
                     tripped = np.isfinite(broken.trip[m]) & (broken.trip[m] >= at)
                     row = np.argmax(broken.clock[:length] >= broken.trip[m], axis=0)
                     apart = np.where(tripped, off[row, np.arange(batch)], far)
                     rows[m] += (1e3 * apart[tripped]).tolist()
-                    fine[m] += np.count_nonzero(apart <= 0.030)
+                    before = np.where(tripped, worst[row, np.arange(batch)], far)
+                    fine[m] += np.count_nonzero(before <= 0.030)
                     late[m] += np.count_nonzero(~tripped & (far <= 0.030))
             for m, monitor in enumerate(MONITORS):
                 spread = np.percentile(rows[m], [50, 90, 100]).round(1).tolist() if rows[m] else "none"

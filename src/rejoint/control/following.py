@@ -37,8 +37,7 @@ TRAVEL = 0.020
 STICKING = 1.5
 """times as far as a joint was seen to stick may it stick again (chosen)"""
 STICKS = np.radians(4.0)
-"""[rad] that a joint is taken to stick where little is known of it (measured: worn ones, `python -m benchmarks
-following`)"""
+"""[rad] that a joint is taken to stick where little is known of it (chosen: worn ones stick up to twice that)"""
 SHORT_LEVER = 0.13
 """[m] joints nearer to the tool are not judged without load (chosen: 20 deg, the guard's longest lead, are 45 mm there;
 a weak wrist joint stands at any lead)"""

@@ -10,7 +10,7 @@ HISTORY = 8
 """Commands that are remembered (chosen: 160 ms of the shortest regular period)."""
 SETTLE = 0.08
 """[s] after which a command has reached the servo and a reading shows it: latency, a period of 25 ms, age of a reading
-and the time in which a worn joint sets off (measured, `python -m benchmarks following`)."""
+and the time in which a worn joint sets off (chosen)."""
 STILL = 2
 """Cycles with the same reading after which a joint is taken to stand (chosen: the load is a median of three)."""
 STRIKES = 2
@@ -19,8 +19,7 @@ PUSHED, UNPUSHED_STRIKES = np.radians(0.3), 8
 """[rad] travel of the command below which it takes more cycles (chosen: a joint that rings about its place shows one
 reading by chance for three or four)"""
 MARGIN = 0.03
-"""Share of the largest torque by which a load may be off (chosen: tried from
-0.025 to 0.05: less is quicker, and at two strikes none was wrong)."""
+"""Share of the largest torque by which a load may be off (chosen: less is quicker, and was not wrong down to 0.025)"""
 COUNTS = 1.1
 """Encoder steps by which the servo's own reading may differ from the one told (chosen: dead zone and flicker)."""
 NOISE = 0.015
