@@ -36,6 +36,10 @@ TRAVEL = 0.020
 """[m] of the tool that a command may go beyond a reading that stands (chosen: 30 less what the arm coasts)."""
 STICKING = 1.5
 """times as far as a joint was seen to stick may it stick again (chosen)"""
+SLACK = np.radians(1.0)
+"""[rad] beyond that, where it is known from the arm's own diagnosis (chosen)"""
+STICKY = np.radians(8.0)
+"""[rad] from which a joint stands at any lead, so that its standing says nothing (chosen)"""
 STICKS = np.radians(4.0)
 """[rad] that a joint is taken to stick where little is known of it (chosen: worn ones stick up to twice that)"""
 SHORT_LEVER = 0.13
@@ -83,8 +87,14 @@ class Knowledge:
 class Following:
     """Watches B arms; one `check` per cycle."""
 
-    def __init__(self, arm: Arm, state: JointState, sent: Array, knowledge: Knowledge | None = None) -> None:
-        """Begin with the ``state`` in which ``sent`` (B, n) [rad] is in force."""
+    def __init__(
+        self, arm: Arm, state: JointState, sent: Array, knowledge: Knowledge | None = None, *, sticks: Array | None = None
+    ) -> None:
+        """Begin with the ``state`` in which ``sent`` (B, n) [rad] is in force.
+
+        ``sticks`` (n,) or (B, n) [rad] is how far commands went before readings followed when the arm was measured.
+        """
+        self._sticks = None if sticks is None else np.broadcast_to(sticks, state.position.shape)
         shape = state.position.shape
         self._arm, self._last = arm, state.time.copy()
         self._tracks = np.zeros(shape, watching.TRACK)
@@ -151,6 +161,9 @@ class Following:
         asked = (self._verdict == _UNKNOWN) & (travel > _EARLIEST) & stands
         if not asked.any():
             return asked
+        if self._sticks is not None:
+            known = self._sticks < STICKY
+            return asked & known & (travel > STICKING * np.maximum(self._sticks, tracks["stuck"]) + SLACK)
         lever = self._levers(position)
         stuck = np.where(tracks["moves"] >= SETTLED, tracks["stuck"], np.maximum(tracks["stuck"], STICKS))
         judged = asked & (lever > SHORT_LEVER) & (tracks["moved"] >= MOVED)

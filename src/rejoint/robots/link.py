@@ -39,9 +39,9 @@ PROBE_PATIENCE = 2.0
 """[s] for a TCP connection to be accepted; a robot in the same network needs milliseconds (chosen)"""
 LATE = 0.3
 """[s] the client's own TCP timeout: a call that took longer was sent more than once"""
-ATTEMPTS = 3
+ATTEMPTS = 6
 """Times that a question is asked, each up to three times by the client itself, before its failure is an error (chosen:
-with a tenth of all answers lost or garbled one question in ten million fails so)"""
+where one answer in fifty is lost, three times fail once in twenty minutes, six times once in a lifetime)"""
 PATIENCE = 10.0
 """[s] for which a link may be dead while an arm is driven, before that is an error (chosen: a server that is started
 again needs less; the arm holds meanwhile)"""
