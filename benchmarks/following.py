@@ -1,8 +1,9 @@
 """Joints that do not follow: how soon frozen and blind encoders are noticed, and whether others are taken for them.
 
-Every arm is driven twice with the same noise, once with a fault. Three monitors look on and stop nothing, so that all
+Every arm is driven twice with the same noise, once with a fault. Four monitors look on and stop nothing, so that all
 of them see the same motion: one that is told the load and knows the servos to 10 %; one that is told
-the load alone; one that is told nothing but positions.
+the load alone; one that is told positions and how far the joints of this arm stick by its own diagnosis, as every stage of
+a run is; one that is told nothing but positions.
 """
 
 import tempfile
@@ -16,9 +17,10 @@ import numpy as np
 from rejoint.arms import Array, mycobot280
 from rejoint.control.catalogue import make_controller
 from rejoint.control.controller import Situation
-from rejoint.control.following import Following, Knowledge
+from rejoint.control.following import Following, Knowledge, sticking
 from rejoint.control.guard import GuardLimits, guard, warm_up
 from rejoint.control.robot import Mask
+from rejoint.diagnosis.record import record
 from rejoint.plant.wear import Wear, load_wear
 from rejoint.robots.emulated import EmulatedRobot
 from rejoint.training.train import TrainingOptions, train
@@ -32,7 +34,8 @@ STUCK = (5.0, 10.0, 15.0, 1000.0)
 DWELL = 2.5
 SPREAD = 0.1
 """relative standard deviation of what is known of servos, cut off at twice as much"""
-MONITORS = ("load, servos known", "load", "positions alone")
+MONITORS = ("load, servos known", "load", "positions, diagnosed", "positions alone")
+COUNT = len(MONITORS)
 
 
 @dataclass(frozen=True)
@@ -68,6 +71,12 @@ def arms(kind: str, count: int, seed: int) -> list[Wear]:
         return [load_wear(f"{kind}?seed={seed + i}", ARM) for i in range(count)]
     plain = [load_wear(f"{PROFILES[i % 3]}?seed={seed + i}", ARM) for i in range(count)]
     return [stuck(wear, int(rng.integers(5)), float(rng.choice(STUCK))) for wear in plain]
+
+
+def diagnosed(wears: list[Wear]) -> Array:
+    """How far (B, n) [rad] the joints of each arm stick by its diagnosis, as a run folder holds it."""
+    logs = record(EmulatedRobot(ARM, wears, seed=1, threads=2), seed=0)
+    return np.array([np.maximum(sticking(ARM, log.excitation), sticking(ARM, log.targets)) for log in logs])
 
 
 @dataclass(frozen=True)
@@ -106,10 +115,12 @@ def drive(wears: list[Wear], name: str, seed: int, trial: Trial, faults: Faults 
     watchers = [
         Following(ARM, state, sent, Knowledge(gain=gain, within=2.5 * SPREAD)),
         Following(ARM, state, sent),
+        Following(ARM, state, sent, sticks=diagnosed(wears)),
         Following(ARM, state, sent),
     ]
-    trip, joint = np.full((3, count), np.inf), np.full((3, count), -1)
-    tool, done, aimed = np.zeros((3, count, 3)), np.zeros(count, bool), np.ones(count, bool)
+    trip, joint = np.full((COUNT, count), np.inf), np.full((COUNT, count), -1)
+    tool, done, aimed = np.zeros((COUNT, count, 3)), np.zeros(count, bool), np.ones(count, bool)
+    speed = np.zeros_like(sent)
     index, begun, period = np.full(count, -1), np.full(count, -np.inf), np.full(count, 0.02)
     path, clock = [], []
     while (state.time < targets * DWELL).any():
@@ -125,7 +136,7 @@ def drive(wears: list[Wear], name: str, seed: int, trial: Trial, faults: Faults 
                               since_target=state.time - begun)  # fmt: skip
         if renewed.any():
             controller.reset(situation, renewed)
-        sent = guard(LIMITS, controller.command(situation), sent, state, period).command
+        sent, _, speed = guard(LIMITS, controller.command(situation), sent, speed, state, period)
         if faults is not None:
             faults.break_now(robot, done)
         before, state = state, robot.step(sent)
@@ -138,12 +149,12 @@ def false_trips(runs: int, trial: Trial) -> None:
     batch = max(1, runs // (4 * len(CONTROLLERS)))
     print(f"{'arms':>14} {'runs':>5}  false trips: {', '.join(MONITORS)}")
     for k, kind in enumerate((*PROFILES, "stuck")):
-        wrong, total, joints = np.zeros(3, int), 0, Counter()
+        wrong, total, joints = np.zeros(COUNT, int), 0, Counter()
         for c, name in enumerate(CONTROLLERS):
             seed = 10_000 * (k + 1) + 1000 * c
             seen = drive(arms(kind, batch, seed), name, seed, trial)
             wrong, total = wrong + np.isfinite(seen.trip).sum(axis=1), total + batch
-            joints.update(int(j) + 1 for j in seen.joint[2] if j >= 0)
+            joints.update(int(j) + 1 for j in seen.joint[-1] if j >= 0)
         print(f"{kind:>14} {total:>5}  {wrong.tolist()}  joints by positions alone: {dict(joints)}", flush=True)
 
 
@@ -153,7 +164,7 @@ def caught(runs: int, trial: Trial) -> None:
     for kind in ("worn", "healthy"):
         for blind in (False, True):
             rows: list[list[float]] = [[] for _ in MONITORS]
-            fine, late, total = np.zeros(3, int), np.zeros(3, int), 0
+            fine, late, total = np.zeros(COUNT, int), np.zeros(COUNT, int), 0
             for c, name in enumerate(CONTROLLERS):
                 seed = 100_000 + 1000 * c + 10 * blind + (kind == "worn")
                 rng, wears = np.random.default_rng(seed), arms(kind, batch, seed)
@@ -165,7 +176,7 @@ def caught(runs: int, trial: Trial) -> None:
                 worst = np.maximum.accumulate(off, axis=0)  # an arm may be far off and come back before the trip
                 far = worst[-1]
                 total += batch
-                for m in range(3):
+                for m in range(COUNT):
                     tripped = np.isfinite(broken.trip[m]) & (broken.trip[m] >= at)
                     row = np.argmax(broken.clock[:length] >= broken.trip[m], axis=0)
                     apart = np.where(tripped, off[row, np.arange(batch)], far)

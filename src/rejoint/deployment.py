@@ -16,7 +16,7 @@ from rejoint.arms import Arm, Array, tcp_position
 from rejoint.comparison.result import Protocol
 from rejoint.control.contract import check_controller_period
 from rejoint.control.controller import Controller
-from rejoint.control.guard import Reason, Reasons, reason_names
+from rejoint.control.guard import GuardLimits, Reason, Reasons, reason_names
 from rejoint.control.loop import Schedule, run
 from rejoint.control.progress import GAP
 from rejoint.control.recording import OnCycle, Recording, recording_of
@@ -85,20 +85,20 @@ OnStart = Callable[[JointState, Array], object]
 
 
 def deploy(
-    robot: Robot, controller: Controller, job: Deployment, *, on_start: OnStart | None = None,
-    on_cycle: OnCycle | None = None,
+    robot: Robot, controller: Controller, job: Deployment, *, limits: GuardLimits | None = None,
+    on_start: OnStart | None = None, on_cycle: OnCycle | None = None,
 ) -> tuple[Recording, Deployed]:  # fmt: skip
     """Bring one arm to its rest posture, slowly, and then to the targets of ``job``.
 
     Raises what `run` raises, with what was done until then on the error, see `deployed_of`; ContractError where the
     measured control period does not suit a policy; NotReadyError where the arm had better not be moved.
     """
-    start = begin(robot)
+    start = begin(robot, limits)
     check_controller_period(controller, start.usual_period())
     if on_start is not None:
         on_start(robot.read(), start.command[-1])
     schedule = Schedule(dwell=job.dwell, sent=start.command[-1])
-    recording = run(robot, controller, job.targets[None], schedule, on_cycle=on_cycle)
+    recording = run(robot, controller, job.targets[None], schedule, limits=limits, on_cycle=on_cycle)
     return recording, judge(robot.arm, recording, job)
 
 

@@ -13,6 +13,8 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from rejoint import __version__
 from rejoint.arms import Arm, Array
 from rejoint.comparison.compare import Settings, Trial, compare
@@ -23,6 +25,8 @@ from rejoint.comparison.targets import draw_targets, read_targets
 from rejoint.control.catalogue import BASELINES, make_controller
 from rejoint.control.contract import check_period
 from rejoint.control.controller import Controller
+from rejoint.control.following import sticking
+from rejoint.control.guard import GuardLimits
 from rejoint.control.policy import PolicyController
 from rejoint.control.recording import Cycle, recording_of
 from rejoint.control.robot import JointState, Robot
@@ -214,7 +218,14 @@ def compare_stage(
     try:
         with noted():
             result = compare(
-                connect, factories, targets, settings, on_progress=on_progress, on_trial=keep, ledger=ledger
+                connect,
+                factories,
+                targets,
+                settings,
+                on_progress=on_progress,
+                on_trial=keep,
+                ledger=ledger,
+                limits=_limits(run),
             )
     except BaseException as error:
         if ledger.done:
@@ -254,7 +265,7 @@ def deploy_stage(
     Where something ends it early, ``on_end`` is told what was done until then, and what was recorded is kept, also
     where it is ``kill -9``. UnsavedError with the result where the log cannot be written.
     """
-    twin = _twin(run)
+    twin, limits = _twin(run), _limits(run)
     controller = _factories(run, (job.controller,), period or default_period(robot))[job.controller](run.arm)
     require_space(run.folder.path)
     label, total = f"deploy/{job.controller}", len(job.targets)
@@ -273,7 +284,7 @@ def deploy_stage(
             on_progress(target + min(share, 1.0), total, f"target {target + 1} of {total}")
 
         try:
-            recording, found = deploy(connection, controller, job, on_start=expected, on_cycle=watch)
+            recording, found = deploy(connection, controller, job, limits=limits, on_start=expected, on_cycle=watch)
         except BaseException as error:
             partial, done = recording_of(error), deployed_of(error, run.arm, job)
             if partial is not None and len(partial.time):
@@ -311,6 +322,13 @@ def _journal(run: Run, name: str, robot: Robot, label: str, rows: int = 0) -> Jo
     return Journal.begin(
         path, arm=run.arm.name, joint_names=run.arm.joint_names, robot=robot.address, label=label, rows=rows
     )
+
+
+def _limits(run: Run) -> GuardLimits:
+    """Return what the guard allows, with how far the joints of this arm stick where its own diagnosis tells."""
+    limits, logs = GuardLimits.of(run.arm), [run.folder.log(name) for name in ("excitation", "targets")]
+    found = [sticking(run.arm, read_log(path)) for path in logs if path.exists()]
+    return replace(limits, sticks=np.max(found, axis=0)) if len(found) == len(logs) else limits
 
 
 def _twin(run: Run) -> Twin | None:

@@ -8,17 +8,20 @@ import pytest
 from rejoint.arms import mycobot280, position_kinematics
 from rejoint.control import watching
 from rejoint.control.catalogue import make_controller
-from rejoint.control.following import TRAVEL, Following, Knowledge
+from rejoint.control.following import TRAVEL, Following, Knowledge, sticking
 from rejoint.control.guard import GuardLimits, Reason
+from rejoint.control.integrator import IntegratorController
 from rejoint.control.loop import RELEASE_CYCLES, Schedule, play, run
 from rejoint.control.recording import recording_of
 from rejoint.control.robot import JointState
 from rejoint.errors import GuardTripError, InputError
 from rejoint.plant.wear import load_wear
 from rejoint.robots.emulated import EmulatedRobot
+from rejoint.runlog import RunLog
 
 ARM = mycobot280()
 REST = ARM.rest
+LIMITS = GuardLimits.of(ARM)
 
 
 class Breaking(EmulatedRobot):
@@ -229,3 +232,48 @@ def test_every_arm_is_watched_as_if_it_were_alone():
 def test_gains_that_make_no_sense_are_refused():
     with pytest.raises(InputError, match="must be positive"):
         Knowledge(gain=np.array([1.0, 0.0]))
+
+
+def sticky_log(lead, rate=0.1, period=0.025, seconds=8.0):
+    """A log in which joint 1 follows a triangle once its command is ``lead`` [rad] ahead, and all others at once."""
+    time = np.arange(0.0, seconds, period)
+    wave = np.interp(time % 4.0, [0.0, 2.0, 4.0], [0.0, 2.0 * rate, 0.0])
+    command = np.tile(ARM.rest, (len(time), 1)) + wave[:, None]
+    position = command.copy()
+    for k in range(1, len(time)):
+        slack = command[k, 0] - position[k - 1, 0]
+        position[k, 0] = position[k - 1, 0] + np.sign(slack) * max(abs(slack) - lead, 0.0)
+    step = ARM.encoder_step
+    return RunLog(
+        arm=ARM.name, joint_names=ARM.joint_names, robot="test:", label="sticky", time=time, command=command,
+        position=np.round(position / step) * step, target=np.full((len(time), 3), np.nan),
+        true_tcp=np.full((len(time), 3), np.nan),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("lead_deg", [1.0, 2.0, 4.0])
+def test_how_far_a_joint_sticks_is_read_from_a_log(lead_deg):
+    """At a turn of the command it crosses the lead twice, from one flank to the other, less what is on its way."""
+    found = np.degrees(sticking(ARM, sticky_log(np.radians(lead_deg))))
+    assert found[0] == pytest.approx(2.0 * lead_deg, abs=1.5)
+    assert (found[1:] < 1.5).all()
+
+
+def trip_of_a_frozen_arm(sticks):
+    """When [s] a frozen second joint ends a run in which no load is told, infinite if it does not; and the message."""
+    robot = EmulatedRobot(ARM, [load_wear("worn", ARM)], seed=3, tells_load=False)
+    robot.plant.freeze(np.arange(6)[None] == 1)
+    targets = np.array([[[0.2, 0.06, 0.16], [0.15, -0.06, 0.24]]])
+    try:
+        run(robot, IntegratorController(ARM), targets, Schedule(dwell=4.0), limits=replace(LIMITS, sticks=sticks))
+    except GuardTripError as error:
+        return recording_of(error).time[-1, 0], str(error)
+    return np.inf, ""
+
+
+def test_what_is_known_of_an_arm_makes_a_dead_encoder_known_sooner():
+    sooner, said = trip_of_a_frozen_arm(np.full(6, np.radians(2.0)))
+    later, _ = trip_of_a_frozen_arm(None)
+    assert "joint2" in said
+    assert sooner < 1.5
+    assert sooner < later

@@ -95,6 +95,8 @@ def test_contracts_of_any_content_load_or_are_one_line(tmp_path, draw):
         where = content
         if draw.draw(st.booleans()):
             where = content["law"] if draw.draw(st.booleans()) else content["law"]["learning"]
+        if not where:
+            break
         where[draw.draw(st.sampled_from(sorted(where)))] = draw.draw(JSON)
         if not isinstance(content["law"], dict) or not isinstance(content["law"].get("learning"), dict):
             break

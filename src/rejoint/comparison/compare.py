@@ -22,6 +22,7 @@ from rejoint.comparison.result import Comparison, Protocol
 from rejoint.comparison.summary import Tally, summarise
 from rejoint.control.contract import check_controller_period
 from rejoint.control.controller import Controller
+from rejoint.control.guard import GuardLimits
 from rejoint.control.loop import move, run
 from rejoint.control.recording import Cycle, Recording
 from rejoint.control.robot import Robot
@@ -96,12 +97,13 @@ def compare(
     on_progress: OnProgress | None = None,
     on_trial: OnTrial | None = None,
     ledger: Ledger | None = None,
+    limits: GuardLimits | None = None,
 ) -> Comparison:
     """Compare ``controllers`` by name on ``targets`` (S, K, 3) [m].
 
     Trials of a batch that the guard ends count as failures; on a single arm the trip ends the
     comparison, as does an error of the robot. A command that is not a number costs its controller the trial in both.
-    What is done already by the ``ledger`` is not driven again.
+    What is done already by the ``ledger`` is not driven again. ``limits`` are the guard's, by default those of the arm.
     """
     targets = np.asarray(targets, dtype=float)
     if targets.ndim != 3 or targets.shape[2] != 3 or 0 in targets.shape or not np.isfinite(targets).all():
@@ -111,7 +113,8 @@ def compare(
     shape = (targets.shape[0], settings.repetitions, targets.shape[1])
     session = _Session(
         open_robot=open_robot, controllers=dict(controllers), targets=targets, settings=settings, shape=shape,
-        tallies={name: Tally(shape, settings.protocol) for name in controllers}, ledger=ledger or Ledger.nowhere(),
+        tallies={name: Tally(shape, settings.protocol) for name in controllers},
+        ledger=ledger or Ledger.nowhere(), limits=limits,
         progress=_Progress(on_progress, len(controllers) * len(KINDS) * int(np.prod(shape))), on_trial=on_trial,
     )  # fmt: skip
     robot = session.run_batched() if settings.batched else session.run_interleaved()
@@ -129,6 +132,7 @@ class _Session:
     shape: tuple[int, int, int]
     tallies: dict[str, Tally]
     ledger: Ledger
+    limits: GuardLimits | None
     progress: _Progress
     on_trial: OnTrial | None
     left_out: list[str] = field(default_factory=list)
@@ -186,7 +190,7 @@ class _Session:
         failed = False
         if isinstance(controller, Watched):
             plan = replace(plan, give_up=controller.give_up)
-        recording = run(robot, controller, targets, plan, on_cycle=on_cycle)
+        recording = run(robot, controller, targets, plan, limits=self.limits, on_cycle=on_cycle)
         if isinstance(controller, Watched):
             recording, failed = controller.mark(recording), controller.failed
         if self.on_trial is not None:
@@ -241,10 +245,10 @@ class _OneByOne:
     def _start(self) -> Array:
         """Bring the arm to its rest posture; returns the command there (1, n) [rad]."""
         if self._sent is None:
-            motion = begin(self._robot)
+            motion = begin(self._robot, self._session.limits)
             self._check_period(motion.usual_period())
         else:
-            motion = move(self._robot, self._robot.arm.rest, sent=self._sent)
+            motion = move(self._robot, self._robot.arm.rest, sent=self._sent, limits=self._session.limits)
         self._sent = motion.command[-1]
         return self._sent
 

@@ -29,6 +29,7 @@ from rejoint.control.law import plain
 from rejoint.control.robot import JointState, Mask
 from rejoint.errors import InputError
 from rejoint.late import Late
+from rejoint.runlog import RunLog
 
 watching = Late("rejoint.control.watching")
 
@@ -38,7 +39,7 @@ STICKING = 1.5
 """times as far as a joint was seen to stick may it stick again (chosen)"""
 SLACK = np.radians(1.0)
 """[rad] beyond that, where it is known from the arm's own diagnosis (chosen)"""
-STICKY = np.radians(8.0)
+STICKY = np.radians(6.0)
 """[rad] from which a joint stands at any lead, so that its standing says nothing (chosen)"""
 STICKS = np.radians(4.0)
 """[rad] that a joint is taken to stick where little is known of it (chosen: worn ones stick up to twice that)"""
@@ -84,11 +85,31 @@ class Knowledge:
             raise InputError(f"following: gains and their errors must be positive, got {self.gain} and {self.within}")
 
 
+def sticking(arm: Arm, log: RunLog) -> Array:
+    """How far (n,) [rad] commands went in a log, at most, before the readings of their joints changed."""
+    positions, commands, nothing = log.position[:, None], log.command[:, None], np.zeros((1, 1))
+
+    def state(row: int) -> JointState:
+        return JointState(time=log.time[row : row + 1], position=positions[row], age=nothing[0])
+
+    following, aimed = Following(arm, state(0), commands[0]), np.zeros(1, dtype=bool)
+    for row in range(1, len(log)):
+        following.check(state(row), commands[row - 1], aimed)
+    found: Array = following._tracks["stuck"][0].copy()
+    return found
+
+
 class Following:
     """Watches B arms; one `check` per cycle."""
 
     def __init__(
-        self, arm: Arm, state: JointState, sent: Array, knowledge: Knowledge | None = None, *, sticks: Array | None = None
+        self,
+        arm: Arm,
+        state: JointState,
+        sent: Array,
+        knowledge: Knowledge | None = None,
+        *,
+        sticks: Array | None = None,
     ) -> None:
         """Begin with the ``state`` in which ``sent`` (B, n) [rad] is in force.
 

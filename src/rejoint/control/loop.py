@@ -133,7 +133,13 @@ def play(
 
 
 def move(
-    robot: Robot, posture: Array, *, sent: Array | None = None, speed: float = 0.5, settle: float = 1.0
+    robot: Robot,
+    posture: Array,
+    *,
+    sent: Array | None = None,
+    speed: float = 0.5,
+    settle: float = 1.0,
+    limits: GuardLimits | None = None,
 ) -> Recording:
     """Bring every arm to ``posture`` (n,) [rad] at ``speed`` [rad/s] of its farthest joint and wait ``settle`` [s].
 
@@ -148,7 +154,7 @@ def move(
         return start + np.minimum(time / duration, 1.0)[:, None] * way
 
     schedule = Schedule(dwell=duration + settle, sent=start)
-    return run(robot, Playback(trajectory), np.full((robot.count, 1, 3), np.nan), schedule)
+    return run(robot, Playback(trajectory), np.full((robot.count, 1, 3), np.nan), schedule, limits=limits)
 
 
 class Playback:

@@ -71,7 +71,8 @@ class Progress:
         return cls(
             state=state, targets=targets, sent=sent, speed=np.zeros_like(sent), index=np.zeros(count, dtype=np.intp),
             set_at=state.time.copy(), active=np.ones(count, dtype=bool), tripped=np.zeros(count, dtype=np.uint16),
-            period=np.full(count, FIRST_PERIOD), following=Following(limits.arm, state, sent, limits.servos),
+            period=np.full(count, FIRST_PERIOD),
+            following=Following(limits.arm, state, sent, limits.servos, sticks=limits.sticks),
         )  # fmt: skip
 
     @property

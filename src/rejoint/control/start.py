@@ -27,10 +27,10 @@ STANCE = np.radians(15.0)
 late, leave on worn arms, is two thirds of it)"""
 
 
-def begin(robot: Robot) -> Recording:
+def begin(robot: Robot, limits: GuardLimits | None = None) -> Recording:
     """Look at the robot, then bring it slowly to its rest posture; NotReadyError before it moves if that is unwise."""
     check_ready(robot)
-    return move(robot, robot.arm.rest)
+    return move(robot, robot.arm.rest, limits=limits)
 
 
 def check_ready(robot: Robot) -> None:
