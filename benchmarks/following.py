@@ -2,8 +2,8 @@
 
 Every arm is driven twice with the same noise, once with a fault. Four monitors look on and stop nothing, so that all
 of them see the same motion: one that is told the load and knows the servos to 10 %; one that is told
-the load alone; one that is told positions and how far the joints of this arm stick by its own diagnosis, as every stage of
-a run is; one that is told nothing but positions.
+the load alone; one that is told positions and how far the joints of this arm stick by its own diagnosis, as stages of
+a run are; one that is told nothing but positions.
 """
 
 import tempfile
