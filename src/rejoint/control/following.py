@@ -37,7 +37,7 @@ TRAVEL = 0.020
 """[m] of the tool that a command may go beyond a reading that stands (chosen: 30 less what the arm coasts)."""
 STICKING = 1.5
 """times as far as a joint was seen to stick may it stick again (chosen)"""
-SLACK = np.radians(1.0)
+SLACK = np.radians(1.5)
 """[rad] beyond that, where it is known from the arm's own diagnosis (chosen)"""
 STICKY = np.radians(6.0)
 """[rad] from which a joint stands at any lead, so that its standing says nothing (chosen)"""
