@@ -366,3 +366,15 @@ def test_the_worn_arm_is_driven_to_a_target(transport, awake):
     assert np.linalg.norm(uncorrected - target) > 0.01
     assert np.linalg.norm(tcp_position(ARM, state.position)[0] - target) < 0.006
     np.testing.assert_allclose(held.position, state.position, atol=np.radians(2))
+
+
+def test_a_wrong_byte_is_no_alarm_and_an_alarm_that_stays_is_one(start):
+    garbled = [
+        frame(TEMPERATURES, bytes([33, 33, 249, 33, 33, 33])),
+        frame(TEMPERATURES, bytes([33, 201, 33, 33, 33, 33])),
+    ]
+    robot, _ = start(lambda command, nth: garbled[nth % 2] if command == TEMPERATURES and nth <= 3 else None)
+    np.testing.assert_array_equal(robot.read().temperature, [[33.0] * 6])
+    hot = frame(TEMPERATURES, bytes([33, 33, 71, 33, 33, 33]))
+    robot, _ = start(only(TEMPERATURES, ALWAYS, hot))
+    assert robot.read().temperature[0, 2] == 71.0

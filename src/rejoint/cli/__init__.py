@@ -95,7 +95,7 @@ def main() -> None:
 
 
 def _interrupted(error: Interrupted, *, json: bool) -> int:
-    kept = "finished stages are kept: `rejoint repair` and `rejoint train` go on from there"
+    kept = "finished stages are kept: `rejoint repair`, `rejoint train` and `rejoint compare` go on from there"
     code = _fail(f"{error}; {kept}", "Interrupted", error.exit_code, json=json)
     _say_notes(error)
     return code

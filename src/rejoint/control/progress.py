@@ -18,8 +18,8 @@ FIRST_PERIOD = 0.02
 """[s] period assumed before one has been measured (chosen: the shortest regular one, so the smallest first step)."""
 
 GAP = 0.8
-"""[s] without an answer after which an arm goes on as from a start (chosen: longer than a lost answer and a stall of half
-a second, after which a usual step is as good as before; shorter than a new connection takes)"""
+"""[s] without an answer after which an arm goes on as from a start (chosen: longer than a lost answer and a stall of
+half a second, after which a usual step is as good as before; shorter than a new connection takes)"""
 GAP_PERIODS = 3.0
 """Times the usual period that a gap also exceeds (chosen: where periods of half a second were asked for)"""
 LATE_PERIODS = 2.0

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,8 +14,15 @@ from rejoint.errors import ImpossibleReplyError, NoReplyError
 from rejoint.robots.link import VendorLink
 from rejoint.robots.plausibility import read_bytes
 
+T = TypeVar("T", bound=NDArray[Any])
+
 ALARMING = 60.0
 """[deg C] from which a temperature is asked for once more before it is believed (chosen: below what trips the guard)"""
+
+DOUBTS = 5
+"""Times that it is asked for at most (chosen: two garbled answers in a row hardly ever agree)"""
+SAME = 2.0
+"""[deg C] by which two such answers may differ (chosen: what a servo warms in a second, and a count)"""
 
 _SPARE = 1.5
 """Times what a question costs that a cycle must have left for one (chosen: answers jitter)"""
@@ -60,16 +69,28 @@ class Health:
         self._turn, self._due = 1 - self._turn, now + self._interval
 
     def _ask_temperature(self) -> None:
-        found = read_bytes(self._link.ask("get_servo_temps"), self._joints)
-        if found.max() >= ALARMING:  # or a wrong byte on the wire
-            found = read_bytes(self._link.ask("get_servo_temps"), self._joints)
-        self.temperature = found[None]
+        def ask() -> Array:
+            return read_bytes(self._link.ask("get_servo_temps"), self._joints)
+
+        self.temperature = _believed(ask, lambda found: bool(found.max() >= ALARMING))[None]
 
     def _ask_fault(self) -> None:
-        found = _faults(self._link.ask("get_servo_status"), self._joints)
-        if found.any():
-            found = _faults(self._link.ask("get_servo_status"), self._joints)
-        self.fault = found[None]
+        def ask() -> NDArray[np.bool_]:
+            return _faults(self._link.ask("get_servo_status"), self._joints)
+
+        self.fault = _believed(ask, lambda found: bool(found.any()))[None]
+
+
+def _believed(ask: Callable[[], T], alarming: Callable[[T], bool]) -> T:
+    """Ask again after an alarming answer until two in a row say the same: a wrong byte on the wire is no alarm."""
+    found = ask()
+    for _ in range(DOUBTS):
+        if not alarming(found):
+            return found
+        before, found = found, ask()
+        if np.abs(np.subtract(found, before, dtype=float)).max() <= SAME:
+            return found
+    return found
 
 
 def _faults(reply: object, count: int) -> NDArray[np.bool_]:
