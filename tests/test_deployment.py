@@ -5,6 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from rejoint import opening
+from rejoint import repair as work
 from rejoint.arms import mycobot280
 from rejoint.control.catalogue import make_controller
 from rejoint.control.guard import Reason
@@ -13,6 +15,7 @@ from rejoint.deployment import Deployment, deploy, deployed_of, judge
 from rejoint.errors import ContractError, GuardTripError, InputError
 from rejoint.robots import open_robot
 from rejoint.robots.emulated import EmulatedRobot
+from rejoint.runlog import write_log
 
 ARM = mycobot280()
 NEAR = np.array([[0.17, 0.0, 0.2], [0.18, 0.03, 0.21]])
@@ -110,3 +113,14 @@ def test_the_period_that_was_measured_is_the_middle_one():
 def test_nothing_is_reached_within_no_distance():
     with pytest.raises(InputError, match="within a positive distance"):
         job(NEAR, within=0.0)
+
+
+def test_a_stage_that_drives_knows_how_far_the_joints_of_this_arm_stick(tmp_path):
+    run = opening.begin(tmp_path / "run", "emulated:worn", ARM, 0)
+    assert work._limits(run).sticks is None, "no diagnosis, nothing known"
+    recording, _ = drive(NEAR)
+    for name in ("excitation", "targets"):
+        write_log(run.folder.log(name), recording.log(0, name))
+    sticks = work._limits(run).sticks
+    assert sticks.shape == (6,)
+    assert sticks.max() > np.radians(1.0), "worn joints stick"
