@@ -23,7 +23,8 @@ from rejoint.control.catalogue import make_controller
 from rejoint.control.loop import Schedule
 from rejoint.control.loop import run as drive
 from rejoint.robots import open_robot
-from rejoint.runs import RunFolder, write_log
+from rejoint.runlog import write_log
+from rejoint.runs import RunFolder
 from rejoint.training.train import TrainingOptions, train
 from rejoint.twin.file import write_twin
 from rejoint.twin.parameters import nominal_parameters, prior

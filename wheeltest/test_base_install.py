@@ -13,7 +13,9 @@ import pytest
 from conftest import ROOT, Base
 from rejoint.comparison.result import Comparison
 from rejoint.extras import EXTRAS
-from rejoint.runs import RunFolder, read_json, read_log
+from rejoint.files import read_json
+from rejoint.runlog import read_log
+from rejoint.runs import RunFolder
 
 COMMANDS = (
     "repair", "diagnose", "identify", "train", "compare", "deploy", "report", "replay", "import", "export", "emulate",

@@ -230,6 +230,8 @@ def compare_stage(
     except BaseException as error:
         if ledger.done:
             error.add_note(f"What was tried until then is kept ({len(ledger.done)} runs): the same command goes on.")
+        else:
+            ledger.close()
         raise
     file = "" if trials.file is None else str(trials.file)
     result = replace(result, targets_file=file, period=period)
