@@ -201,10 +201,6 @@ def compare_stage(
     def connect(count: int, seed: int) -> Robot:
         return open_robot(robot, arm=run.arm, seed=seed, count=count, period=period, threads=2)
 
-    def keep(trial: Trial) -> None:
-        if (trial.target_set, trial.repetition) == (0, 0):  # one of each suffices for the figures
-            write_log(run.folder.log(trial.label), trial.log())
-
     require_space(run.folder.path)
     settings = Settings(
         repetitions=trials.repetitions, seed=run.info.seed, batched=robot.startswith("emulated:"),
@@ -212,9 +208,14 @@ def compare_stage(
     )  # fmt: skip
     factories = _factories(run, trials.controllers, period or default_period(robot))
     ledger = Ledger.begin(run.folder.trials, _comparison_name(run, robot, targets, settings, tuple(factories), period))
-    if not ledger.done:
-        for log in run.folder.trial_logs():  # of an earlier comparison
-            set_aside(log)
+    earlier = [] if ledger.done else list(run.folder.trial_logs())
+
+    def keep(trial: Trial) -> None:
+        while earlier:  # logs of another comparison make room for the first of this one
+            set_aside(earlier.pop())
+        if (trial.target_set, trial.repetition) == (0, 0):  # one of each suffices for the figures
+            write_log(run.folder.log(trial.label), trial.log())
+
     try:
         with noted():
             result = compare(
