@@ -7,7 +7,7 @@ import numpy as np
 from rejoint.arms import mycobot280
 from rejoint.diagnosis import judge, load_healthy, record
 from rejoint.diagnosis.diagnosis import ringing_most
-from rejoint.plant.wear import Wear, load_wear
+from rejoint.lab.plant.wear import Wear, load_wear
 from rejoint.robots.emulated import EmulatedRobot
 
 HEALTHY = tuple(range(60))

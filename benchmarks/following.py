@@ -21,7 +21,7 @@ from rejoint.control.following import Following, Knowledge, sticking
 from rejoint.control.guard import GuardLimits, guard, warm_up
 from rejoint.control.robot import Mask
 from rejoint.diagnosis.record import record
-from rejoint.plant.wear import Wear, load_wear
+from rejoint.lab.plant.wear import Wear, load_wear
 from rejoint.robots.emulated import EmulatedRobot
 from rejoint.training.train import TrainingOptions, train
 

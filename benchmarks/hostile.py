@@ -10,7 +10,7 @@ import torch
 
 from rejoint.arms import Arm, mycobot280
 from rejoint.control.policy import load_policy
-from rejoint.errors import ContractError, FileError
+from rejoint.system.errors import ContractError, FileError
 from rejoint.training.export import export_policy
 from rejoint.training.networks import perceptron
 from rejoint.training.presets import DEFAULT

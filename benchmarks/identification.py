@@ -25,8 +25,8 @@ import numpy as np
 
 from benchmarks import logs as sources
 from rejoint.arms import Arm, load_arm
-from rejoint.exclusions import find_exclusions, table_height
-from rejoint.runlog import RunLog
+from rejoint.logs.exclusions import find_exclusions, table_height
+from rejoint.logs.runlog import RunLog
 from rejoint.twin.fit import SCALES, Fit, Problem, fit
 from rejoint.twin.fromlogs import FITTED, LogSettings, fit_motions, identify_logs, independent
 from rejoint.twin.judge import NO_TWIN, TIMESTEP, Candidate, Errors, judge

@@ -13,7 +13,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from benchmarks.control import arithmetic, count
-from rejoint.journal import Journal
+from rejoint.logs.journal import Journal
 
 CYCLES, PERIOD = 2000, 0.005
 BUSY = """

@@ -27,17 +27,17 @@ import numpy as np
 import pyarrow.parquet as pq
 
 import rejoint.diagnosis.diagnosis
-import rejoint.report.page
+import rejoint.runs.report.page
 import rejoint.training.presets
 import rejoint.training.train
 import rejoint.twin.identify
-from rejoint import opening
 from rejoint.arms import mycobot280
 from rejoint.cli import main as command_line
 from rejoint.diagnosis.excitation import SHORT
-from rejoint.journal import Journal
-from rejoint.runlog import read_log
-from rejoint.runs import RunFolder, locked
+from rejoint.logs.journal import Journal
+from rejoint.logs.runlog import read_log
+from rejoint.runs import opening
+from rejoint.runs.folder import RunFolder, locked
 
 STAGES = {
     "diagnose": ("diagnosis.json", "logs/targets.parquet", "logs/excitation.parquet"),

@@ -12,21 +12,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rejoint import opening
-from rejoint import repair as work
 from rejoint.arms import mycobot280
 from rejoint.cli import main
 from rejoint.cli.console import Terminal
 from rejoint.cli.options import controller_names, period_seconds
-from rejoint.comparison import Comparison
 from rejoint.control.robot import JointState
-from rejoint.errors import FileError, GuardTripError, InputError
-from rejoint.files import read_json, write_json
-from rejoint.report.contents import read_contents
-from rejoint.report.sections.details import commands
+from rejoint.logs.runlog import read_log
 from rejoint.robots.emulated import EmulatedRobot
-from rejoint.runlog import read_log
-from rejoint.runs import RunFolder, RunInfo
+from rejoint.runs import opening
+from rejoint.runs import stages as work
+from rejoint.runs.comparison import Comparison
+from rejoint.runs.folder import RunFolder, RunInfo
+from rejoint.runs.report.contents import read_contents
+from rejoint.runs.report.sections.details import commands
+from rejoint.system.errors import FileError, GuardTripError, InputError
+from rejoint.system.files import read_json, write_json
 from rejoint.training.train import TrainingOptions, train
 
 

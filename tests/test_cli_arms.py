@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from rejoint.cli import main
-from rejoint.opening import open_run
+from rejoint.runs.opening import open_run
 
 
 def urdf(path: str) -> str:

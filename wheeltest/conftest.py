@@ -17,14 +17,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rejoint import opening
 from rejoint.arms import Arm, mycobot280
 from rejoint.control.catalogue import make_controller
 from rejoint.control.loop import Schedule
 from rejoint.control.loop import run as drive
+from rejoint.logs.runlog import write_log
 from rejoint.robots import open_robot
-from rejoint.runlog import write_log
-from rejoint.runs import RunFolder
+from rejoint.runs import opening
+from rejoint.runs.folder import RunFolder
 from rejoint.training.train import TrainingOptions, train
 from rejoint.twin.file import write_twin
 from rejoint.twin.parameters import nominal_parameters, prior

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 from conftest import ROOT, Base
-from rejoint.comparison.result import Comparison
-from rejoint.extras import EXTRAS
-from rejoint.files import read_json
-from rejoint.runlog import read_log
-from rejoint.runs import RunFolder
+from rejoint.logs.runlog import read_log
+from rejoint.runs.comparison.result import Comparison
+from rejoint.runs.folder import RunFolder
+from rejoint.system.extras import EXTRAS
+from rejoint.system.files import read_json
 
 COMMANDS = (
     "repair", "diagnose", "identify", "train", "compare", "deploy", "report", "replay", "import", "export", "emulate",

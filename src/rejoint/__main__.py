@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 
-from rejoint.stopping import Interrupted, install
+from rejoint.system.stopping import Interrupted, install
 
 
 def main() -> None:

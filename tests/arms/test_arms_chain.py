@@ -25,7 +25,7 @@ from rejoint.arms.chain import cut
 from rejoint.arms.draft import finish
 from rejoint.arms.inertia import LINK_DENSITY, Lump, inertia_matrix, lump, usable
 from rejoint.arms.modelfile import read_tree
-from rejoint.errors import FileError, InputError, MissingExtraError
+from rejoint.system.errors import FileError, InputError, MissingExtraError
 
 # Anchors off the body's origin, mixed axes, a joint reference, two joints on one body, a branch whose
 # reference lies outside of its limits, and a gripper.

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from rejoint.arms import Arm, load_arm, mycobot280, read_arm, so101, tcp_pose, write_arm_toml
 from rejoint.arms.rotations import quaternion_of, rotation_about, rotation_of
-from rejoint.errors import FileError, InputError
+from rejoint.system.errors import FileError, InputError
 
 SHOULDER = """name = "two"
 rest_deg = [0, -40, 80]

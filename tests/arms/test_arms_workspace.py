@@ -26,7 +26,7 @@ from rejoint.arms.workspace import (
     reach,
     rising_frames,
 )
-from rejoint.errors import InputError
+from rejoint.system.errors import InputError
 
 ARMS = {"mycobot280": mycobot280, "so101": so101}
 

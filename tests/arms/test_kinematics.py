@@ -21,7 +21,7 @@ from rejoint.arms import (
 )
 from rejoint.arms.arm import dh_chain
 from rejoint.arms.mycobot280 import DH_TABLE, PAPER_ANGLE_SHIFT, PAPER_DH_TABLE
-from rejoint.errors import InputError
+from rejoint.system.errors import InputError
 from rejoint.twin.model import twin_model
 from rejoint.twin.parameters import nominal_parameters
 

@@ -12,7 +12,7 @@ from rejoint.control.law import STEP_LIMIT, dls_step, fade, limit_lead, null_spa
 from rejoint.control.loop import Schedule, run
 from rejoint.control.pid import PidController, PidGains
 from rejoint.control.robot import JointState
-from rejoint.errors import FileError, InputError
+from rejoint.system.errors import FileError, InputError
 
 ARM = mycobot280()
 TARGETS = ARM.targets.sample(np.random.default_rng(8), (3, 2))

@@ -14,7 +14,7 @@ from rejoint.control.law import fade
 from rejoint.control.observation import Observer
 from rejoint.control.residual import CommandLaw
 from rejoint.control.robot import JointState
-from rejoint.errors import InputError
+from rejoint.system.errors import InputError
 
 ARM = mycobot280()
 LIMITS = GuardLimits.of(ARM)

@@ -23,7 +23,7 @@ from rejoint.control.observation import layout_slots
 from rejoint.control.policy import PolicyController
 from rejoint.control.residual import CommandLaw
 from rejoint.control.robot import JointState
-from rejoint.errors import ContractError
+from rejoint.system.errors import ContractError
 from rejoint.training.presets import DEFAULT, PAPER
 
 ARM = mycobot280()

@@ -14,10 +14,10 @@ from rejoint.control.integrator import IntegratorController
 from rejoint.control.loop import RELEASE_CYCLES, Schedule, play, run
 from rejoint.control.recording import recording_of
 from rejoint.control.robot import JointState
-from rejoint.errors import GuardTripError, InputError
-from rejoint.plant.wear import load_wear
+from rejoint.lab.plant.wear import load_wear
+from rejoint.logs.runlog import RunLog
 from rejoint.robots.emulated import EmulatedRobot
-from rejoint.runlog import RunLog
+from rejoint.system.errors import GuardTripError, InputError
 
 ARM = mycobot280()
 REST = ARM.rest

@@ -12,7 +12,7 @@ from rejoint.arms import frames, mycobot280, tcp_position
 from rejoint.arms.collision import collision_shape
 from rejoint.control.guard import RAMP, TRIPS, Guarded, GuardLimits, Reason, guard, reason_names
 from rejoint.control.robot import JointState
-from rejoint.errors import InputError
+from rejoint.system.errors import InputError
 
 ARM = mycobot280()
 LIMITS = GuardLimits.of(ARM)

@@ -12,7 +12,7 @@ from rejoint.control.integrator import IntegratorController
 from rejoint.control.loop import Schedule, move, play, run
 from rejoint.control.recording import recording_of
 from rejoint.control.robot import JointState, Robot
-from rejoint.errors import GuardTripError, InputError, NoReplyError
+from rejoint.system.errors import GuardTripError, InputError, NoReplyError
 
 ARM = mycobot280()
 TARGETS = ARM.targets.sample(np.random.default_rng(3), (4, 2))

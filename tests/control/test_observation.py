@@ -6,7 +6,7 @@ from rejoint.control.controller import Situation
 from rejoint.control.observation import Observer, layout_size, layout_slots, look
 from rejoint.control.residual import CommandLaw, working_envelope
 from rejoint.control.robot import JointState
-from rejoint.errors import InputError
+from rejoint.system.errors import InputError
 
 ARM = mycobot280()
 

@@ -29,7 +29,7 @@ from rejoint.control.onnxfile import content_digest
 from rejoint.control.policy import PolicyController, load_policy
 from rejoint.control.residual import CommandLaw
 from rejoint.control.robot import JointState
-from rejoint.errors import ContractError, FileError
+from rejoint.system.errors import ContractError, FileError
 
 ARM = mycobot280()
 SIZE = 75

@@ -16,7 +16,7 @@ from rejoint.control import policy as policy_module
 from rejoint.control.contract import DIGEST_KEY, METADATA_KEY, encode_contract
 from rejoint.control.onnxfile import LAYERS, MOST_LAYERS, content_digest
 from rejoint.control.policy import LARGEST_FILE, load_policy
-from rejoint.errors import ContractError, FileError
+from rejoint.system.errors import ContractError, FileError
 from rejoint.training.export import export_policy
 from rejoint.training.networks import perceptron
 

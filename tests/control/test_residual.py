@@ -11,7 +11,7 @@ from rejoint.control.controller import Situation
 from rejoint.control.observation import look
 from rejoint.control.residual import Commander, CommandLaw, working_envelope
 from rejoint.control.robot import JointState
-from rejoint.errors import InputError
+from rejoint.system.errors import InputError
 
 ARM = mycobot280()
 STIFFNESS = (5.0, 6.0, 7.0, 4.0, 5.0, 6.0)

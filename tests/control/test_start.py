@@ -8,9 +8,9 @@ import pytest
 from rejoint.arms import gravity_torque, mycobot280
 from rejoint.control.robot import JointState
 from rejoint.control.start import STANCE, begin, check_ready, check_stance
-from rejoint.errors import NotReadyError
-from rejoint.plant.wear import load_wear
+from rejoint.lab.plant.wear import load_wear
 from rejoint.robots import open_robot
+from rejoint.system.errors import NotReadyError
 
 ARM = mycobot280()
 

@@ -7,7 +7,7 @@ import numpy as np
 from rejoint.arms import so101
 from rejoint.control.guard import GuardLimits
 from rejoint.control.loop import move, play
-from rejoint.plant.wear import load_wear
+from rejoint.lab.plant.wear import load_wear
 from rejoint.robots.emulated import EmulatedRobot
 
 ARM = so101()

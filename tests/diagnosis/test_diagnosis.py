@@ -18,11 +18,11 @@ from rejoint.diagnosis import (
 )
 from rejoint.diagnosis.diagnosis import ringing_most
 from rejoint.diagnosis.excitation import SHORT
-from rejoint.errors import InputError
-from rejoint.files import read_json, write_json
-from rejoint.plant.wear import Wear, load_wear
+from rejoint.lab.plant.wear import Wear, load_wear
+from rejoint.logs.runlog import read_log, write_log
 from rejoint.robots.emulated import EmulatedRobot
-from rejoint.runlog import read_log, write_log
+from rejoint.system.errors import InputError
+from rejoint.system.files import read_json, write_json
 
 ARM = mycobot280()
 HEALTHY, WORN = load_wear("healthy", ARM), load_wear("worn", ARM)

@@ -11,8 +11,8 @@ from rejoint.arms import Arm, gravity_torque, load_arm, mycobot280, so101
 from rejoint.arms.size import heaviest_load, torque_size
 from rejoint.diagnosis import SHORT, healthy_reference, judge, load_healthy, plan_excitation, record
 from rejoint.diagnosis.excitation import is_safe
-from rejoint.errors import InputError
 from rejoint.robots import open_robot
+from rejoint.system.errors import InputError
 
 ARM = mycobot280()
 

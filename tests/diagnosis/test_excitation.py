@@ -9,7 +9,7 @@ from rejoint.arms import frames, gravity_torque, mycobot280
 from rejoint.arms.size import heaviest_load
 from rejoint.diagnosis import FULL, SHORT, plan_excitation
 from rejoint.diagnosis.excitation import hold_postures
-from rejoint.errors import InputError
+from rejoint.system.errors import InputError
 
 ARM = mycobot280()
 

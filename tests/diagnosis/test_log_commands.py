@@ -10,9 +10,9 @@ from plant_logs import ARM, HEALTHY, record_motions, with_joint
 
 from rejoint.cli import main
 from rejoint.diagnosis import Diagnosis
-from rejoint.files import read_json
-from rejoint.runlog import write_log
-from rejoint.runs import LOGS, RunFolder, RunInfo
+from rejoint.logs.runlog import write_log
+from rejoint.runs.folder import LOGS, RunFolder, RunInfo
+from rejoint.system.files import read_json
 from rejoint.twin.judgement import NO_TWIN, Judgement
 
 PUBLISHED = "stiffness = 998.22\ndamping = 3.331\ncoulomb = 0.052\narmature = 0.028\n"

@@ -14,9 +14,9 @@ from rejoint.diagnosis import Diagnosis, Estimate, diagnose_logs, fromlogs, load
 from rejoint.diagnosis.knowngood import reference_by
 from rejoint.diagnosis.logmetrics import slow_motion
 from rejoint.diagnosis.spans import FREE, HOLD, STEP, join_logs, log_of
-from rejoint.errors import InputError
-from rejoint.exclusions import Exclusions, find_exclusions
-from rejoint.files import read_json, write_json
+from rejoint.logs.exclusions import Exclusions, find_exclusions
+from rejoint.system.errors import InputError
+from rejoint.system.files import read_json, write_json
 from rejoint.twin.table import Table
 
 WEARS = {

@@ -7,8 +7,8 @@ import pytest
 
 from rejoint.arms import so101
 from rejoint.diagnosis import diagnose_logs, load_healthy
-from rejoint.exclusions import find_exclusions, table_height
 from rejoint.logs import import_logs
+from rejoint.logs.exclusions import find_exclusions, table_height
 
 ARM = so101()
 FOLDER = Path(os.environ.get("REJOINT_SO101", Path(__file__).parents[2].parent / "shared" / "data" / "so101"))

@@ -7,8 +7,8 @@ import pytest
 
 from rejoint.arms import gravity_torque, link_inertia, mycobot280
 from rejoint.diagnosis import EXCITATION_LABEL, ExcitationLog, attach_segments, measure, plan_excitation
-from rejoint.errors import InputError
-from rejoint.runlog import RunLog, read_log, write_log
+from rejoint.logs.runlog import RunLog, read_log, write_log
+from rejoint.system.errors import InputError
 
 ARM = mycobot280()
 STEP = 0.0025  # s

@@ -8,8 +8,8 @@ import pytest
 from rejoint.arms import mycobot280, tcp_position
 from rejoint.diagnosis import draw_targets, open_loop_errors
 from rejoint.diagnosis.open_loop import settled_rows
-from rejoint.errors import InputError
-from rejoint.runlog import RunLog
+from rejoint.logs.runlog import RunLog
+from rejoint.system.errors import InputError
 
 ARM = mycobot280()
 OFFSETS = np.array([[0.003, 0.0, 0.004], [0.0, 0.0, 0.010], [0.0, -0.006, 0.008]])

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from rejoint.arms import so101
-from rejoint.runlog import Array
+from rejoint.logs.runlog import Array
 
 ARM = so101()
 SAGE_NAMES = ("Rotation", "Pitch", "Elbow", "Wrist_Pitch", "Wrist_Roll", "Jaw")

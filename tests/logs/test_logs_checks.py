@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from log_samples import ARM, Sample, sample
 
-from rejoint.errors import FileError
 from rejoint.logs.joining import to_log
+from rejoint.logs.runlog import Array, RunLog
 from rejoint.logs.track import Motion, Track
-from rejoint.runlog import Array, RunLog
+from rejoint.system.errors import FileError
 
 
 def motion(found: Sample, command_time: Array | None = None, unit: str = "rad") -> Motion:

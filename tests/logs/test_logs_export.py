@@ -11,9 +11,9 @@ from log_samples import ARM, sample
 from mcap.reader import make_reader
 from rosbags.typesys import Stores, get_typestore
 
-from rejoint.errors import InputError
 from rejoint.logs import export_log, import_logs
-from rejoint.runlog import RunLog
+from rejoint.logs.runlog import RunLog
+from rejoint.system.errors import InputError
 
 
 def run_log(seed: int = 0, time: np.ndarray | None = None) -> RunLog:

@@ -10,8 +10,8 @@ import pyarrow.parquet as pq
 import pytest
 from log_samples import ARM
 
-from rejoint.errors import FileError, InputError
 from rejoint.logs import ImportOptions, detect, import_logs
+from rejoint.system.errors import FileError, InputError
 
 DATASET = Path(__file__).parent / "lerobot_v3" / "dataset"
 DATA = Path("data/chunk-000/file-000.parquet")

@@ -19,8 +19,8 @@ from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as BagWriter
 from rosbags.typesys import Stores, get_typestore
 
-from rejoint.errors import FileError, InputError, MissingExtraError
 from rejoint.logs import ImportOptions, detect, import_logs
+from rejoint.system.errors import FileError, InputError, MissingExtraError
 
 BARE = {
     "use_chunking": False, "index_types": IndexType.NONE, "use_statistics": False, "use_summary_offsets": False,
@@ -256,7 +256,7 @@ def test_names_can_be_declared_where_there_are_none(tmp_path: Path):
 def test_a_missing_library_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     source = write_json(tmp_path / "bag.mcap", sample())
     with monkeypatch.context() as without:
-        without.setattr("rejoint.extras.find_spec", lambda name: None if name == "mcap_ros2" else name)
+        without.setattr("rejoint.system.extras.find_spec", lambda name: None if name == "mcap_ros2" else name)
         with pytest.raises(MissingExtraError, match=r"missing: mcap_ros2\); .* pip install 'rejoint\[logs\]'"):
             import_logs(source, ARM, out=tmp_path / "logs")
     monkeypatch.setitem(sys.modules, "mcap_ros2.decoder", None)

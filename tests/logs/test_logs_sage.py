@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from log_samples import ARM, recorded, sample, write_sage
 
-from rejoint.errors import FileError, InputError
 from rejoint.logs import ImportOptions, detect, import_logs
-from rejoint.runlog import read_log
+from rejoint.logs.runlog import read_log
+from rejoint.system.errors import FileError, InputError
 
 
 def test_recorded_logs_arrive_bit_for_bit(tmp_path: Path):

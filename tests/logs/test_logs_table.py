@@ -10,8 +10,8 @@ import pyarrow.csv
 import pytest
 from log_samples import ARM, Sample, sample, write_sage, write_table
 
-from rejoint.errors import FileError, InputError
 from rejoint.logs import ImportOptions, detect, import_logs
+from rejoint.system.errors import FileError, InputError
 
 
 def test_every_number_arrives(tmp_path: Path):

@@ -3,10 +3,10 @@ import pytest
 
 from rejoint.arms import mycobot280, so101, tcp_position
 from rejoint.control.robot import Robot
-from rejoint.errors import InputError, ProfileError
-from rejoint.plant.wear import load_wear
+from rejoint.lab.plant.wear import load_wear
 from rejoint.robots import default_arm, open_robot
 from rejoint.robots.emulated import EmulatedRobot
+from rejoint.system.errors import InputError, ProfileError
 
 ARM = mycobot280()
 FAMILY = [load_wear(f"worn?seed={i}", ARM) for i in range(4)]

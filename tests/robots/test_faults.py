@@ -13,19 +13,19 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from rejoint import opening
 from rejoint.arms import mycobot280
 from rejoint.control.guard import Reason
 from rejoint.control.integrator import IntegratorController
 from rejoint.control.loop import Schedule, run
 from rejoint.control.recording import recording_of
-from rejoint.emulator import Timing, build_firmware, serve_tcp
-from rejoint.emulator.faults import parse_faults
-from rejoint.errors import ConnectionLostError, GuardTripError, RobotError
+from rejoint.lab.emulator import Timing, build_firmware, serve_tcp
+from rejoint.lab.emulator.faults import parse_faults
 from rejoint.robots import (
     open_robot,
     vendor,  # noqa: F401 - imports the client without the deprecation that it raises
 )
+from rejoint.runs import opening
+from rejoint.system.errors import ConnectionLostError, GuardTripError, RobotError
 
 ARM = mycobot280()
 TARGETS = np.array([[[0.20, 0.05, 0.20], [0.18, -0.05, 0.22]]])

@@ -13,8 +13,10 @@ import pytest
 
 from rejoint.arms import mycobot280, solve_position, tcp_position
 from rejoint.control.robot import Robot
-from rejoint.emulator import Timing, build_firmware, serve_pty, serve_tcp
-from rejoint.errors import (
+from rejoint.lab.emulator import Timing, build_firmware, serve_pty, serve_tcp
+from rejoint.robots import link as link_module
+from rejoint.robots import open_robot
+from rejoint.system.errors import (
     AddressError,
     ConnectionLostError,
     ImpossibleReplyError,
@@ -23,8 +25,6 @@ from rejoint.errors import (
     RobotError,
     StaleReplyError,
 )
-from rejoint.robots import link as link_module
-from rejoint.robots import open_robot
 
 ARM = mycobot280()
 READ, SEND, TEMPERATURES, STATUS, STOP = 0x20, 0x22, 0xE5, 0xE4, 0x29

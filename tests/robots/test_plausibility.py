@@ -6,10 +6,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rejoint.arms import mycobot280
-from rejoint.errors import ImpossibleReplyError, InputError, StaleReplyError
 from rejoint.robots.mycobot import DriverSettings, wire_angles
 from rejoint.robots.plausibility import Continuity, read_angles
 from rejoint.robots.vendor import HIGHEST_DEG, LOWEST_DEG
+from rejoint.system.errors import ImpossibleReplyError, InputError, StaleReplyError
 
 ARM = mycobot280()
 

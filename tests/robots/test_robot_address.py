@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from rejoint.control.robot import Robot
-from rejoint.errors import AddressError, InputError, MissingExtraError
 from rejoint.robots import default_period, open_robot
 from rejoint.robots.address import EmulatedAddress, SerialAddress, TcpAddress, parse_address
+from rejoint.system.errors import AddressError, InputError, MissingExtraError
 
 KNOWN = [
     ("emulated:worn", EmulatedAddress(profile="worn")),
@@ -59,7 +59,7 @@ def test_emulated_robots_are_opened_as_a_batch():
 
 
 def test_a_missing_extra_is_named(monkeypatch):
-    monkeypatch.setattr("rejoint.extras.find_spec", lambda _: None)
+    monkeypatch.setattr("rejoint.system.extras.find_spec", lambda _: None)
     with pytest.raises(MissingExtraError, match=r"emulated:worn needs .*mujoco.*pip install 'rejoint\[train\]'"):
         open_robot("emulated:worn")
 

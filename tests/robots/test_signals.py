@@ -11,15 +11,15 @@ import time
 import numpy as np
 import pytest
 
-from rejoint import stopping
 from rejoint.arms import mycobot280
 from rejoint.control.integrator import IntegratorController
 from rejoint.control.loop import Schedule, run
 from rejoint.control.recording import recording_of
-from rejoint.emulator import Timing, build_firmware, serve_pty, serve_tcp
-from rejoint.emulator.orders import SWITCHES
+from rejoint.lab.emulator import Timing, build_firmware, serve_pty, serve_tcp
+from rejoint.lab.emulator.orders import SWITCHES
 from rejoint.robots import open_robot
-from rejoint.stopping import Interrupted
+from rejoint.system import stopping
+from rejoint.system.stopping import Interrupted
 
 ARM = mycobot280()
 PERIOD, STOP = 0.02, 0x29
@@ -127,7 +127,7 @@ def test_handlers_are_given_back():
 
 @pytest.mark.parametrize(("signum", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_a_deployment_ends_with_the_exit_code_of_its_signal(tmp_path, signum, code):
-    from rejoint import opening
+    from rejoint.runs import opening
 
     opening.begin(tmp_path / "run", "tcp://127.0.0.1:1", ARM, 0)
     with serve_tcp(build_firmware(ARM, "worn"), port=0) as server:

@@ -14,16 +14,16 @@ from torch import nn
 from rejoint.arms import mycobot280
 from rejoint.control.contract import INPUT, OUTPUT
 from rejoint.control.policy import load_policy
-from rejoint.errors import FileError, InputError
-from rejoint.runs import RunFolder
+from rejoint.system.errors import FileError, InputError
 from rejoint.training.export import policy_graph
 from rejoint.training.learner import Learner
 from rejoint.training.networks import Actor, Critic, perceptron
+from rejoint.training.outputs import Outputs
 from rejoint.training.ppo import Ppo, Rollout, join
 from rejoint.training.presets import DEFAULT, PAPER, PpoSettings, load_preset
 from rejoint.training.ranges import BroadRanges
 from rejoint.training.task import ReachTask, TaskSettings
-from rejoint.training.train import TrainingOptions, snapshot_path, train
+from rejoint.training.train import TrainingOptions, train
 
 ARM = mycobot280()
 SMALL = dataclasses.replace(
@@ -58,12 +58,12 @@ def test_a_training_leaves_a_policy_that_drives_and_its_curves(tmp_path):
     assert [row["step"] for row in rows] == [16 * 8 * k for k in range(1, 7)]
     assert result.steps == rows[-1]["step"]
     assert all(np.isfinite(list(row.values())).all() for row in rows)
-    assert sorted(path.name for path in RunFolder(tmp_path).training.glob("*.p*")) == ["curves.parquet"]
+    assert sorted(path.name for path in Outputs(tmp_path).folder.glob("*.p*")) == ["curves.parquet"]
 
 
 def test_tensorboard_shows_the_curves(tmp_path):
     result = train(ARM, None, out=tmp_path, options=options(iterations=2))
-    events = EventAccumulator(str(RunFolder(tmp_path).training)).Reload()
+    events = EventAccumulator(str(Outputs(tmp_path).folder)).Reload()
     rewards = [(event.step, event.value) for event in events.Scalars("training/reward")]
     rows = pq.read_table(result.curves).to_pylist()
     assert [step for step, _ in rewards] == [row["step"] for row in rows]
@@ -111,7 +111,7 @@ def test_an_interrupted_training_resumes_to_the_same_policy(tmp_path):
     whole = train(ARM, None, out=tmp_path / "whole", options=options())
     with pytest.raises(InterruptedTrainingError):
         train(ARM, None, out=tmp_path / "cut", options=options(), on_progress=interrupt_after(5))
-    assert not RunFolder(tmp_path / "cut").policy.exists()
+    assert not Outputs(tmp_path / "cut").policy.exists()
     seen = []
     resumed = train(
         ARM, None, out=tmp_path / "cut", options=options(resume=True), on_progress=lambda done, *_: seen.append(done)
@@ -128,9 +128,9 @@ def test_a_checkpoint_of_another_training_is_neither_continued_nor_lost(tmp_path
     seen = []
     train(ARM, None, out=tmp_path, options=options(resume=True, seed=9), on_progress=lambda done, *_: seen.append(done))
     assert seen == [1, 2, 3, 4, 5, 6]
-    kept = list(RunFolder(tmp_path).training.glob("checkpoint-*.pt"))
+    kept = list(Outputs(tmp_path).folder.glob("checkpoint-*.pt"))
     assert len(kept) == 1
-    kept[0].rename(RunFolder(tmp_path).training / "checkpoint.pt")
+    kept[0].rename(Outputs(tmp_path).checkpoint)
     train(ARM, None, out=tmp_path, options=options(resume=True), on_progress=lambda done, *_: seen.append(done))
     assert seen[6:] == [3, 4, 5, 6]
 
@@ -138,7 +138,7 @@ def test_a_checkpoint_of_another_training_is_neither_continued_nor_lost(tmp_path
 def test_after_a_damaged_checkpoint_a_training_begins_anew_and_says_so(tmp_path, caplog):
     with pytest.raises(InterruptedTrainingError):
         train(ARM, None, out=tmp_path / "damaged", options=options(), on_progress=interrupt_after(3))
-    path = RunFolder(tmp_path / "damaged").training / "checkpoint.pt"
+    path = Outputs(tmp_path / "damaged").checkpoint
     data = bytearray(path.read_bytes())
     data[len(data) // 2] ^= 1
     path.write_bytes(data)
@@ -154,7 +154,7 @@ def test_after_a_damaged_checkpoint_a_training_begins_anew_and_says_so(tmp_path,
 
 
 def test_a_training_folder_that_cannot_be_written_is_named(tmp_path):
-    RunFolder(tmp_path).training.write_bytes(b"a file where a folder should be")
+    Outputs(tmp_path).folder.write_bytes(b"a file where a folder should be")
     with pytest.raises(FileError, match="training: cannot be written"):
         train(ARM, None, out=tmp_path, options=options())
 
@@ -398,10 +398,10 @@ def test_a_policy_of_the_paper_s_preset_can_be_deployed(tmp_path):
 
 def test_snapshots_show_the_policy_on_its_way(tmp_path):
     result = train(ARM, None, out=tmp_path, options=options(snapshot_every=2))
-    folder = RunFolder(tmp_path)
-    probes = [load_policy(snapshot_path(folder, k), ARM).contract.probe for k in (0, 2, 4)]
+    folder = Outputs(tmp_path)
+    probes = [load_policy(folder.snapshot(k), ARM).contract.probe for k in (0, 2, 4)]
     probes.append(load_policy(result.policy, ARM).contract.probe)
-    assert not snapshot_path(folder, 1).exists()
+    assert not folder.snapshot(1).exists()
     assert np.abs(probes[0]).max() < 0.05  # untrained: the classical law alone
     assert len(set(probes)) == 4
     again = train(ARM, None, out=tmp_path / "plain", options=options())

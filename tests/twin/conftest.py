@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from rejoint.arms import mycobot280
-from rejoint.runlog import RunLog
+from rejoint.logs.runlog import RunLog
 from rejoint.twin.batch import TwinBatch
 from rejoint.twin.parameters import STICTION, TwinParameters
 from rejoint.twin.reference import Reference

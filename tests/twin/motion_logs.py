@@ -3,7 +3,7 @@
 import numpy as np
 
 from rejoint.arms import so101
-from rejoint.runlog import RunLog
+from rejoint.logs.runlog import RunLog
 from rejoint.twin.batch import TwinBatch
 from rejoint.twin.model import stribeck_friction
 from rejoint.twin.parameters import TwinParameters

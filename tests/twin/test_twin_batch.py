@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from rejoint.arms import mycobot280, tcp_position
-from rejoint.errors import InputError
+from rejoint.system.errors import InputError
 from rejoint.twin.batch import TwinBatch
 from rejoint.twin.model import TCP_SITE, twin_model
 from rejoint.twin.parameters import nominal_parameters, pack, prior, unpack

@@ -5,7 +5,7 @@ import pytest
 from motion_logs import ARM, as_log, pressing, record, wandering
 
 from rejoint.arms import tcp_position
-from rejoint.exclusions import MARGIN, RECOVERY, find_exclusions, free_runs, table_height
+from rejoint.logs.exclusions import MARGIN, RECOVERY, find_exclusions, free_runs, table_height
 from rejoint.twin.segments import by_motion, contact_windows, free_windows, thin
 from rejoint.twin.table import Table
 

@@ -8,7 +8,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from rejoint.arms import mycobot280
-from rejoint.errors import ContractError, FileError, InputError
+from rejoint.system.errors import ContractError, FileError, InputError
 from rejoint.twin.file import read_twin, write_twin
 from rejoint.twin.parameters import pack, prior, unpack
 from rejoint.twin.prediction import PredictionError

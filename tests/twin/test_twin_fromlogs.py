@@ -7,7 +7,7 @@ import pytest
 from motion_logs import ARM, PERIOD, STEP, TRUTH, chirp, pressing, record, wandering
 
 from rejoint.arms import tcp_position
-from rejoint.errors import InputError
+from rejoint.system.errors import InputError
 from rejoint.twin.file import read_twin, write_twin
 from rejoint.twin.fit import Problem
 from rejoint.twin.fromlogs import FITTED, HEALTHY, LogSettings, hold_out, identify_logs

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rejoint.errors import InputError
+from rejoint.system.errors import InputError
 from rejoint.twin.file import read_twin, write_twin
 from rejoint.twin.fit import HUBER, Problem, correlation_time, fit, influence, loss
 from rejoint.twin.identify import IdentifySettings, identify

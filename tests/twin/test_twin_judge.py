@@ -7,8 +7,8 @@ import pytest
 from motion_logs import ARM, TRUTH, as_log, pressing, record, wandering
 
 from rejoint.arms import tcp_position
-from rejoint.errors import FileError, InputError
-from rejoint.files import read_json, write_json
+from rejoint.system.errors import FileError, InputError
+from rejoint.system.files import read_json, write_json
 from rejoint.twin.judge import Candidate, judge
 from rejoint.twin.judgement import NO_TWIN, Judgement
 from rejoint.twin.parameters import healthy_parameters

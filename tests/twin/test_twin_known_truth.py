@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from motion_logs import ARM, PERIOD, STEP, TRUTH, record, wandering
 
-from rejoint.exclusions import find_exclusions
-from rejoint.plant.wear import load_wear
+from rejoint.lab.plant.wear import load_wear
+from rejoint.logs.exclusions import find_exclusions
 from rejoint.twin.fromlogs import FITTED, HEALTHY, LogSettings, fit_motions, identify_logs, independent
 from rejoint.twin.judgement import NO_TWIN
 from rejoint.twin.parameters import pack, vector_names

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rejoint.arms import Arm, Box, gravity_torque, mycobot280, so101
-from rejoint.plant.wear import load_wear
+from rejoint.lab.plant.wear import load_wear
 from rejoint.twin.parameters import healthy_parameters, nominal_parameters, prior, unpack
 
 ARM = mycobot280()

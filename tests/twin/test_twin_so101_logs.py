@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from rejoint.arms import so101
-from rejoint.exclusions import find_exclusions, table_height
 from rejoint.logs import import_logs
+from rejoint.logs.exclusions import find_exclusions, table_height
 from rejoint.twin.fromlogs import FITTED, HEALTHY, LogSettings, identify_logs
 from rejoint.twin.judgement import NO_TWIN
 from rejoint.twin.repeatability import repeatability

@@ -6,8 +6,8 @@ from motion_logs import ARM, TRUTH, pressing, record
 
 from rejoint.arms import gravity_torque, tcp_position
 from rejoint.arms.kinematics import position_kinematics
-from rejoint.errors import InputError
-from rejoint.exclusions import find_exclusions
+from rejoint.logs.exclusions import find_exclusions
+from rejoint.system.errors import InputError
 from rejoint.twin.batch import TwinBatch
 from rejoint.twin.replay import Replay
 from rejoint.twin.segments import contact_windows

@@ -13,7 +13,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from rejoint.errors import InputError
+from rejoint.system.errors import InputError
 
 Array = NDArray[np.float64]
 

@@ -13,7 +13,7 @@ from rejoint.arms.arm import Array
 from rejoint.arms.draft import Draft
 from rejoint.arms.inertia import Lump, lump
 from rejoint.arms.rotations import inverse, pose_of, rotation_about
-from rejoint.errors import InputError
+from rejoint.system.errors import InputError
 
 _GRIPPER = re.compile("grip|jaw|finger|claw", re.IGNORECASE)
 """In the name of a joint: it opens and closes a gripper (as named in the URDFs of SO-100, WidowX and Koch arms)."""

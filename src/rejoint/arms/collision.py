@@ -24,7 +24,7 @@ from rejoint.arms.inertia import LINK_RADIUS_RATIO
 from rejoint.arms.inverse import solve_position
 from rejoint.arms.kinematics import Frames, all_poses, frames
 from rejoint.arms.workspace import reach
-from rejoint.late import Late
+from rejoint.system.late import Late
 
 compiled = Late("rejoint.arms.compiled")
 

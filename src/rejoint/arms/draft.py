@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from rejoint.arms.arm import Arm, Array, Box
 from rejoint.arms.inertia import Lump, link_ends, plausible_links
 from rejoint.arms.workspace import derive_targets, derive_workspace, reach
-from rejoint.errors import InputError
+from rejoint.system.errors import InputError
 
 DEFAULT_SPEED = np.radians(90.0)
 """[rad/s] speed limit of a joint without one (chosen: slower than any arm that we know of can move)"""

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rejoint.arms.arm import Arm, Array
-from rejoint.late import Late
+from rejoint.system.late import Late
 
 GRAVITY = np.array([0.0, 0.0, -9.81])
 """[m/s^2] in the base frame; MuJoCo's default value, so that models agree."""

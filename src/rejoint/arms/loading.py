@@ -12,7 +12,7 @@ from rejoint.arms.modelfile import read_tree
 from rejoint.arms.mycobot280 import mycobot280
 from rejoint.arms.so101 import so101
 from rejoint.arms.tomlfile import read_draft
-from rejoint.errors import InputError
+from rejoint.system.errors import InputError
 
 CATALOGUE: dict[str, Callable[[], Arm]] = {"mycobot280": mycobot280, "so101": so101}
 

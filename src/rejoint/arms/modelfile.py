@@ -19,9 +19,9 @@ from rejoint.arms.arm import Array
 from rejoint.arms.chain import Body, Joint, Site, Tree
 from rejoint.arms.inertia import NOTHING, Lump, ball, inertia_matrix, usable
 from rejoint.arms.rotations import pose_of, rotation_of
-from rejoint.errors import FileError
-from rejoint.extras import require
-from rejoint.files import MODEL_MOST, read_bounded
+from rejoint.system.errors import FileError
+from rejoint.system.extras import require
+from rejoint.system.files import MODEL_MOST, read_bounded
 
 _KINDS = {0: "free", 1: "ball", 2: "slide", 3: "hinge"}
 """mjtJoint"""

@@ -48,8 +48,8 @@ from rejoint.arms.arm import Arm, Array, Box, DhRow, dh_chain
 from rejoint.arms.draft import Draft
 from rejoint.arms.inertia import NOTHING, Lump, inertia_matrix, inertia_values
 from rejoint.arms.rotations import quaternion_of, rotation_of
-from rejoint.errors import FileError, InputError
-from rejoint.files import TOML_MOST, read_bounded, write_whole
+from rejoint.system.errors import FileError, InputError
+from rejoint.system.files import TOML_MOST, read_bounded, write_whole
 
 _ARM_KEYS = ("name", "floor_m", "encoder_counts_per_turn", "servo_acceleration_rad_s2", "rest_deg", "targets", "tip",
              "joint")  # fmt: skip

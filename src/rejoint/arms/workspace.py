@@ -31,7 +31,7 @@ from rejoint.arms.arm import Arm, Array, Box
 from rejoint.arms.inertia import LINK_RADIUS_RATIO, link_ends
 from rejoint.arms.inverse import solve_position
 from rejoint.arms.kinematics import Frames, frames, gravity_torque, position_kinematics
-from rejoint.errors import InputError
+from rejoint.system.errors import InputError
 
 SAMPLES = 4096
 """postures drawn (chosen; the best score changes by less than 1 % with the seed or four times as many, measured)"""

@@ -18,9 +18,9 @@ import typer
 from rich.console import Console
 
 from rejoint.cli import chain, evaluation, foreign, offline, reproducing, serving, stages
-from rejoint.errors import RejointError
-from rejoint.extras import explain
-from rejoint.stopping import Interrupted, install, interruption
+from rejoint.system.errors import RejointError
+from rejoint.system.extras import explain
+from rejoint.system.stopping import Interrupted, install, interruption
 
 Given = ParamSpec("Given")
 

@@ -8,16 +8,16 @@ from typing import Annotated
 
 import typer
 
-from rejoint import opening
-from rejoint import repair as work
 from rejoint.cli import options as opt
 from rejoint.cli import show
 from rejoint.cli.console import Terminal
-from rejoint.comparison.recommend import Recommendation, recommend
-from rejoint.comparison.result import Comparison
 from rejoint.diagnosis.diagnosis import Diagnosis
-from rejoint.extras import require
-from rejoint.files import read_json
+from rejoint.runs import opening
+from rejoint.runs import stages as work
+from rejoint.runs.comparison.recommend import Recommendation, recommend
+from rejoint.runs.comparison.result import Comparison
+from rejoint.system.extras import require
+from rejoint.system.files import read_json
 
 
 def repair(

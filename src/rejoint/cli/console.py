@@ -18,7 +18,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
-from rejoint.errors import UnsavedError
+from rejoint.system.errors import UnsavedError
 
 OnProgress = Callable[[float, float, str], None]
 """Called with (done, total, what is being done)."""

@@ -8,16 +8,16 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rejoint import opening
 from rejoint.arms import load_arm
 from rejoint.cli.console import Terminal
 from rejoint.cli.options import Json, Seed, controller_names
-from rejoint.errors import InputError
-from rejoint.extras import require
-from rejoint.files import read_json, write_json
+from rejoint.runs import opening
+from rejoint.system.errors import InputError
+from rejoint.system.extras import require
+from rejoint.system.files import read_json, write_json
 
 if TYPE_CHECKING:
-    from rejoint.evaluation.result import Evaluation
+    from rejoint.research.evaluation.result import Evaluation
 
 OUT = Path("runs") / "family"
 
@@ -57,12 +57,12 @@ def evaluate(
     one's own buys: `rejoint evaluate --identification 6 --policy runs/broad/policy.onnx --out runs/identified`
     """
     require("rejoint evaluate", "train", "report")
-    from rejoint.comparison.result import Protocol
-    from rejoint.evaluation.contestants import classical, known_names, learned
-    from rejoint.evaluation.evaluate import evaluate as run
-    from rejoint.evaluation.family import VARIANTS, Family, find_variant
-    from rejoint.evaluation.identification import evaluate_identification
-    from rejoint.evaluation.trials import TrialSettings
+    from rejoint.research.evaluation.contestants import classical, known_names, learned
+    from rejoint.research.evaluation.evaluate import evaluate as run
+    from rejoint.research.evaluation.family import VARIANTS, Family, find_variant
+    from rejoint.research.evaluation.identification import evaluate_identification
+    from rejoint.research.evaluation.trials import TrialSettings
+    from rejoint.runs.comparison.result import Protocol
 
     if family == (identification is not None):
         raise InputError("evaluate needs either --family or --identification N: the arms that controllers are tried on")
@@ -107,9 +107,9 @@ def tune(
     Example: `rejoint tune tuned-feedforward --out gains.json`, then `rejoint evaluate --family --gains gains.json`
     """
     require("rejoint tune", "train")
-    from rejoint.rivals.catalogue import find_rival
-    from rejoint.rivals.tuning import TuningSettings
-    from rejoint.rivals.tuning import tune as search
+    from rejoint.research.rivals.catalogue import find_rival
+    from rejoint.research.rivals.tuning import TuningSettings
+    from rejoint.research.rivals.tuning import tune as search
     from rejoint.training.ranges import BroadRanges, Ranges, identified_ranges
     from rejoint.twin.file import read_twin
 
@@ -134,7 +134,7 @@ def tune(
 
 
 def _show(terminal: Terminal, result: Evaluation, out: Path) -> None:
-    from rejoint.evaluation.tables import terminal_tables
+    from rejoint.research.evaluation.tables import terminal_tables
 
     for title, headers, rows in terminal_tables(result):
         terminal.table(title, headers, rows)

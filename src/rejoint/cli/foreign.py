@@ -9,9 +9,9 @@ import typer
 
 from rejoint.cli.console import Terminal
 from rejoint.cli.options import ArmOption, Base, Json, Tip, choose_arm
-from rejoint.errors import InputError
 from rejoint.logs import ANGLE_UNITS, FORMATS, STAMPS, TIME_UNITS, ImportOptions, export_log, import_logs
-from rejoint.runlog import read_log
+from rejoint.logs.runlog import read_log
+from rejoint.system.errors import InputError
 
 
 def import_(

@@ -9,16 +9,16 @@ from typing import TYPE_CHECKING, Annotated
 import msgspec
 import typer
 
-from rejoint import opening
-from rejoint import repair as work
 from rejoint.arms import Arm
 from rejoint.cli import show
 from rejoint.cli.console import Terminal
 from rejoint.cli.options import ArmOption, Base, Json, Tip, choose_arm
-from rejoint.errors import FileError
-from rejoint.extras import require
-from rejoint.runlog import RunLog, read_log
-from rejoint.runs import RunFolder, locked
+from rejoint.logs.runlog import RunLog, read_log
+from rejoint.runs import opening
+from rejoint.runs import stages as work
+from rejoint.runs.folder import RunFolder, locked
+from rejoint.system.errors import FileError
+from rejoint.system.extras import require
 
 if TYPE_CHECKING:
     from rejoint.twin.judge import Candidate
@@ -73,7 +73,7 @@ def replay(
     Example: `rejoint replay runs/so101/twin.toml --logs logs/so101 --published maker.toml --out replay`
     """
     require("rejoint replay", "train", "report")
-    from rejoint.report.replay import write_replay
+    from rejoint.runs.report.replay import write_replay
     from rejoint.twin.file import read_twin
     from rejoint.twin.judge import Candidate, judge
 
@@ -112,7 +112,7 @@ def read_folder(path: Path) -> list[RunLog]:
 
 def show_errors(terminal: Terminal, judgement: Judgement) -> None:
     """Print the errors of every motion, and which prediction to trust."""
-    from rejoint.report.trust import answer
+    from rejoint.runs.report.trust import answer
 
     names = list(judgement.mean)
     headers = ["motion", "s", *(f"{name}: free / contact / all mm" for name in names)]

@@ -8,13 +8,13 @@ from typing import Annotated
 
 import typer
 
-from rejoint import opening
 from rejoint.arms import Arm
 from rejoint.arms.loading import read_arm
 from rejoint.cli.console import Terminal
-from rejoint.errors import InputError
 from rejoint.robots import DEFAULT_ARM, default_arm
-from rejoint.runs import LOGS
+from rejoint.runs import opening
+from rejoint.runs.folder import LOGS
+from rejoint.system.errors import InputError
 
 ROBOT_HELP = "Robot: emulated:PROFILE (in process), tcp://HOST:PORT, or serial:///dev/ttyAMA0."
 

@@ -10,10 +10,10 @@ import typer
 from rejoint.arms import mycobot280
 from rejoint.cli.console import Terminal
 from rejoint.cli.options import Json, Seed
-from rejoint.extras import require
+from rejoint.system.extras import require
 
 if TYPE_CHECKING:
-    from rejoint.reproduction.experiment import Experiment, Finished
+    from rejoint.research.reproduction.experiment import Experiment, Finished
 
 PAGE = Path("docs/reproduction.md")
 
@@ -44,10 +44,10 @@ def reproduce(
     Example: `rejoint reproduce table-1 fig-9 fig-10`
     """
     require("rejoint reproduce", "train", "report")
-    from rejoint.reproduction.campaign import run_experiments
-    from rejoint.reproduction.experiment import FULL, QUICK, Bench
-    from rejoint.reproduction.page import write_page
-    from rejoint.reproduction.registry import EXPERIMENTS, choose
+    from rejoint.research.reproduction.campaign import run_experiments
+    from rejoint.research.reproduction.experiment import FULL, QUICK, Bench
+    from rejoint.research.reproduction.page import write_page
+    from rejoint.research.reproduction.registry import EXPERIMENTS, choose
 
     terminal = Terminal(json=json)
     if list_:

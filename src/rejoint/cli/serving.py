@@ -10,8 +10,8 @@ import typer
 from rejoint.arms import load_arm
 from rejoint.cli.console import Terminal
 from rejoint.cli.options import Json, Seed
-from rejoint.extras import require
 from rejoint.robots import SIMULATOR
+from rejoint.system.extras import require
 
 
 def emulate(
@@ -36,9 +36,9 @@ def emulate(
     blind=J@T (its servo too), jump=J@T, limit=J@T, overheat=J@T, current=J@T, overload=J@T, voltage@T.
     """
     require("rejoint emulate", SIMULATOR)
-    from rejoint.emulator.emulate import emulate as serve
-    from rejoint.emulator.faults import parse_faults
-    from rejoint.emulator.servers import beyond_loopback
+    from rejoint.lab.emulator.emulate import emulate as serve
+    from rejoint.lab.emulator.faults import parse_faults
+    from rejoint.lab.emulator.servers import beyond_loopback
 
     terminal = Terminal(json=json)
     served: list[str] = []

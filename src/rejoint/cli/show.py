@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from rejoint.cli.console import Terminal
-from rejoint.comparison.failure import failure
-from rejoint.comparison.recommend import Recommendation
-from rejoint.comparison.result import Comparison
 from rejoint.control.default import DefaultController
+from rejoint.runs.comparison.failure import failure
+from rejoint.runs.comparison.recommend import Recommendation
+from rejoint.runs.comparison.result import Comparison
 
 if TYPE_CHECKING:
-    from rejoint.deployment import Deployed, Deployment
     from rejoint.diagnosis.diagnosis import Diagnosis
+    from rejoint.runs.deployment import Deployed, Deployment
     from rejoint.training.train import TrainingResult
     from rejoint.twin.twin import Twin
 
@@ -52,8 +52,8 @@ def training(terminal: Terminal, result: TrainingResult) -> None:
 
 def comparison(terminal: Terminal, result: Comparison, advice: Recommendation) -> None:
     """Print the table of all controllers and the one to use."""
-    from rejoint.report.tables import comparison_table
-    from rejoint.report.words import plural
+    from rejoint.runs.report.tables import comparison_table
+    from rejoint.runs.report.words import plural
 
     headers, rows = comparison_table(result)
     sets, count = len(result.targets), len(result.targets[0])

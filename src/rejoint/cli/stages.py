@@ -9,17 +9,17 @@ from typing import Annotated
 import msgspec
 import typer
 
-from rejoint import opening
-from rejoint import repair as work
 from rejoint.arms import load_arm
 from rejoint.cli import offline, show
 from rejoint.cli import options as opt
 from rejoint.cli.console import Terminal
-from rejoint.comparison.targets import draw_targets, read_targets
-from rejoint.deployment import REACHED, Deployment
-from rejoint.errors import InputError
-from rejoint.extras import require
-from rejoint.runs import LOGS, RunFolder, locked
+from rejoint.runs import opening
+from rejoint.runs import stages as work
+from rejoint.runs.comparison.targets import draw_targets, read_targets
+from rejoint.runs.deployment import REACHED, Deployment
+from rejoint.runs.folder import LOGS, RunFolder, locked
+from rejoint.system.errors import InputError
+from rejoint.system.extras import require
 
 MISSED = 5
 """Exit code of a deployment that did not reach all of its targets."""
@@ -119,19 +119,28 @@ def train(
             raise InputError(f"{run} has a twin.toml, and --broad trains without one: choose another folder")
         opening.begin(run, "emulated:worn", load_arm("mycobot280"), seed or 0)
     job = opt.seeded(opening.open_run(run), seed)
-    from rejoint.report.sections.training import draw_training
-    from rejoint.report.words import once
+    trainer = None if learner == "ppo" else _off_policy(learner, preset, job.info.seed)
+    from rejoint.runs.report.sections.training import draw_training
+    from rejoint.runs.report.words import once
 
     if not job.folder.twin.exists():
         terminal.say(f"{run} has no twin.toml: training on broad ranges instead of on this arm.")
     with terminal.progress("training") as update:
-        result = work.train_stage(job, preset=preset, learner=learner, resume=not restart, on_progress=update)
+        result = work.train_stage(job, preset=preset, resume=not restart, on_progress=update, trainer=trainer)
     with locked(job.folder):
         terminal.say(f"Curves: {draw_training(job.folder)}")
     show.training(terminal, result)
     robot = "ROBOT" if job.info.robot.startswith(LOGS) else job.info.robot  # logs cannot be driven
     terminal.result(f"Next: rejoint compare {robot} {run}{once(robot)}")
     terminal.finish(result)
+
+
+def _off_policy(learner: str, preset: str, seed: int) -> work.Trainer:
+    if preset != "default":
+        raise InputError(f"--preset {preset} is a recipe of PPO; {learner} trains on the default one: leave it out")
+    from rejoint.research.offpolicy import trainer
+
+    return trainer(learner, seed)
 
 
 def compare(

@@ -11,7 +11,7 @@ from rejoint.control.default import DefaultController
 from rejoint.control.feedforward import FeedforwardController
 from rejoint.control.integrator import IntegratorController
 from rejoint.control.pid import PidController, PidGains
-from rejoint.errors import InputError
+from rejoint.system.errors import InputError
 
 BASELINES: dict[str, Callable[[Arm], Controller]] = {
     "default": DefaultController,

@@ -18,7 +18,7 @@ from rejoint.arms import Arm, Array, Box
 from rejoint.control.format1 import arm_of_format_1
 from rejoint.control.observation import Layout, Slot, layout_slots
 from rejoint.control.residual import CommandLaw
-from rejoint.errors import ContractError, first_line
+from rejoint.system.errors import ContractError, first_line
 
 FORMAT = 2
 """Version of the contract. A reader refuses others, but for policies of format 1 for arms of the catalogue of then."""

@@ -20,8 +20,8 @@ from rejoint.control.integrator import IntegratorGains
 from rejoint.control.law import dls_step, fade, limit_position, null_space, plain
 from rejoint.control.pace import Pace
 from rejoint.control.robot import Mask
-from rejoint.errors import InputError
-from rejoint.late import Late
+from rejoint.system.errors import InputError
+from rejoint.system.late import Late
 
 compiled = Late("rejoint.control.compiled")
 

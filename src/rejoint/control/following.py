@@ -27,9 +27,9 @@ import numpy as np
 from rejoint.arms import Arm, Array, position_kinematics
 from rejoint.control.law import plain
 from rejoint.control.robot import JointState, Mask
-from rejoint.errors import InputError
-from rejoint.late import Late
-from rejoint.runlog import RunLog
+from rejoint.logs.runlog import RunLog
+from rejoint.system.errors import InputError
+from rejoint.system.late import Late
 
 watching = Late("rejoint.control.watching")
 

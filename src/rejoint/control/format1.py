@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from rejoint.errors import ContractError
+from rejoint.system.errors import ContractError
 
 
 class KnownArm(NamedTuple):

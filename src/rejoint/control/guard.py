@@ -29,8 +29,8 @@ from rejoint.control.following import Following
 from rejoint.control.law import plain
 from rejoint.control.limits import RAMP, TRIPS, GuardLimits, Reason, Reasons, reason_names
 from rejoint.control.robot import JointState, Mask
-from rejoint.errors import InputError
-from rejoint.late import Late
+from rejoint.system.errors import InputError
+from rejoint.system.late import Late
 
 __all__ = ["RAMP", "TRIPS", "GuardLimits", "Guarded", "Reason", "Reasons", "guard", "reason_names", "warm_up"]
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from rejoint.arms import Arm, Array
 from rejoint.arms.size import length_size
 from rejoint.control.following import Knowledge
-from rejoint.errors import InputError
+from rejoint.system.errors import InputError
 
 Reasons = NDArray[np.uint16]
 

@@ -20,8 +20,8 @@ from rejoint.control.progress import Progress, own
 from rejoint.control.recording import Cycle, OnCycle, Recorder, Recording, attach
 from rejoint.control.robot import Mask, Robot
 from rejoint.control.trips import trip_error
-from rejoint.errors import InputError, RejointError, first_line
-from rejoint.stopping import check, noted, shielded
+from rejoint.system.errors import InputError, RejointError, first_line
+from rejoint.system.stopping import check, noted, shielded
 
 RELEASE_CYCLES = 12
 """Cycles in which a joint that is not believed is led back to where it was in balance (chosen: twice what the longest

@@ -25,8 +25,8 @@ from rejoint.arms.inverse import DAMPING
 from rejoint.control.controller import Situation
 from rejoint.control.law import plain
 from rejoint.control.robot import Mask
-from rejoint.errors import InputError
-from rejoint.late import Late
+from rejoint.system.errors import InputError
+from rejoint.system.late import Late
 
 Layout = Literal["residual", "equation-16", "equation-16-action"]
 Rows = slice | NDArray[np.intp]

@@ -25,8 +25,8 @@ from rejoint.control.observation import Observation, Observer
 from rejoint.control.onnxfile import content_digest, read_metadata
 from rejoint.control.residual import Commander
 from rejoint.control.robot import Mask
-from rejoint.errors import ContractError, FileError
-from rejoint.files import MEGABYTE, read_bounded
+from rejoint.system.errors import ContractError, FileError
+from rejoint.system.files import MEGABYTE, read_bounded
 
 LARGEST_FILE = 16 * MEGABYTE
 """[bytes] of a policy file (chosen: two hundred times what ours have)"""

@@ -12,7 +12,7 @@ from rejoint.control.controller import Situation
 from rejoint.control.following import Following
 from rejoint.control.limits import GuardLimits, Reasons
 from rejoint.control.robot import JointState, Mask
-from rejoint.errors import InputError
+from rejoint.system.errors import InputError
 
 FIRST_PERIOD = 0.02
 """[s] period assumed before one has been measured (chosen: the shortest regular one, so the smallest first step)."""

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from rejoint.arms import Array
 from rejoint.control.guard import Reason, Reasons
 from rejoint.control.robot import Mask, Robot
-from rejoint.runlog import RunLog
+from rejoint.logs.runlog import RunLog
 
 
 class Cycle(NamedTuple):

@@ -27,8 +27,8 @@ from rejoint.control.feedforward import FeedforwardController, FeedforwardGains
 from rejoint.control.law import GAIN, STEP_LIMIT, between, limit_lead, limit_position, plain
 from rejoint.control.observation import View
 from rejoint.control.robot import Mask
-from rejoint.errors import InputError
-from rejoint.late import Late
+from rejoint.system.errors import InputError
+from rejoint.system.late import Late
 
 compiled = Late("rejoint.control.compiled")
 

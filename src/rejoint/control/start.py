@@ -9,8 +9,8 @@ from rejoint.control.guard import GuardLimits
 from rejoint.control.loop import move
 from rejoint.control.recording import Recording
 from rejoint.control.robot import JointState, Robot
-from rejoint.errors import NotReadyError
-from rejoint.stopping import pause
+from rejoint.system.errors import NotReadyError
+from rejoint.system.stopping import pause
 
 BEYOND = np.radians(3.0)
 """[rad] that a joint may stand beyond its limit at the start (chosen: sag and play of a worn arm left there)"""

@@ -6,7 +6,7 @@ import numpy as np
 
 from rejoint.control.limits import GuardLimits, Reason, reason_names
 from rejoint.control.progress import Progress
-from rejoint.errors import GuardTripError
+from rejoint.system.errors import GuardTripError
 
 
 def trip_error(b: int, progress: Progress, limits: GuardLimits) -> GuardTripError:

@@ -6,7 +6,7 @@ import sys
 
 from rejoint.arms import load_arm
 from rejoint.diagnosis.healthy import measure_healthy, reference_path
-from rejoint.files import write_json
+from rejoint.system.files import write_json
 
 if __name__ == "__main__":
     arm = load_arm(sys.argv[1] if len(sys.argv) > 1 else "mycobot280")

@@ -16,7 +16,7 @@ from rejoint.diagnosis.open_loop import OpenLoop, open_loop_errors
 from rejoint.diagnosis.postures import settled_postures
 from rejoint.diagnosis.record import DiagnosisLogs, OnProgress, record
 from rejoint.diagnosis.verdict import Finding, find
-from rejoint.errors import InputError
+from rejoint.system.errors import InputError
 
 HIDDEN_MARGIN_MM = 1.0
 """Distance between tool and encoders, beyond the healthy range, from which it is called wear on a myCobot 280 (chosen);
@@ -38,7 +38,7 @@ KINDS = {
 
 @dataclass(frozen=True, kw_only=True)
 class Diagnosis:
-    """What is wrong with an arm; plain data that `rejoint.files.write_json` can write."""
+    """What is wrong with an arm; plain data that `rejoint.system.files.write_json` can write."""
 
     arm: str
     robot: str

@@ -28,7 +28,7 @@ from rejoint.arms.size import heaviest_load, length_size, torque_size
 from rejoint.arms.workspace import rising_frames
 from rejoint.diagnosis.path import Path, smooth_ramp
 from rejoint.diagnosis.segments import Segment
-from rejoint.errors import InputError
+from rejoint.system.errors import InputError
 
 
 @dataclass(frozen=True, kw_only=True)

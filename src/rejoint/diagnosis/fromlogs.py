@@ -21,9 +21,9 @@ from rejoint.diagnosis.postures import Postures, joined, resting_postures
 from rejoint.diagnosis.regression import Estimate, mean_of
 from rejoint.diagnosis.spans import join_logs
 from rejoint.diagnosis.verdict import Finding, find
-from rejoint.errors import InputError
-from rejoint.exclusions import Exclusions, find_exclusions, table_height
-from rejoint.runlog import RunLog
+from rejoint.logs.exclusions import Exclusions, find_exclusions, table_height
+from rejoint.logs.runlog import RunLog
+from rejoint.system.errors import InputError
 
 SHORTEST = 20.0
 """[s] of free motion below which a diagnosis is refused (chosen, as for an identification)"""

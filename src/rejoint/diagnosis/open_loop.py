@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, tcp_position
 from rejoint.diagnosis.regression import Estimate, mean_of
-from rejoint.errors import InputError
-from rejoint.runlog import RunLog
+from rejoint.logs.runlog import RunLog
+from rejoint.system.errors import InputError
 
 TARGETS = 10
 """Park et al. 2024, section IV-A"""

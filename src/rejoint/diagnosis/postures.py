@@ -9,8 +9,8 @@ import numpy as np
 
 from rejoint.arms import Array
 from rejoint.diagnosis.open_loop import settled_rows
-from rejoint.exclusions import Exclusions, joint_speed
-from rejoint.runlog import RunLog
+from rejoint.logs.exclusions import Exclusions, joint_speed
+from rejoint.logs.runlog import RunLog
 
 AT_REST = 0.05
 """[rad/s] of the fastest joint and of the fastest command below which a row of a log counts as rest (chosen)"""

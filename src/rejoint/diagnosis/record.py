@@ -14,7 +14,7 @@ from rejoint.control.robot import Robot
 from rejoint.diagnosis.excitation import FULL, Plan, plan_excitation
 from rejoint.diagnosis.open_loop import DWELL, TARGETS, draw_targets
 from rejoint.diagnosis.segments import attach_segments
-from rejoint.runlog import RunLog
+from rejoint.logs.runlog import RunLog
 
 OnProgress = Callable[[str, float], object]
 """Called with what is being done and the share of it that is done, 0 to 1."""

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, gravity_torque
-from rejoint.errors import InputError
-from rejoint.runlog import RunLog
+from rejoint.logs.runlog import RunLog
+from rejoint.system.errors import InputError
 
 _KEY = "segments"
 

@@ -1,7 +1,7 @@
 """Logs of any motion, cut into the named spans that measurements need: free motion, steps, rest.
 
 The logs are put one after the other on one clock, so that everything that reads an excitation reads
-them too. No span holds a row that does not show the free arm (`rejoint.exclusions`).
+them too. No span holds a row that does not show the free arm (`rejoint.logs.exclusions`).
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ import numpy as np
 
 from rejoint.arms import Arm, Array
 from rejoint.diagnosis.segments import ExcitationLog, Segment
-from rejoint.exclusions import Exclusions, Rows, free_runs
-from rejoint.runlog import RunLog
+from rejoint.logs.exclusions import Exclusions, Rows, free_runs
+from rejoint.logs.runlog import RunLog
 
 FREE, STEP, HOLD, STILL = "free", "step", "hold", "still"
 """Kinds of spans; the last three are those of an excitation"""

@@ -11,9 +11,9 @@ from itertools import pairwise
 import numpy as np
 
 from rejoint.arms import Arm
-from rejoint.errors import FileError
+from rejoint.logs.runlog import Array
 from rejoint.logs.track import Motion, Track
-from rejoint.runlog import Array
+from rejoint.system.errors import FileError
 
 TWO_TURNS = 4.0 * np.pi
 """[rad] chosen: no joint of a serial arm is logged further from its zero; a log in degrees nearly always is."""

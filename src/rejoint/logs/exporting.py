@@ -16,12 +16,12 @@ from typing import Any
 
 import numpy as np
 
-from rejoint.errors import InputError
-from rejoint.extras import require
-from rejoint.files import write_whole
 from rejoint.logs.mcapfile import COMMAND_TOPIC, METADATA, NANOSECONDS, POINT_TOPICS, STATE_TOPIC
+from rejoint.logs.runlog import RunLog
 from rejoint.logs.table import AXES
-from rejoint.runlog import RunLog
+from rejoint.system.errors import InputError
+from rejoint.system.extras import require
+from rejoint.system.files import write_whole
 
 _SEPARATOR = "=" * 80
 _HEADER = f"""{_SEPARATOR}

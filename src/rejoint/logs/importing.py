@@ -11,12 +11,12 @@ from pathlib import Path
 from typing import Protocol
 
 from rejoint.arms import Arm
-from rejoint.errors import FileError, InputError
 from rejoint.logs import lerobot, mcapfile, sage, table
 from rejoint.logs.joining import to_log
 from rejoint.logs.options import ImportOptions
+from rejoint.logs.runlog import RunLog, write_log
 from rejoint.logs.track import Motion
-from rejoint.runlog import RunLog, write_log
+from rejoint.system.errors import FileError, InputError
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 
 from rejoint.arms import Arm
-from rejoint.errors import FileError
 from rejoint.logs.checks import check_agreement, check_angles, clean
+from rejoint.logs.runlog import Array, RunLog
 from rejoint.logs.track import Motion, Points, Track
-from rejoint.runlog import Array, RunLog
+from rejoint.system.errors import FileError
 
 _EPOCH = 1e8
 """[s] chosen: three years; a robot's clock that reads more counts from 1970, where a float64 resolves 0.2 us."""

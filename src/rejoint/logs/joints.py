@@ -10,9 +10,9 @@ from typing import NamedTuple
 import numpy as np
 
 from rejoint.arms import Arm
-from rejoint.errors import FileError
 from rejoint.logs.options import ImportOptions
-from rejoint.runlog import Array
+from rejoint.logs.runlog import Array
+from rejoint.system.errors import FileError
 
 _SO101_NAMES = {
     "Rotation": "shoulder_pan", "Pitch": "shoulder_lift", "Elbow": "elbow_flex", "Wrist_Pitch": "wrist_flex",

@@ -18,11 +18,11 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from rejoint.arms import Arm
-from rejoint.errors import FileError, first_line
 from rejoint.logs.joints import Match, match_joints, radians
 from rejoint.logs.options import ImportOptions
+from rejoint.logs.runlog import Array
 from rejoint.logs.track import Motion, Track
-from rejoint.runlog import Array
+from rejoint.system.errors import FileError, first_line
 
 _INFO = "meta/info.json"
 _STATE, _ACTION = "observation.state", "action"

@@ -17,11 +17,11 @@ from typing import IO, Any, NamedTuple
 import numpy as np
 
 from rejoint.arms import Arm
-from rejoint.errors import FileError, InputError
-from rejoint.extras import require
 from rejoint.logs.joints import Match, match_joints, means_a_joint, radians
 from rejoint.logs.options import OPTIONS, ImportOptions
 from rejoint.logs.track import Motion, Points, Track
+from rejoint.system.errors import FileError, InputError
+from rejoint.system.extras import require
 
 MAGIC = b"\x89MCAP0\r\n"
 """First bytes of every MCAP file. Source: mcap.dev/spec."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 
 from rejoint.arms import Arm
-from rejoint.errors import FileError, InputError
+from rejoint.system.errors import FileError, InputError
 
 ANGLE_UNITS = ("rad", "deg", "normalised")
 TIME_UNITS = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}

@@ -16,11 +16,11 @@ from pathlib import Path
 import numpy as np
 
 from rejoint.arms import Arm
-from rejoint.errors import FileError
 from rejoint.logs.joints import match_joints, radians
 from rejoint.logs.options import TIME_UNITS, ImportOptions
+from rejoint.logs.runlog import Array
 from rejoint.logs.track import Motion, Track
-from rejoint.runlog import Array
+from rejoint.system.errors import FileError
 
 _CONTROL, _STATE, _JOINTS = "control.csv", "state_motor.csv", "joint_list.txt"
 _REMEDY = "mend the line or leave this motion out"

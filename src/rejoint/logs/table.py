@@ -16,11 +16,11 @@ from pathlib import Path
 import numpy as np
 
 from rejoint.arms import Arm
-from rejoint.errors import FileError
 from rejoint.logs.joints import match_joints, radians
 from rejoint.logs.options import OPTIONS, TIME_UNITS, ImportOptions
+from rejoint.logs.runlog import Array
 from rejoint.logs.track import Motion, Points, Track
-from rejoint.runlog import Array
+from rejoint.system.errors import FileError
 
 AXES = ("x", "y", "z")
 _LENGTHS = {"m": 1.0, "mm": 1e3}

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from rejoint.runlog import Array
+from rejoint.logs.runlog import Array
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from rejoint.arms import Arm, load_arm
 from rejoint.control.robot import Robot
-from rejoint.errors import InputError
-from rejoint.extras import require
 from rejoint.robots.address import EmulatedAddress, parse_address
+from rejoint.system.errors import InputError
+from rejoint.system.extras import require
 
 DEFAULT_ARM = "mycobot280"
 """Arm behind an address that does not say: the vendor's client speaks to no other."""
@@ -67,7 +67,7 @@ def default_arm(address: str) -> str:
     if not isinstance(place, EmulatedAddress):
         return DEFAULT_ARM
     require(address, SIMULATOR)
-    from rejoint.plant.wear import wear_arm
+    from rejoint.lab.plant.wear import wear_arm
 
     return wear_arm(place.profile) or DEFAULT_ARM
 
@@ -76,7 +76,7 @@ def _open_emulated(
     address: str, profile: str, arm: Arm, seed: int, count: int, period: tuple[float, float], threads: int
 ) -> Robot:
     require(address, SIMULATOR)
-    from rejoint.plant.wear import load_wear
+    from rejoint.lab.plant.wear import load_wear
     from rejoint.robots.emulated import EmulatedRobot
 
     wear = load_wear(profile, arm)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from urllib.parse import parse_qs, urlsplit
 
-from rejoint.errors import AddressError
+from rejoint.system.errors import AddressError
 
 FORMS = "emulated:PROFILE (such as emulated:worn, or a .toml file), tcp://HOST:PORT, serial:///dev/DEVICE"
 DEFAULT_PORT = 9000

@@ -8,11 +8,11 @@ import numpy as np
 
 from rejoint.arms import Arm, Array
 from rejoint.control.robot import JointState, Mask
-from rejoint.errors import InputError
-from rejoint.plant.channel import Channel, Interval
-from rejoint.plant.plant import Plant
-from rejoint.plant.streams import stream_keys
-from rejoint.plant.wear import Wear
+from rejoint.lab.plant.channel import Channel, Interval
+from rejoint.lab.plant.plant import Plant
+from rejoint.lab.plant.streams import stream_keys
+from rejoint.lab.plant.wear import Wear
+from rejoint.system.errors import InputError
 
 _CHANNEL_PURPOSE = 1
 

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Array
-from rejoint.errors import ImpossibleReplyError, NoReplyError
 from rejoint.robots.link import VendorLink
 from rejoint.robots.plausibility import read_bytes
+from rejoint.system.errors import ImpossibleReplyError, NoReplyError
 
 T = TypeVar("T", bound=NDArray[Any])
 

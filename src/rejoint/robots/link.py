@@ -21,7 +21,9 @@ import time
 from collections.abc import Callable
 from typing import Any, TypeVar
 
-from rejoint.errors import (
+from rejoint.robots.address import SerialAddress, TcpAddress
+from rejoint.robots.vendor import make_client, silenced
+from rejoint.system.errors import (
     AddressError,
     ConnectionLostError,
     ImpossibleReplyError,
@@ -31,9 +33,7 @@ from rejoint.errors import (
     StaleReplyError,
     first_line,
 )
-from rejoint.robots.address import SerialAddress, TcpAddress
-from rejoint.robots.vendor import make_client, silenced
-from rejoint.stopping import check, ending, pause
+from rejoint.system.stopping import check, ending, pause
 
 PROBE_PATIENCE = 2.0
 """[s] for a TCP connection to be accepted; a robot in the same network needs milliseconds (chosen)"""

@@ -17,12 +17,12 @@ import numpy as np
 
 from rejoint.arms import Arm, Array
 from rejoint.control.robot import JointState, Mask
-from rejoint.errors import InputError, RobotError
 from rejoint.robots.health import Health
 from rejoint.robots.link import VendorLink
 from rejoint.robots.plausibility import Continuity, read_angles
 from rejoint.robots.vendor import HIGHEST_DEG, LOWEST_DEG
-from rejoint.stopping import pause
+from rejoint.system.errors import InputError, RobotError
+from rejoint.system.stopping import pause
 
 DEFAULT_PERIOD = (0.050, 0.050)
 """[s] shortest cycle of control and feedback that the vendor names (its FAQ)"""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from rejoint.arms import Arm, Array
-from rejoint.errors import ImpossibleReplyError, StaleReplyError
+from rejoint.system.errors import ImpossibleReplyError, StaleReplyError
 
 UNREADABLE_DEG = 180.08
 """[deg] what a joint shows whose servo cannot be read (elephantrobotics/pymycobot, issue 43)"""

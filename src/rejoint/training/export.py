@@ -22,7 +22,7 @@ from rejoint.control.contract import (
     probe_observations,
 )
 from rejoint.control.onnxfile import content_digest
-from rejoint.files import write_whole
+from rejoint.system.files import write_whole
 
 _OPSET = 17
 _IR_VERSION = 8  # what ONNX Runtime 1.14 and newer read

@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 import torch
 
-from rejoint.errors import FileError, first_line
-from rejoint.files import MEGABYTE, digest, read_bounded, write_whole
+from rejoint.system.errors import FileError, first_line
+from rejoint.system.files import MEGABYTE, digest, read_bounded, write_whole
 from rejoint.training.arithmetic import PRECISION, on_threads, products
 from rejoint.training.crew import Crew
 from rejoint.training.networks import Actor, Critic

@@ -9,7 +9,7 @@ import numpy as np
 
 from rejoint.control.feedforward import FeedforwardGains
 from rejoint.control.residual import CommandLaw
-from rejoint.errors import InputError
+from rejoint.system.errors import InputError
 from rejoint.training.task import TaskSettings
 
 

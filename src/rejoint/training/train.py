@@ -18,11 +18,11 @@ from rejoint import __version__
 from rejoint.arms import Arm
 from rejoint.control.contract import PolicyContract, arm_digest, law_digests
 from rejoint.control.observation import layout_slots
-from rejoint.errors import FileError
-from rejoint.files import set_aside, unwritable, write_whole
-from rejoint.runs import RunFolder
+from rejoint.system.errors import FileError
+from rejoint.system.files import set_aside, unwritable, write_whole
 from rejoint.training.export import export_policy
 from rejoint.training.learner import CurvePoint, Learner
+from rejoint.training.outputs import Outputs
 from rejoint.training.presets import Preset, load_preset
 from rejoint.training.ranges import BroadRanges, PaperRanges, Ranges, identified_ranges
 from rejoint.training.task import ReachTask
@@ -101,28 +101,27 @@ def train(
     checkpoint and no policy; with `TrainingOptions.resume` it goes on from there to the same end.
     """
     options = TrainingOptions() if options is None else options
-    recipe, folder = know_stiffness(options.recipe, arm, twin), RunFolder(out)
-    checkpoint, curves = folder.training / "checkpoint.pt", folder.training / "curves.parquet"
+    recipe, files = know_stiffness(options.recipe, arm, twin), Outputs(out)
     learner = make_learner(arm, twin, recipe, options)
     identity = _identity(arm, twin, recipe, options.seed)
-    if options.resume and not _resumed(learner, checkpoint, identity):
+    if options.resume and not _resumed(learner, files.checkpoint, identity):
         learner = make_learner(arm, twin, recipe, options)  # a damaged one may have been taken over in part
     total = recipe.ppo.iterations
     contract = policy_contract(arm, twin, recipe, options.seed)
-    with _tensorboard(folder.training) as writer:
+    with _tensorboard(files.folder) as writer:
         while learner.iteration < total:
             if options.snapshot_every and learner.iteration % options.snapshot_every == 0:
-                export_policy(snapshot_path(folder, learner.iteration), learner.actor.net, contract)
+                export_policy(files.snapshot(learner.iteration), learner.actor.net, contract)
             point = learner.iterate()
             _write_scalars(writer, point)
             if learner.iteration % options.checkpoint_every == 0 and learner.iteration < total:
-                learner.save(checkpoint, identity)
+                learner.save(files.checkpoint, identity)
             if on_progress is not None:
                 on_progress(learner.iteration, total, describe(point))
-    write_curves(curves, learner.curve)
-    export_policy(folder.policy, learner.actor.net, contract)
-    checkpoint.unlink(missing_ok=True)
-    return training_result(folder.policy, curves, recipe.name, options.seed, learner.curve)
+    write_curves(files.curves, learner.curve)
+    export_policy(files.policy, learner.actor.net, contract)
+    files.checkpoint.unlink(missing_ok=True)
+    return training_result(files, recipe.name, options.seed, learner.curve)
 
 
 def _resumed(learner: Learner, checkpoint: Path, identity: dict[str, Any]) -> bool:
@@ -150,11 +149,6 @@ def training_ranges(arm: Arm, twin: Twin | None, preset: Preset) -> Ranges:
     if twin is None:
         return BroadRanges(arm=arm)
     return identified_ranges(arm, twin)
-
-
-def snapshot_path(folder: RunFolder, updates: int) -> Path:
-    """Path of the policy kept after so many updates."""
-    return folder.training / f"policy-{updates:04}.onnx"
 
 
 def write_curves(path: Path, curve: Sequence[CurvePoint]) -> None:
@@ -246,12 +240,12 @@ def describe(point: CurvePoint) -> str:
     return f"success {100 * point.success_rate:.0f} %, error {point.error_mm:.2f} mm, reward {point.reward:.2f}"
 
 
-def training_result(policy: Path, curves: Path, recipe: str, seed: int, curve: Sequence[CurvePoint]) -> TrainingResult:
+def training_result(files: Outputs, recipe: str, seed: int, curve: Sequence[CurvePoint]) -> TrainingResult:
     """Sum up a training by its last updates."""
     recent = curve[-5:]  # chosen: the targets that end within a few updates are enough for a percent
     return TrainingResult(
-        policy=policy,
-        curves=curves,
+        policy=files.policy,
+        curves=files.curves,
         preset=recipe,
         seed=seed,
         steps=curve[-1].step,

@@ -11,7 +11,7 @@ from numba import njit
 
 from rejoint.arms import Array
 from rejoint.control.robot import Mask
-from rejoint.errors import InputError
+from rejoint.system.errors import InputError
 
 DEPTH = 4
 """Commands that are remembered: 40 ms of delay at the shortest period of 18 ms."""

@@ -13,7 +13,7 @@ from mujoco.batch import Batch
 from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array
-from rejoint.errors import InputError
+from rejoint.system.errors import InputError
 from rejoint.twin.model import FRICTION_SOFTNESS, TIMESTEP, friction_solref, model_fields, stribeck_friction, twin_model
 from rejoint.twin.parameters import TwinParameters, nominal_parameters
 from rejoint.twin.table import Table

@@ -20,8 +20,8 @@ from tomlkit.items import Array as TomlArray
 from tomlkit.items import Table as TomlTable
 
 from rejoint.arms import Arm, Array
-from rejoint.errors import FileError, InputError, first_line
-from rejoint.files import CHANGED, TOML_MOST, digest, read_bounded, write_whole
+from rejoint.system.errors import FileError, InputError, first_line
+from rejoint.system.files import CHANGED, TOML_MOST, digest, read_bounded, write_whole
 from rejoint.twin.parameters import PARAMETERS, STICTION, TwinParameters
 from rejoint.twin.prediction import PredictionError
 from rejoint.twin.table import Table

@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Arm
-from rejoint.errors import InputError
-from rejoint.exclusions import Exclusions, find_exclusions, table_height
-from rejoint.runlog import RunLog
+from rejoint.logs.exclusions import Exclusions, find_exclusions, table_height
+from rejoint.logs.runlog import RunLog
+from rejoint.system.errors import InputError
 from rejoint.twin.fit import SCALES, Fit, Problem, fit
 from rejoint.twin.identify import fitted_twin
 from rejoint.twin.judge import TIMESTEP, Candidate, judge

@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rejoint.arms import Arm, Array, gravity_torque
-from rejoint.errors import InputError
-from rejoint.runlog import RunLog
+from rejoint.logs.runlog import RunLog
+from rejoint.system.errors import InputError
 from rejoint.twin.fit import Fit, Problem, fit, search
 from rejoint.twin.model import TIMESTEP
 from rejoint.twin.parameters import (

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from rejoint.arms import Arm, Array, tcp_position
-from rejoint.errors import InputError
-from rejoint.exclusions import Exclusions, Rows, find_exclusions, table_height
-from rejoint.runlog import RunLog
+from rejoint.logs.exclusions import Exclusions, Rows, find_exclusions, table_height
+from rejoint.logs.runlog import RunLog
+from rejoint.system.errors import InputError
 from rejoint.twin.judgement import NO_TWIN, Error, Errors, Judgement, MotionErrors, Trace
 from rejoint.twin.parameters import STICTION, TwinParameters
 from rejoint.twin.prediction import prediction_error

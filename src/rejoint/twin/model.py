@@ -1,6 +1,6 @@
 """From an arm to a MuJoCo model: a serial chain whose joints are driven by position servos.
 
-This is the twin's physics. It never imports `rejoint.plant` and shares no code with it, for the
+This is the twin's physics. It never imports `rejoint.lab.plant` and shares no code with it, for the
 reason given in `rejoint.twin.parameters`.
 
 Per joint: torque = clip(stiffness (command + offset - q), +-limit) - damping qdot - dry friction.
@@ -25,7 +25,7 @@ import numpy as np
 
 from rejoint.arms import Arm, Array
 from rejoint.arms.kinematics import GRAVITY
-from rejoint.errors import InputError
+from rejoint.system.errors import InputError
 from rejoint.twin.parameters import TwinParameters
 from rejoint.twin.tablemodel import add_table
 

@@ -1,6 +1,6 @@
 """What a twin is described by: its parameters, their units, and what is believed before any data.
 
-The twin stands for what one can know of an arm; the simulated worn arm in `rejoint.plant` stands for
+The twin stands for what one can know of an arm; the simulated worn arm in `rejoint.lab.plant` stands for
 reality. The two never import one another and share no physics code: a twin that shared the
 plant's model would fit it perfectly and prove nothing.
 
@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, gravity_torque
 from rejoint.arms.workspace import reach
-from rejoint.errors import InputError
+from rejoint.system.errors import InputError
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -21,8 +21,8 @@ from typing import Any
 import numpy as np
 
 from rejoint.arms import Arm, Array
-from rejoint.errors import FileError, InputError
-from rejoint.files import TOML_MOST, read_bounded
+from rejoint.system.errors import FileError, InputError
+from rejoint.system.files import TOML_MOST, read_bounded
 from rejoint.twin.judge import Candidate
 from rejoint.twin.parameters import PARAMETERS, TwinParameters, pack
 from rejoint.twin.unknown import unknown_prior

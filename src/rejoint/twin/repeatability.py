@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from rejoint.arms import Arm, Array, tcp_position
-from rejoint.exclusions import Rows
-from rejoint.runlog import RunLog
+from rejoint.logs.exclusions import Rows
+from rejoint.logs.runlog import RunLog
 
 SHORTEST, LONGEST = 1.5, 40.0
 """[s] of a period: longer than the arm remembers by its speed, and short enough to come twice (chosen)"""

@@ -16,8 +16,8 @@ from itertools import pairwise
 import numpy as np
 
 from rejoint.arms import Arm, Array
-from rejoint.errors import InputError
-from rejoint.runlog import RunLog
+from rejoint.logs.runlog import RunLog
+from rejoint.system.errors import InputError
 from rejoint.twin.batch import TwinBatch
 from rejoint.twin.model import TIMESTEP
 from rejoint.twin.parameters import STICTION, TwinParameters

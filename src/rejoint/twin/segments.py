@@ -8,8 +8,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from rejoint.exclusions import Exclusions, free_runs
-from rejoint.runlog import RunLog
+from rejoint.logs.exclusions import Exclusions, free_runs
+from rejoint.logs.runlog import RunLog
 from rejoint.twin.replay import Window
 
 SHORTEST = 2.0

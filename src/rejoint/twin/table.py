@@ -7,7 +7,7 @@ from dataclasses import astuple, dataclass
 import numpy as np
 
 from rejoint.arms import Array
-from rejoint.errors import InputError
+from rejoint.system.errors import InputError
 
 
 @dataclass(frozen=True, kw_only=True)

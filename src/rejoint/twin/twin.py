@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array
-from rejoint.errors import ContractError, InputError
+from rejoint.system.errors import ContractError, InputError
 from rejoint.twin.parameters import (
     JOINT_PARAMETERS,
     PARAMETERS,

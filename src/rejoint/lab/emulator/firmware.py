@@ -1,0 +1,321 @@
+"""The robot's own computer: keeps the limits, runs the moves, powers and releases the servos.
+
+It knows no bytes and no clock: `rejoint.lab.emulator.commands` calls it with SI values, and whoever
+owns a clock tells it how much time has passed. Where neither the vendor's manual nor logs of a real
+arm settle what the firmware does, the choice is named.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from rejoint.arms import Arm, Array, tcp_pose
+from rejoint.lab.emulator.ailments import Ailments
+from rejoint.lab.emulator.motion import Motion
+from rejoint.lab.emulator.paths import Path, joint_path, line_path, solve_pose
+from rejoint.lab.emulator.plantlike import Mask, PlantLike
+
+TICK_MS = 10
+"""[ms] between set-points that the firmware writes while it interpolates (chosen)"""
+FULL_SPEED = float(np.radians(120.0))
+"""[rad/s] reference ramp at speed 100 % (chosen: 80 % of the vendor's 150 deg/s, as in the plant)"""
+ACCELERATION = float(np.radians(200.0))
+"""[rad/s^2] of interpolated moves (vendor's communication protocol page)"""
+COMMAND_DELAY = (0.008, 0.013)
+"""[s] from the arrival of a command to its effect in the servos (the plant's own channel)"""
+MAX_WRITES = 64
+"""Goals on their way over the servo bus; the oldest of more are lost (chosen: an order every 8 ms leaves two)"""
+
+NO_SOLUTION = 32
+NO_LINE = 33
+"""Error codes of the vendor's ``get_error_information``; 1..6 name the joint over its limit."""
+
+_AT_REST = np.radians(2.0)
+"""[rad/s] below this speed a joint counts as standing (chosen)"""
+_OVER_TEMPERATURE = 70.0
+"""[deg C] default protection threshold of Feetech STS servos (their register table)"""
+_HAS_ARRIVED_ANGLE = np.radians(1.0)
+_HAS_ARRIVED_LENGTH = 0.003
+"""What counts as in position (chosen)."""
+
+
+class _Write(NamedTuple):
+    """A goal on its way over the servo bus."""
+
+    due_ms: int
+    goal: Array
+    speed: float
+
+
+class Firmware:
+    """State and behaviour of one emulated myCobot; ``plant`` holds one arm, already reset."""
+
+    def __init__(self, plant: PlantLike, arm: Arm, *, seed: int = 0) -> None:
+        self.arm = arm
+        self.lower, self.upper = arm.lower.copy(), arm.upper.copy()
+        self.fresh = False
+        self.powered = True
+        self.enabled = np.ones(arm.joints, dtype=bool)
+        self.error = 0
+        self.zero = np.zeros(arm.joints)
+        """(n,) [rad] what calibration took as zero, on the encoders' own scale"""
+        self.registers: dict[tuple[int, int], int] = {}
+        """(servo, address) -> value; kept and read back, without effect on the servos"""
+        self.ailments = Ailments(arm.joints)
+        self._plant = plant
+        self._rng = np.random.default_rng(seed)
+        self._motion = Motion(plant.goal[0], full_speed=FULL_SPEED, acceleration=ACCELERATION)
+        self._clock_ms = 0
+        self._owed = 0.0
+        self._outbox: list[_Write] = []
+
+    # --- what is measured -------------------------------------------------------------------
+
+    @property
+    def angles(self) -> Array:
+        """(n,) [rad] joint angles by the encoders."""
+        return self._plant.encoder()[0] - self.zero + self.ailments.misreading
+
+    @property
+    def planned_angles(self) -> Array:
+        """(n,) [rad] where the reference is."""
+        return self._motion.reference.copy()
+
+    @property
+    def destination(self) -> Array:
+        """(n,) [rad] where the last of the planned moves ends."""
+        return self._motion.end
+
+    @property
+    def pose(self) -> Array:
+        """(4, 4) TCP pose by the encoders."""
+        return tcp_pose(self.arm, self.angles)
+
+    @property
+    def speed(self) -> Array:
+        """(n,) [rad/s]."""
+        return self._plant.speed[0]
+
+    @property
+    def torque(self) -> Array:
+        """(n,) [N m] of the motors."""
+        return self._plant.torque[0]
+
+    @property
+    def temperature(self) -> Array:
+        """(n,) [deg C]."""
+        return self._plant.temperature[0] + self.ailments.warmth
+
+    @property
+    def hot(self) -> Mask:
+        """(n,) whether a servo is over its temperature threshold."""
+        return self.temperature >= _OVER_TEMPERATURE
+
+    @property
+    def true_tcp(self) -> Array:
+        """(3,) [m] where the tool really is; nobody can ask for it over the wire."""
+        return self._plant.true_tcp()[0]
+
+    @property
+    def moving(self) -> bool:
+        """Whether the reference is under way or a joint still moves."""
+        return (self._motion.moving and not self._motion.paused) or bool((np.abs(self.speed) > _AT_REST).any())
+
+    @property
+    def paused(self) -> bool:
+        """Whether a move is suspended."""
+        return self._motion.paused
+
+    def in_position(self, angles: Array) -> bool:
+        """Whether the encoders are within a degree of ``angles`` (n,) [rad]."""
+        return bool((np.abs(self.angles - angles) < _HAS_ARRIVED_ANGLE).all())
+
+    def at_pose(self, pose: Array) -> bool:
+        """Whether the TCP is within 3 mm and a degree of ``pose`` (4, 4), by the encoders."""
+        here = self.pose
+        cosine = (np.trace(pose[:3, :3] @ here[:3, :3].T) - 1.0) / 2.0
+        near = np.linalg.norm(pose[:3, 3] - here[:3, 3]) < _HAS_ARRIVED_LENGTH
+        return bool(near and cosine > np.cos(_HAS_ARRIVED_ANGLE))
+
+    # --- moves ------------------------------------------------------------------------------
+
+    def move_joints(self, angles: Array, rate: float) -> bool:
+        """Go to ``angles`` (n,) [rad]; False, and an error code, if they break a limit.
+
+        In fresh mode the servos get the goal at once and ramp to it by themselves; otherwise the
+        move joins the queue and is interpolated.
+        """
+        beyond = ~((angles >= self.lower - 1e-9) & (angles <= self.upper + 1e-9))
+        if beyond.any():
+            self.error = int(np.argmax(beyond)) + 1
+            return False
+        if not self._ready():
+            return False
+        if not self.fresh:
+            return self._take(joint_path(self.destination, angles, FULL_SPEED), rate, replace=False)
+        self._motion.ramp(angles, rate)
+        self._write(rate * FULL_SPEED, angles)
+        return True
+
+    def move_tool(self, pose: Array, rate: float, *, straight: bool) -> bool:
+        """Bring the tool to ``pose`` (4, 4); False, and an error code, if no posture does it."""
+        start = self.planned_angles if self.fresh else self.destination
+        if not straight:
+            goal = solve_pose(self.arm, pose, start)
+            if goal is None:
+                self.error = NO_SOLUTION
+                return False
+            return self.move_joints(goal, rate)
+        path, complete = line_path(self.arm, start, pose, FULL_SPEED)
+        if not complete or not self._within_limits(path):
+            self.error = NO_LINE
+            return False
+        return self._ready() and self._take(path, rate, replace=self.fresh)
+
+    def jog_joint(self, joint: int, direction: int, rate: float) -> bool:
+        """Run one joint until its limit or a stop."""
+        goal = self.planned_angles
+        goal[joint] = self.upper[joint] if direction > 0 else self.lower[joint]
+        path = joint_path(self.planned_angles, np.clip(goal, self.lower, self.upper), FULL_SPEED)
+        return self._ready() and self._take(path, rate, replace=True)
+
+    def jog_tool(self, pose: Array, rate: float) -> bool:
+        """Run the tool straight towards ``pose`` (4, 4) as far as the arm reaches, or until a stop."""
+        path, _ = line_path(self.arm, self.planned_angles, pose, FULL_SPEED)
+        inside = np.all((path.points >= self.lower) & (path.points <= self.upper), axis=1)
+        reach = len(inside) if inside.all() else int(np.argmin(inside))
+        if reach < 2:
+            self.error = NO_LINE
+            return False
+        return self._ready() and self._take(
+            Path(points=path.points[:reach], time=path.time[:reach]), rate, replace=True
+        )
+
+    def stop(self, joint: int | None = None) -> None:
+        """Hold where the reference is, and forget what was to come: one joint, or the arm."""
+        self._motion.hold(joint)
+        if joint is not None:
+            self._write(self._motion.ramp_speed, self._motion.goal)
+            return
+        self._outbox.clear()
+        self._plant.halt()
+        self._track(np.ones(self.arm.joints, dtype=bool), self._plant.goal[0] - self.zero)
+
+    def pause(self) -> None:
+        """Hold where the reference is, to go on later."""
+        self._motion.paused = True
+        self._write(FULL_SPEED)
+
+    def resume(self) -> None:
+        """Go on."""
+        self._motion.paused = False
+        if not self._motion.interpolating:
+            self._write(self._motion.ramp_speed, self._motion.goal)
+
+    def clear_queue(self) -> None:
+        """Forget the waiting moves."""
+        self._motion.clear_queue()
+
+    # --- power ------------------------------------------------------------------------------
+
+    def power(self, on: bool) -> None:
+        """Power all servos, which then hold where they are, or none: the arm falls."""
+        self.powered = on
+        self.enable(np.full(self.arm.joints, on))
+
+    def enable(self, wanted: Mask) -> None:
+        """Let the servos in ``wanted`` (n,) hold, those newly switched on where they are; release the others."""
+        self._motion.hold()
+        self._outbox.clear()
+        self._track(wanted & ~self.enabled, self.angles)
+        self.enabled = wanted.copy()
+        self._plant.set_power(np.array([bool(wanted.any())]))
+        self._outbox.append(_Write(self._clock_ms, self._motion.reference + self.zero, FULL_SPEED))
+
+    def calibrate(self, joint: int) -> None:
+        """Take the present position of a joint as its zero."""
+        shift = float(self.angles[joint])
+        self.zero[joint] += shift
+        self._motion.hold()
+        self._motion.place(joint, float(self._motion.reference[joint]) - shift)
+
+    # --- faults -----------------------------------------------------------------------------
+
+    def freeze(self, joints: Mask) -> None:
+        """Let the encoders of ``joints`` (n,) tell what they tell now, for good; their servos still see."""
+        self._plant.freeze(joints[None])
+
+    def blind(self, joints: Mask) -> None:
+        """Let the servos of ``joints`` (n,) see what they see now, for good."""
+        self._plant.blind(joints[None])
+
+    # --- time -------------------------------------------------------------------------------
+
+    @property
+    def time(self) -> float:
+        """[s] since the start, on the plant's clock."""
+        return self._clock_ms * 1e-3
+
+    def advance(self, duration: float) -> None:
+        """Let ``duration`` [s] pass; what is less than a millisecond waits for the next call."""
+        self._owed += duration * 1e3
+        left = int(self._owed + 1e-6)
+        self._owed -= left
+        while left > 0:
+            next_due = min((write.due_ms for write in self._outbox), default=self._clock_ms + TICK_MS)
+            step = min(left, TICK_MS, max(1, next_due - self._clock_ms))
+            interpolating = self._motion.interpolating
+            self._motion.advance(step * 1e-3)
+            if interpolating or not self.enabled.all():
+                self._track(~self.enabled, self.angles)
+                self._write_now()
+            self._deliver()
+            self._plant.advance(step * 1e-3)
+            self._clock_ms += step
+            left -= step
+
+    def _ready(self) -> bool:
+        """Whether a move may start; released servos are switched on by a new goal (chosen)."""
+        if self.powered and not self.enabled.all():
+            self.enable(np.ones(self.arm.joints, dtype=bool))
+        return self.powered
+
+    def _within_limits(self, path: Path) -> bool:
+        return bool(np.all((path.points >= self.lower) & (path.points <= self.upper)))
+
+    def _take(self, path: Path, rate: float, *, replace: bool) -> bool:
+        if replace:
+            self._motion.follow(path, rate)
+        elif not self._motion.enqueue(path, rate):
+            return False
+        return True
+
+    def _track(self, joints: Mask, angles: Array) -> None:
+        """Put the reference of ``joints`` (n,) at ``angles`` (n,) [rad], so that nothing pulls."""
+        for joint in np.flatnonzero(joints):
+            self._motion.place(int(joint), float(angles[joint]))
+
+    def _write(self, speed: float, goal: Array | None = None) -> None:
+        """Send a goal (n,) [rad], by default the reference, over the servo bus."""
+        due_ms = self._clock_ms + round(1e3 * self._rng.uniform(*COMMAND_DELAY))
+        if self._outbox:
+            due_ms = max(due_ms, self._outbox[-1].due_ms)  # a bus does not overtake itself
+        target = (self._motion.reference if goal is None else goal) + self.zero
+        self._outbox.append(_Write(due_ms, target, speed))
+        del self._outbox[:-MAX_WRITES]
+
+    def _deliver(self) -> None:
+        """Hand the servos the newest of the goals that have arrived."""
+        arrived = [write for write in self._outbox if write.due_ms <= self._clock_ms]
+        self._outbox = [write for write in self._outbox if write.due_ms > self._clock_ms]
+        if arrived:
+            self._plant.set_speed_limit(arrived[-1].speed)
+            self._plant.command(arrived[-1].goal[None])
+
+    def _write_now(self) -> None:
+        """Write the reference without delay: a set-point that was planned long ago."""
+        self._outbox.clear()
+        self._plant.set_speed_limit(FULL_SPEED)
+        self._plant.command((self._motion.reference + self.zero)[None])

@@ -1,0 +1,238 @@
+"""The emulated robot where a client finds it: a TCP port, or a pseudo-terminal in place of a serial port.
+
+Like the vendor's server on the robot, the TCP server speaks to one client at a time; others wait in
+the backlog. No client can end a server: garbage is skipped, a broken connection makes room for the
+next one. A terminal knows no clients: as with a real serial line, whoever opens it writes on it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ipaddress
+import os
+import pty
+import socket
+import threading
+import tty
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from types import TracebackType
+from typing import Self
+
+from rejoint.lab.emulator.faults import NONE, Faults
+from rejoint.lab.emulator.firmware import Firmware
+from rejoint.lab.emulator.session import Session, Timing
+from rejoint.lab.emulator.truthlog import TruthLog
+from rejoint.lab.emulator.wirefaults import DeathError, LinkGoneError
+from rejoint.system.errors import InputError
+
+BACKLOG = 1
+"""Clients that may wait, as in the vendor's server."""
+SEND_PATIENCE = 1.0
+"""[s] before a client that takes no answers counts as gone (chosen)"""
+BUFFER = 1 << 16
+"""[bytes] that the system may keep for a connection each way: requests ahead, answers that nobody reads (chosen)"""
+_CHUNK = 1024
+
+
+class Server(ABC):
+    """Serves in the calling thread (`run`) or in one of its own (as a context manager)."""
+
+    def __init__(self, session: Session, address: str) -> None:
+        self.address = address
+        """where a robot driver finds it, such as ``tcp://127.0.0.1:9000``"""
+        self._session = session
+        self._thread: threading.Thread | None = None
+        self.on_death: Callable[[], object] | None = None
+        """what becomes of the process when a fault lets the emulator die"""
+
+    def run(self) -> None:
+        """Serve until `stop` is called from another thread, a signal ends it, or a fault lets it die."""
+        try:
+            while not self._session.stopping:
+                try:
+                    self._serve()
+                except LinkGoneError:
+                    self._vanish()
+        except DeathError:
+            self._close()
+            if self.on_death is not None:
+                self.on_death()
+
+    @abstractmethod
+    def _serve(self) -> None:
+        """Serve clients; LinkGoneError and DeathError come from the session."""
+
+    @abstractmethod
+    def _vanish(self) -> None:
+        """Be out of reach as long as there is no link."""
+
+    def start(self) -> None:
+        """Serve in a thread."""
+        self._thread = threading.Thread(target=self.run, name=f"emulator {self.address}", daemon=True)
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End serving and release the port."""
+        self._session.end()
+        if self._thread is not None:
+            self._thread.join()
+        self._close()
+
+    @abstractmethod
+    def _close(self) -> None:
+        """Release the port."""
+
+    def __enter__(self) -> Self:
+        self.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.stop()
+
+
+class _SocketChannel:
+    """One accepted connection."""
+
+    def __init__(self, connection: socket.socket) -> None:
+        self._connection = connection
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        connection.settimeout(SEND_PATIENCE)
+
+    def fileno(self) -> int:
+        return self._connection.fileno()
+
+    def receive(self) -> bytes:
+        return self._connection.recv(_CHUNK)
+
+    def send(self, data: bytes) -> None:
+        self._connection.sendall(data)
+
+
+class _TcpServer(Server):
+    """Listens from its construction by `serve_tcp` on."""
+
+    def __init__(self, session: Session, listener: socket.socket) -> None:
+        host, port = listener.getsockname()[:2]
+        super().__init__(session, f"tcp://{host}:{port}")
+        self._listener = listener
+
+    def _serve(self) -> None:
+        while not self._session.stopping:
+            if not self._session.wait(self._listener.fileno(), float("inf")):
+                continue
+            try:
+                connection, _ = self._listener.accept()
+            except OSError:
+                continue  # the client left before it was its turn
+            with connection:
+                self._session.converse(_SocketChannel(connection))
+
+    def _vanish(self) -> None:
+        host, port = self._listener.getsockname()[:2]
+        self._listener.close()  # refuses clients, those in the backlog too
+        self._session.outlast_absence()
+        if not self._session.stopping:
+            self._listener = _listen(host, port)
+
+    def _close(self) -> None:
+        self._listener.close()
+
+
+class _TerminalChannel:
+    """The robot's end of a pseudo-terminal; it never ends, whoever opens and closes the other end."""
+
+    def __init__(self, descriptor: int) -> None:
+        self._descriptor = descriptor
+
+    def fileno(self) -> int:
+        return self._descriptor
+
+    def receive(self) -> bytes:
+        return os.read(self._descriptor, _CHUNK)
+
+    def send(self, data: bytes) -> None:
+        with contextlib.suppress(BlockingIOError):  # nobody reads: lost, as on a wire
+            os.write(self._descriptor, data)
+
+
+class _TerminalServer(Server):
+    def __init__(self, session: Session, own: int, client: int) -> None:
+        super().__init__(session, f"serial://{os.ttyname(client)}?baud=1000000")
+        self._own = own
+        self._open = [client, own]
+
+    def _serve(self) -> None:
+        while not self._session.stopping:
+            self._session.converse(_TerminalChannel(self._own))
+
+    def _vanish(self) -> None:
+        self._session.outlast_absence()
+        with contextlib.suppress(BlockingIOError):
+            while os.read(self._own, _CHUNK):
+                pass  # what was written to a line that led nowhere is lost
+
+    def _close(self) -> None:
+        while self._open:  # an emulator that died has closed them already
+            os.close(self._open.pop())
+
+
+def beyond_loopback(address: str) -> bool:
+    """Whether the server at ``address`` can be reached from other machines."""
+    host = address.removeprefix("tcp://").rpartition(":")[0]
+    return address.startswith("tcp://") and not ipaddress.ip_address(host).is_loopback
+
+
+def _listen(host: str, port: int) -> socket.socket:
+    refusal = f"cannot listen on {host}:{port}"
+    if not 0 <= port <= 65535:
+        raise InputError(f"{refusal}: a port is a number from 0 to 65535")
+    listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)  # the vendor's client knows no IPv6
+    try:
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        for buffer in (socket.SO_RCVBUF, socket.SO_SNDBUF):  # connections inherit them
+            listener.setsockopt(socket.SOL_SOCKET, buffer, BUFFER)
+        listener.bind((host, port))
+        listener.listen(BACKLOG)
+        listener.setblocking(False)
+    except OSError as error:
+        listener.close()
+        raise InputError(f"{refusal} ({error.strerror or error}); choose another host or port") from error
+    return listener
+
+
+def serve_tcp(
+    firmware: Firmware,
+    host: str = "127.0.0.1",
+    port: int = 9000,
+    *,
+    timing: Timing | None = None,
+    seed: int = 0,
+    log: TruthLog | None = None,
+    faults: Faults = NONE,
+) -> Server:
+    """Listen on a TCP port (0: any free one); InputError if that is not possible. Run it to serve."""
+    listener = _listen(host, port)
+    return _TcpServer(Session(firmware, timing=timing or Timing(), seed=seed, log=log, faults=faults), listener)
+
+
+def serve_pty(
+    firmware: Firmware,
+    *,
+    timing: Timing | None = None,
+    seed: int = 0,
+    log: TruthLog | None = None,
+    faults: Faults = NONE,
+) -> Server:
+    """Open a pseudo-terminal that a driver can open like a serial port. Run the server to serve.
+
+    The client's end is put into raw mode and kept open here: otherwise the terminal would echo
+    before the first client opens it, and fail when the last one closes it.
+    """
+    own, client = pty.openpty()
+    tty.setraw(client)
+    os.set_blocking(own, False)
+    session = Session(firmware, timing=timing or Timing(), seed=seed, log=log, faults=faults)
+    return _TerminalServer(session, own, client)

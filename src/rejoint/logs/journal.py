@@ -1,0 +1,256 @@
+"""A run log while it is being made: what an arm did is on file before the process can die.
+
+A journal is a hidden file beside the run log that it becomes: a line of JSON that says whose it is, then rows of
+float64 (time, position, command, target, true TCP), each with its CRC-32. A thread writes them, so that a disk that is
+slow or full never holds up the control loop: ``append`` only packs a row. After ``kill -9`` all but the last `INTERVAL`
+is there, and `recover` makes an ordinary run log of it. After a loss of power, what the system had not yet written
+to the disk by itself is missing as well, on Linux usually the last half minute. Where writing fails, the run goes on:
+the arm is held as ever, and the whole of it is still in memory for the log at the end.
+"""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import threading
+import zlib
+from collections import deque
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from rejoint.logs.runlog import LOG_MOST, Array, RunLog, write_log
+from rejoint.system.errors import FileError, InputError
+from rejoint.system.files import read_bounded, require_space, unwritable
+
+INTERVAL = 0.25
+"""[s] between two writes (chosen: half of what may be lost)"""
+
+CUT_SHORT = "cut-short"
+"""Ends the name and the label of a log that was recovered from a journal"""
+
+_ENDING = ".journal"
+_MAGIC = "rejoint journal 1"
+_CHECK = 4  # bytes of a row's CRC-32
+
+
+class Row(Protocol):
+    """What a journal takes of a control cycle; the first arm of a batch. See `rejoint.control.recording.Cycle`."""
+
+    @property
+    def time(self) -> Array:
+        """(B,) [s]."""
+
+    @property
+    def position(self) -> Array:
+        """(B, n) [rad]."""
+
+    @property
+    def command(self) -> Array:
+        """(B, n) [rad]."""
+
+    @property
+    def target(self) -> Array:
+        """(B, 3) [m]."""
+
+    @property
+    def true_tcp(self) -> Array:
+        """(B, 3) [m]."""
+
+
+class Journal:
+    """Rows of one arm on their way to the disk; made by `begin`, ended by `finish` or `discard`."""
+
+    def __init__(self, path: Path, handle: int) -> None:
+        """Take the run log's path and the open file; `begin` makes both."""
+        self.path, self.file = path, _journal_path(path)
+        self.problem: OSError | None = None
+        """what kept rows from being written; the run goes on without"""
+        self._handle, self._rows, self._over = handle, deque[bytes](), threading.Event()
+        self._thread = threading.Thread(target=self._write_on, name="journal", daemon=True)
+
+    @classmethod
+    def begin(
+        cls, path: Path, *, arm: str, joint_names: tuple[str, ...], robot: str, label: str, rows: int = 0
+    ) -> Journal:
+        """Open the journal of the run log at ``path`` and set aside the space that ``rows`` rows take.
+
+        FileError if nothing can be written there, or if journal and log do not fit on the disk: before anything moves.
+        """
+        about = {"arm": arm, "joints": list(joint_names), "robot": robot, "label": label}
+        head = f"{_MAGIC} {json.dumps(about)}\n".encode()
+        size = len(head) + rows * (_row_size(len(joint_names)) + _CHECK)
+        file = _journal_path(path)
+        try:
+            file.parent.mkdir(parents=True, exist_ok=True)
+            require_space(file.parent, 2 * size)
+            handle = os.open(file, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o644)
+        except OSError as error:
+            raise unwritable(file, error) from error
+        journal = cls(path, handle)
+        try:
+            _reserve(handle, size)
+            _write(handle, head)
+        except OSError as error:
+            os.close(handle)
+            file.unlink(missing_ok=True)
+            raise unwritable(file, error) from error
+        journal._thread.start()
+        return journal
+
+    def see(self, cycle: Row) -> None:
+        """Take the row of a control cycle; to be called by the control loop."""
+        self.append(cycle.time[0], cycle.position[0], cycle.command[0], cycle.target[0], cycle.true_tcp[0])
+
+    def append(self, time: float, position: Array, command: Array, target: Array, true_tcp: Array) -> None:
+        """Take a row: ``time`` [s], ``position`` and ``command`` (n,) [rad], ``target`` and ``true_tcp`` (3,) [m]."""
+        if self.problem is None:
+            data = np.concatenate(((time,), position, command, target, true_tcp)).astype("<f8", copy=False).tobytes()
+            self._rows.append(data + zlib.crc32(data).to_bytes(_CHECK, "little"))
+
+    def finish(self, log: RunLog) -> None:
+        """Write the run log and remove the journal; where that fails, the journal stays, and the FileError says so."""
+        self.close()
+        try:
+            write_log(self.path, log)
+        except FileError as error:
+            share = "What the arm did" if self.problem is None else "What was written of it before the disk was full"
+            error.add_note(f"{share} is in {self.file}; the next command in this folder makes a log of it.")
+            raise
+        self.file.unlink(missing_ok=True)
+
+    def keep(self, log: RunLog) -> str:
+        """Write the run log of a run that failed; returns a sentence that says where it is, or why it is not."""
+        try:
+            self.finish(log)
+        except FileError as error:
+            return "\n".join((f"What was recorded until then: {error}", *getattr(error, "__notes__", ())))
+        return f"What was recorded until then: {self.path}"
+
+    def rescue(self) -> str:
+        """Make a log of what is in the journal of a run that failed; returns a sentence that says where it is."""
+        self.close()
+        try:
+            path = _convert(self.file, self.path)
+        except FileError as error:
+            return f"What was recorded until then is in {self.file}, but: {error}"
+        return "Nothing was recorded." if path is None else f"What was recorded until then: {path}"
+
+    def discard(self) -> None:
+        """Remove the journal: nothing happened, or what did is kept elsewhere."""
+        self.close()
+        self.file.unlink(missing_ok=True)
+
+    def close(self) -> None:
+        """Write what is left; the journal stays until `discard`, or until the next command makes a log of it."""
+        if not self._over.is_set():
+            self._over.set()
+            self._thread.join()
+            os.close(self._handle)
+
+    def _write_on(self) -> None:
+        over = False
+        while not over and self.problem is None:
+            over = self._over.wait(INTERVAL)
+            try:
+                _write(self._handle, b"".join(self._rows.popleft() for _ in range(len(self._rows))))
+            except OSError as error:
+                self.problem = error
+                self._rows.clear()
+
+
+def recover(folder: Path) -> tuple[Path, ...]:
+    """Make run logs of the journals in ``folder`` that killed processes left, and remove those; returns the logs.
+
+    Only for a process that works there alone: a journal in use looks the same. FileError if a log cannot be written;
+    the journal stays then.
+    """
+    found = []
+    for file in sorted(folder.glob(f".*{_ENDING}")):
+        path = folder / f"{file.name[1 : -len(_ENDING)]}.parquet"
+        made = None if path.exists() else _convert(file, path)  # where it exists, only the removal was missing
+        file.unlink(missing_ok=True)
+        found += [] if made is None else [made]
+    return tuple(found)
+
+
+def _convert(file: Path, path: Path) -> Path | None:
+    """Make a log beside ``path`` of a journal and remove it; None where it holds no row.
+
+    A journal that does not say whose it is becomes a file that everybody sees, for whoever can make something of it.
+    """
+    log = read_journal(file)
+    if log is None and any(file.read_bytes()):
+        file.replace(file.with_name(f"{path.stem}-damaged{_ENDING}"))
+    made = None
+    if log is not None and len(log):
+        made = _free(path.with_stem(f"{path.stem}-{CUT_SHORT}"))
+        write_log(made, log)
+    file.unlink(missing_ok=True)
+    return made
+
+
+def read_journal(file: Path) -> RunLog | None:
+    """Read the rows of a journal that are whole; None where its first line is not."""
+    head, _, rest = read_bounded(file, LOG_MOST, "delete it").partition(b"\n")
+    try:
+        magic, _, text = head.decode().partition(" {")
+        about: dict[str, Any] = json.loads("{" + text)
+        if magic != _MAGIC:
+            return None
+        n = len(about["joints"])
+        table = _whole_rows(rest, _row_size(n))
+        return RunLog(
+            arm=about["arm"], joint_names=tuple(about["joints"]), robot=about["robot"],
+            label=f"{about['label']}/{CUT_SHORT}", time=table[:, 0], position=table[:, 1 : 1 + n],
+            command=table[:, 1 + n : 1 + 2 * n], target=table[:, -6:-3], true_tcp=table[:, -3:],
+        )  # fmt: skip
+    except (ValueError, KeyError, TypeError, RecursionError, InputError):
+        return None
+
+
+def _whole_rows(data: bytes, size: int) -> Array:
+    """Rows (T, size / 8) whose checksum is right and that a run log may hold: finite, on a clock that increases."""
+    step, rows = size + _CHECK, []
+    for start in range(0, len(data) - step + 1, step):
+        row, check = data[start : start + size], data[start + size : start + step]
+        if zlib.crc32(row) == int.from_bytes(check, "little"):
+            rows.append(row)
+    table = np.frombuffer(b"".join(rows), "<f8").reshape(-1, size // 8)
+    table = table[np.isfinite(table[:, :-6]).all(axis=-1)]
+    earlier = np.concatenate([[-np.inf], np.maximum.accumulate(table[:, 0])[:-1]]) if len(table) else table[:, 0]
+    return table[table[:, 0] > earlier]
+
+
+def _row_size(joints: int) -> int:
+    return 8 * (1 + 2 * joints + 6)
+
+
+def _journal_path(path: Path) -> Path:
+    return path.with_name(f".{path.stem}{_ENDING}")
+
+
+def _free(path: Path) -> Path:
+    """Return ``path``, with a number where there is such a file."""
+    number, free = 1, path
+    while free.exists():
+        number += 1
+        free = path.with_stem(f"{path.stem}-{number}")
+    return free
+
+
+def _write(handle: int, data: bytes) -> None:
+    while data:
+        data = data[os.write(handle, data) :]
+
+
+def _reserve(handle: int, size: int) -> None:
+    """Set space aside, where the system can: a disk that others fill meanwhile then has room for the whole journal."""
+    if hasattr(os, "posix_fallocate"):
+        try:
+            os.posix_fallocate(handle, 0, size)
+        except OSError as error:
+            if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
+                raise

@@ -1,0 +1,163 @@
+"""Run logs: what one arm was told and what it did, as Parquet.
+
+A run log is a table with one row per control cycle. Row k holds the state that was read in cycle k
+and the command that was sent right after it, in force until the next one. Columns are flat
+(``position.joint1``), so that any tool that reads Parquet can plot them.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from rejoint.system.errors import FileError, InputError, first_line
+from rejoint.system.files import CHANGED, MEGABYTE, require_file, write_whole
+
+Array = NDArray[np.float64]
+
+FORMAT = 1
+"""Version of the run-log layout; a reader refuses others."""
+
+LOG_MOST = 1000 * MEGABYTE
+"""Largest file of a log that is read (chosen: some 100 hours at 40 Hz)"""
+
+VALUES_MOST = 200_000_000
+"""Most numbers in a log that is read (chosen: 1.6 GB of memory, 70 hours of six joints at 40 Hz): a small file may
+unfold to any size"""
+
+_METADATA_KEY = b"rejoint"
+_AXES = ("x", "y", "z")
+_ARRAYS = ("time", "position", "command", "target", "true_tcp")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RunLog:
+    """What one arm was told and what it did; T rows, n joints."""
+
+    arm: str
+    """name of the arm"""
+    joint_names: tuple[str, ...]
+    robot: str
+    """address of the robot"""
+    label: str
+    """what was run, such as ``excitation`` or ``hold/policy/0/2``"""
+    time: Array
+    """(T,) [s] on the robot's clock, strictly increasing"""
+    position: Array
+    """(T, n) [rad] measured joint positions"""
+    command: Array
+    """(T, n) [rad] sent joint positions"""
+    target: Array
+    """(T, 3) [m] TCP target; NaN where there is none"""
+    true_tcp: Array
+    """(T, 3) [m] where the tool really was; NaN where nobody knows"""
+    extra: dict[str, str] = field(default_factory=dict)
+    """anything else worth keeping: seed, profile, software version"""
+
+    def __post_init__(self) -> None:
+        rows, n = self.time.shape[0], len(self.joint_names)
+        shapes = {
+            "time": (rows,),
+            "position": (rows, n),
+            "command": (rows, n),
+            "target": (rows, 3),
+            "true_tcp": (rows, 3),
+        }
+        for name, shape in shapes.items():
+            array = np.array(getattr(self, name), dtype=float)
+            if array.shape != shape:
+                raise InputError(f"run log {self.label}: {name} has shape {array.shape}, expected {shape}")
+            array.setflags(write=False)
+            object.__setattr__(self, name, array)
+        for name in ("time", "position", "command"):
+            if not np.isfinite(getattr(self, name)).all():
+                raise InputError(f"run log {self.label}: {name} holds values that are not finite")
+        if (np.diff(self.time) <= 0).any():
+            raise InputError(
+                f"run log {self.label}: time must increase, row {int(np.argmax(np.diff(self.time) <= 0)) + 1}"
+            )
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    def require(self, arm: str, joint_names: tuple[str, ...]) -> None:
+        """Raise InputError unless the log is of that arm, its joints in that order."""
+        if self.arm != arm:
+            raise InputError(f"run log {self.label} is of arm {self.arm}, expected {arm}; name its arm with --arm")
+        if self.joint_names != joint_names:
+            found, expected = ", ".join(self.joint_names), ", ".join(joint_names)
+            raise InputError(f"run log {self.label} has joints {found}, expected {expected}; import it again")
+
+
+def write_log(path: Path, log: RunLog) -> None:
+    """Write a run log as Parquet."""
+    columns: dict[str, Array] = {"time": log.time}
+    for group in ("position", "command"):
+        columns |= {f"{group}.{name}": getattr(log, group)[:, i] for i, name in enumerate(log.joint_names)}
+    for group in ("target", "true_tcp"):
+        columns |= {f"{group}.{axis}": getattr(log, group)[:, i] for i, axis in enumerate(_AXES)}
+    header = {"format": FORMAT, **_about(log), "digest": _digest(log)}
+    table = pa.table(columns).replace_schema_metadata({_METADATA_KEY: json.dumps(header).encode()})
+    write_whole(path, lambda temporary: pq.write_table(table, temporary, compression="zstd", write_page_checksum=True))
+
+
+def read_log(path: Path) -> RunLog:
+    """Read a run log; FileError names a file that is missing, damaged, too large or something else."""
+    remedy = "record it again or take another file"
+    try:
+        table = read_parquet(path, remedy)
+        if _METADATA_KEY not in (table.schema.metadata or {}):
+            raise FileError(path, "no run log, but some other table", "turn it into one with `rejoint import`")
+        header = json.loads(table.schema.metadata[_METADATA_KEY])
+        if header["format"] != FORMAT:
+            raise FileError(path, f"run log of format {header['format']}, expected {FORMAT}", remedy)
+        names = tuple(header["joints"])
+
+        def group(prefix: str, parts: Sequence[str]) -> Array:
+            return np.stack([table[f"{prefix}.{part}"].to_numpy() for part in parts], axis=-1)
+
+        log = RunLog(
+            arm=header["arm"], joint_names=names, robot=header["robot"], label=header["label"],
+            time=table["time"].to_numpy(), position=group("position", names), command=group("command", names),
+            target=group("target", _AXES), true_tcp=group("true_tcp", _AXES), extra=header["extra"],
+        )  # fmt: skip
+        if header.get("digest", _digest(log)) != _digest(log):  # logs of before there were digests have none
+            raise FileError(path, CHANGED, remedy)
+    except FileNotFoundError as error:
+        raise FileError(path, "no such file", "check the path") from error
+    except (OSError, pa.ArrowException, KeyError, TypeError, ValueError, RecursionError, InputError) as error:
+        raise FileError(path, f"not a readable run log ({first_line(error)})", remedy) from error
+    return log
+
+
+def read_parquet(path: Path, remedy: str, columns: list[str] | None = None) -> pa.Table:
+    """Read a Parquet file, its checksums verified; FileError if it is too large, else Arrow's errors as they come."""
+    require_file(path, LOG_MOST, remedy)
+    with pq.ParquetFile(path, page_checksum_verification=True) as file:
+        values = file.metadata.num_rows * file.metadata.num_columns
+        if values > VALUES_MOST:
+            raise FileError(path, f"{values} numbers, expected at most {VALUES_MOST}", remedy)
+        return file.read(columns)
+
+
+def _about(log: RunLog) -> dict[str, Any]:
+    return {
+        "arm": log.arm, "joints": list(log.joint_names), "robot": log.robot, "label": log.label, "extra": log.extra,
+    }  # fmt: skip
+
+
+def _digest(log: RunLog) -> str:
+    """Fingerprint of all that a log holds: Parquet's own checksums cover the columns, but not what they belong to."""
+    found = hashlib.sha256(json.dumps(_about(log), sort_keys=True).encode())
+    for name in _ARRAYS:
+        found.update(np.ascontiguousarray(getattr(log, name), dtype="<f8").tobytes())
+    return found.hexdigest()[:16]

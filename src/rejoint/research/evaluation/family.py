@@ -1,0 +1,114 @@
+"""Arms that nobody has met: a hundred worn ones, and the same under conditions that make control hard.
+
+Arm i of family s is the wear profile's neighbour ``?seed=`` `FAMILY_SIZE` (s + 1) + i, every parameter of every
+joint within +-30 % (`rejoint.lab.plant.wear.draw_wear`). Family 0 is the one that is reported; what is
+chosen (recipes, gains) is chosen on others.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rejoint.arms import Arm, Array
+from rejoint.lab.plant.wear import Wear, load_wear
+from rejoint.robots.emulated import EmulatedRobot
+from rejoint.runs.comparison.targets import draw_targets
+from rejoint.system.errors import InputError
+
+Interval = tuple[float, float]
+
+FAMILY_SIZE = 10_000
+"""Wear seeds that belong to one family"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Variant:
+    """A condition that a family of arms is tried under."""
+
+    name: str
+    meaning: str
+    """what differs from the arms that were trained for, in words"""
+    profile: str = "worn"
+    """wear profile that the arms are neighbours of"""
+    period: Interval = (0.020, 0.030)
+    """[s] control period, redrawn every cycle"""
+    latency: Interval = (0.008, 0.013)
+    """[s] from sending a command to its arrival in the firmware"""
+    payload: float = 0.0
+    """[kg] the heaviest load at the tool; each arm's own is uniform up to it, and no controller knows it"""
+
+
+VARIANTS = (
+    Variant(name="worn", meaning="worn arms"),
+    Variant(name="play-in-loop", meaning="worn arms whose encoders sit behind the gears' play", profile="play-in-loop"),
+    Variant(name="long-latency", meaning="worn arms, commands arrive after 30 to 50 ms", latency=(0.030, 0.050)),
+    Variant(name="slow-wire", meaning="worn arms at a control period of 45 to 55 ms", period=(0.045, 0.055)),
+    Variant(name="any-wire", meaning="worn arms, every control cycle takes 20 to 50 ms", period=(0.020, 0.050)),
+    Variant(name="payload", meaning="worn arms with up to 250 g at the tool", payload=0.250),
+    Variant(name="healthy", meaning="healthy arms", profile="healthy"),
+)
+"""The conditions; latency, period and load are those that hobby arms of this size meet (chosen)"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Family:
+    """Some arms of one family and the targets that each of them gets."""
+
+    arms: int = 100
+    targets: int = 5
+    """held one after the other, per arm"""
+    crossings: int = 10
+    """in the protocol of Park et al. 2024, per arm"""
+    seed: int = 0
+    """number of the family"""
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.arms <= FAMILY_SIZE or self.targets < 1 or self.crossings < 1 or self.seed < 0:
+            raise InputError(
+                f"family: {self.arms} arms, {self.targets} and {self.crossings} targets, seed {self.seed}; expected "
+                f"1 to {FAMILY_SIZE} arms, at least one target and a seed of at least 0"
+            )
+
+    def wear_seed(self, index: int) -> int:
+        """Seed of arm ``index``."""
+        return FAMILY_SIZE * (self.seed + 1) + index
+
+
+def find_variant(name: str) -> Variant:
+    """Look up a variant; InputError names the alternatives."""
+    for variant in VARIANTS:
+        if variant.name == name:
+            return variant
+    raise InputError(f"no variant is called {name!r}; known variants: {', '.join(v.name for v in VARIANTS)}")
+
+
+def family_wears(arm: Arm, variant: Variant, family: Family) -> list[Wear]:
+    """Draw the arms."""
+    return [load_wear(f"{variant.profile}?seed={family.wear_seed(i)}", arm) for i in range(family.arms)]
+
+
+def family_payloads(variant: Variant, family: Family) -> Array:
+    """Draw the loads (A,) [kg] at the tools; an arm's own does not depend on how many others there are."""
+    streams = [np.random.default_rng([family.wear_seed(i), 1]) for i in range(family.arms)]
+    return variant.payload * np.array([stream.random() for stream in streams])
+
+
+def family_targets(arm: Arm, family: Family, count: int) -> Array:
+    """Targets (A, count, 3) [m], others for every arm."""
+    return draw_targets(arm, sets=family.arms, count=count, seed=FAMILY_SIZE * (family.seed + 1))
+
+
+def open_family(arm: Arm, variant: Variant, family: Family, threads: int = 1) -> EmulatedRobot:
+    """All arms as one batch, at rest."""
+    return EmulatedRobot(
+        arm,
+        family_wears(arm, variant, family),
+        address=f"emulated:{variant.name}",
+        seed=family.seed,
+        period=variant.period,
+        command_latency=variant.latency,
+        threads=threads,
+        payload=family_payloads(variant, family),
+    )

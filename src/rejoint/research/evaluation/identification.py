@@ -1,0 +1,149 @@
+"""What identification buys: arms that are diagnosed, identified and trained for one by one, against one policy for all.
+
+Every arm goes through the chain of a repair: excitation, twin, policy on that twin's covariance. The same arm
+then meets controllers that know its twin and controllers that know nothing of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import numpy as np
+
+from rejoint.arms import Arm
+from rejoint.control.controller import Controller
+from rejoint.control.feedforward import FeedforwardController
+from rejoint.control.policy import load_policy
+from rejoint.lab.plant.wear import load_wear
+from rejoint.research.evaluation.contestants import Contestant, classical, learned
+from rejoint.research.evaluation.evaluate import OnProgress, conclude
+from rejoint.research.evaluation.family import find_variant
+from rejoint.research.evaluation.outcome import Outcome
+from rejoint.research.evaluation.result import Evaluation
+from rejoint.research.evaluation.trials import Bench, TrialSettings, try_on
+from rejoint.research.rivals.mpc import MpcController
+from rejoint.robots.emulated import EmulatedRobot
+from rejoint.runs.comparison.targets import draw_targets
+from rejoint.runs.folder import RunFolder
+from rejoint.twin.twin import Twin
+
+VARIANT = "identified"
+
+COPIES = 8
+"""Trials of one arm that run side by side, with other noise and other targets (chosen)"""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class KnownArm:
+    """An arm that went through the chain."""
+
+    wear_seed: int
+    twin: Twin
+    policy: Path
+
+
+def know_arm(arm: Arm, wear_seed: int, folder: RunFolder, iterations: int | None, on_progress: OnProgress) -> KnownArm:
+    """Diagnose, identify and train for the arm ``worn?seed=``, or take over what is in ``folder``."""
+    from rejoint.training.train import TrainingOptions, train  # torch is slow to import, and may not be needed
+    from rejoint.twin.file import read_twin
+
+    if not folder.twin.exists():
+        _identify(arm, wear_seed, folder, on_progress)
+    twin = read_twin(folder.twin, arm)
+    if not folder.policy.exists():
+        options = TrainingOptions(iterations=iterations, resume=True)
+        train(arm, twin, out=folder.path, options=options, on_progress=on_progress)
+    return KnownArm(wear_seed=wear_seed, twin=twin, policy=folder.policy)
+
+
+def evaluate_identification(
+    arm: Arm, policies: Sequence[Path], settings: TrialSettings, folder: Path, iterations: int | None,
+    on_progress: OnProgress,
+) -> Evaluation:  # fmt: skip
+    """Compare controllers with and without knowledge of each arm; ``policies`` are those for any arm."""
+    family = settings.family
+    total, merged = family.arms, dict[str, list[Outcome]]()
+    contestants: list[Contestant] = []
+    for i in range(family.arms):
+        seed = family.wear_seed(i)
+
+        def report(done: float, whole: float, text: str, i: int = i, seed: int = seed) -> None:
+            on_progress(i + 0.8 * done / max(whole, 1e-9), total, f"arm {seed}: {text}")
+
+        known = know_arm(arm, seed, RunFolder(folder / "arms" / str(seed)), iterations, report)
+        contestants = _contestants(arm, known, policies)
+        for k, one in enumerate(contestants):
+            on_progress(i + 0.8 + 0.2 * k / len(contestants), total, f"arm {seed}: {one.name}")
+            outcome = try_on(arm, _bench(arm, seed, settings), one.make, settings, lambda done: None)  # noqa: ARG005
+            merged.setdefault(one.name, []).append(_one_arm(outcome))
+    outcomes = {(VARIANT, name): _together(parts) for name, parts in merged.items()}
+    meanings = {VARIANT: "worn arms, each with a twin of its own"}
+    return conclude(arm, settings, contestants, meanings, outcomes, folder)
+
+
+def _identify(arm: Arm, wear_seed: int, folder: RunFolder, on_progress: OnProgress) -> None:
+    from rejoint.diagnosis.diagnosis import diagnose
+    from rejoint.diagnosis.healthy import healthy_reference
+    from rejoint.twin.file import write_twin
+    from rejoint.twin.identify import identify
+
+    robot = EmulatedRobot(arm, [load_wear(f"worn?seed={wear_seed}", arm)], seed=wear_seed)
+    _, logs = diagnose(
+        robot, healthy_reference(arm), seed=wear_seed, on_progress=lambda what, share: on_progress(share, 2.0, what)
+    )
+    twin = identify(arm, [logs.excitation], on_progress=lambda what, share: on_progress(1.0 + share, 2.0, what))
+    write_twin(folder.twin, twin)
+
+
+def _contestants(arm: Arm, known: KnownArm, policies: Sequence[Path]) -> list[Contestant]:
+    """Those who know nothing of the arm, and the same who know its twin."""
+    own = known.twin.parameters
+
+    def make(build: Callable[[Arm], Controller], name: str) -> Contestant:
+        return Contestant(name=name, group=name, make=build, identity=name)
+
+    return [
+        classical("feedforward"),
+        classical("tuned-feedforward"),
+        make(lambda arm: FeedforwardController(arm, own.stiffness), "feedforward on its twin"),
+        make(lambda arm: MpcController(arm, own), "mpc on its twin"),
+        *(learned(path, arm) for path in policies),
+        Contestant(
+            name="policy on its twin", group="policy on its twin", make=lambda arm: load_policy(known.policy, arm),
+            identity="", learned=True,
+        ),
+    ]  # fmt: skip
+
+
+def _bench(arm: Arm, wear_seed: int, settings: TrialSettings) -> Bench:
+    worn, family = find_variant("worn"), settings.family
+
+    def open_copies() -> EmulatedRobot:
+        wear = load_wear(f"worn?seed={wear_seed}", arm)
+        return EmulatedRobot(
+            arm, [wear] * COPIES, seed=wear_seed, period=worn.period, command_latency=worn.latency,
+            threads=settings.threads,
+        )  # fmt: skip
+
+    targets = draw_targets(arm, sets=COPIES, count=max(family.targets, family.crossings), seed=wear_seed)
+    return Bench(open=open_copies, targets=targets, wear_seed=np.full(COPIES, float(wear_seed)))
+
+
+def _one_arm(outcome: Outcome) -> Outcome:
+    """Put the trials of one arm's copies into one row, as so many targets of that arm."""
+    merged = {}
+    for field in fields(Outcome):
+        array = getattr(outcome, field.name)
+        if field.name == "tripped":  # all reasons of all copies
+            merged[field.name] = np.bitwise_or.reduce(array.astype(np.uint16), keepdims=True).astype(float)
+        elif array.ndim == 1:  # of the arm: its seed
+            merged[field.name] = array[:1]
+        else:
+            merged[field.name] = array.reshape(1, -1, *array.shape[2:])
+    return Outcome(**merged)
+
+
+def _together(parts: Sequence[Outcome]) -> Outcome:
+    return Outcome(**{f.name: np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(Outcome)})

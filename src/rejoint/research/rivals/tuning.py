@@ -1,0 +1,113 @@
+"""Gains of the rivals by CMA-ES, on the randomised twins that the policy is trained on.
+
+Covariance matrix adaptation (Hansen, "The CMA evolution strategy: a tutorial", arXiv:1604.00772, package
+``cmaes``) searches in the logarithms of the gains. All candidates of a generation drive the same arms to the same
+targets, side by side as one batch of twins; every generation draws other arms. The cost is what is judged:
+the time to come and stay within 2 mm, and the settled error.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields
+from typing import TypeVar
+
+import numpy as np
+from cmaes import CMA  # type: ignore[import-untyped,unused-ignore]
+
+from rejoint.arms import Arm, Array
+from rejoint.control.controller import Controller
+from rejoint.control.loop import run
+from rejoint.research.rivals.twinrobot import TwinRobot
+from rejoint.runs.comparison.protocols import Holds, measure_holds, schedule
+from rejoint.runs.comparison.result import Protocol
+from rejoint.training.ranges import Draw, Ranges
+from rejoint.twin.parameters import PARAMETERS, TwinParameters
+
+T = TypeVar("T")
+Interval = tuple[float, float]
+MakeController = Callable[[Arm, Mapping[str, Array]], Controller]
+"""From gains by name, each (B, 1), to the controller of B arms"""
+OnGeneration = Callable[[int, float, Mapping[str, float]], object]
+"""Called with the generations done, the cost of the best candidate and the gains at the centre of the search"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TuningSettings:
+    """How much is tried."""
+
+    generations: int = 40
+    candidates: int = 12
+    """per generation"""
+    arms: int = 24
+    """twins that every candidate drives"""
+    targets: int = 2
+    hold: float = 3.0
+    """[s] per target (chosen: the good ones have settled after two)"""
+    spread: float = 0.2
+    """initial standard deviation by the width of a gain's interval"""
+    settled_weight: float = 2.0
+    """[s] per mm of settled error (chosen: the bar of 0.5 mm weighs as a second does)"""
+    settled_cap: float = 0.010
+    """[m] settled errors beyond this count as this, so that arms that nobody can drive do not decide"""
+    seed: int = 0
+
+
+def tune(
+    arm: Arm, ranges: Ranges, intervals: Mapping[str, Interval], make: MakeController, settings: TuningSettings,
+    on_generation: OnGeneration,
+) -> dict[str, float]:  # fmt: skip
+    """Search gains in ``intervals`` by name, positive ends; returns those at the centre of the last generation.
+
+    The centre and not the best candidate: the best of many on few arms was lucky.
+    """
+    names = list(intervals)
+    low, high = np.log(np.array(list(intervals.values()))).T
+    search = CMA(
+        mean=np.full(len(names), 0.5), sigma=settings.spread, bounds=np.tile([0.0, 1.0], (len(names), 1)),
+        population_size=settings.candidates, seed=settings.seed,
+    )  # fmt: skip
+
+    def gains(point: Array) -> dict[str, Array]:
+        return dict(zip(names, np.moveaxis(np.exp(low + point * (high - low)), -1, 0), strict=True))
+
+    for generation in range(settings.generations):
+        points = np.array([search.ask() for _ in range(settings.candidates)])
+        costs = candidate_costs(arm, ranges, gains(points), make, settings, generation)
+        search.tell([(point, float(cost)) for point, cost in zip(points, costs, strict=True)])
+        centre = {name: float(value) for name, value in gains(np.clip(search.mean, 0.0, 1.0)).items()}
+        on_generation(generation + 1, float(costs.min()), centre)
+    return centre
+
+
+def candidate_costs(
+    arm: Arm, ranges: Ranges, gains: Mapping[str, Array], make: MakeController, settings: TuningSettings, draw_seed: int
+) -> Array:
+    """Cost (P,) of candidates with ``gains`` (P,) by name, all on the same arms and targets."""
+    count = len(next(iter(gains.values())))
+    rng = np.random.default_rng([settings.seed, draw_seed])
+    drawn = repeat(ranges.draw(rng, settings.arms), count)
+    targets = np.tile(arm.targets.sample(rng, (settings.arms, settings.targets)), (count, 1, 1))
+    robot = TwinRobot(arm, drawn, seed=draw_seed, copies=count)
+    each = {name: np.repeat(value, settings.arms)[:, None] for name, value in gains.items()}
+    protocol = Protocol(hold=settings.hold, within=(0.002,))
+    recording = run(robot, make(arm, each), targets, schedule("hold", protocol, keep_going=True))
+    return cost(measure_holds(arm, recording, targets, protocol), settings).reshape(count, -1).mean(axis=1)
+
+
+def cost(holds: Holds, settings: TuningSettings) -> Array:
+    """Cost (B, K) [s] of holds: time to stay within the distance, and settled error; a stopped arm has the worst."""
+    late = np.minimum(np.nan_to_num(holds.stay[0], nan=np.inf), settings.hold)
+    error = np.minimum(np.nan_to_num(holds.settled, nan=np.inf), settings.settled_cap)
+    return late + settings.settled_weight * 1e3 * error
+
+
+def repeat(draw: Draw, count: int) -> Draw:
+    """Give every one of ``count`` candidates the same arms."""
+
+    def tiled(value: Array) -> Array:
+        return np.tile(value, (count, *[1] * (value.ndim - 1)))
+
+    twin = TwinParameters(**{p.name: tiled(getattr(draw.twin, p.name)) for p in PARAMETERS})
+    others = [field.name for field in fields(Draw) if field.name != "twin"]
+    return Draw(twin=twin, **{name: tiled(getattr(draw, name)) for name in others})

@@ -1,0 +1,68 @@
+"""What driving one controller under one protocol brought, as plain numbers that can be kept."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rejoint.arms import Arm, Array
+from rejoint.control.guard import Reason, reason_names
+from rejoint.control.recording import Recording
+from rejoint.runs.comparison.protocols import Crossings, Holds, Kind, measure_crossings, measure_holds
+from rejoint.runs.comparison.result import Ended, Protocol
+
+Places = tuple[tuple[int, int], ...]
+"""Trials (target set, repetition)"""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Driven:
+    """One trial on one arm, or those of a whole batch side by side."""
+
+    controller: str
+    kind: Kind
+    places: Places
+    crossings: Crossings | None
+    """results (B, K) under the crossing protocol"""
+    holds: Holds | None
+    """results (B, K) under the hold protocol"""
+    cycles: int
+    """control cycles with news"""
+    reasons: dict[str, int]
+    """cycles in which the guard gave each of its reasons, by name"""
+    ended: tuple[Ended, ...]
+    """runs that ended early"""
+    failed: bool = False
+    """whether the controller gave a command that is not a number"""
+
+    @property
+    def key(self) -> tuple[str, str, Places]:
+        """What tells it from the others of its comparison."""
+        return self.controller, self.kind, self.places
+
+
+def measure(
+    arm: Arm, recording: Recording, targets: Array, protocol: Protocol, *, controller: str, kind: Kind, places: Places,
+    failed: bool = False,
+) -> Driven:  # fmt: skip
+    """Measure a recording of a protocol with ``targets`` (B, K, 3) [m], one arm per trial in ``places``."""
+    crossing = kind == "crossing"
+    counts = {reason: int(np.count_nonzero(recording.reasons & np.uint16(reason.value))) for reason in Reason}
+    return Driven(
+        controller=controller, kind=kind, places=places, failed=failed,
+        crossings=measure_crossings(arm, recording, targets, protocol) if crossing else None,
+        holds=None if crossing else measure_holds(arm, recording, targets, protocol),
+        cycles=int(recording.active.sum()), ended=_ended(recording, kind, places),
+        reasons={reason_names(reason)[0]: count for reason, count in counts.items() if count},
+    )  # fmt: skip
+
+
+def _ended(recording: Recording, kind: Kind, places: Places) -> tuple[Ended, ...]:
+    return tuple(
+        Ended(
+            protocol=kind, target_set=places[b][0], repetition=places[b][1],
+            target=int(recording.target_index[-1, b]), why=", ".join(reason_names(int(recording.tripped[b]))),
+        )
+        for b in np.flatnonzero(recording.tripped)
+    )  # fmt: skip

@@ -1,0 +1,134 @@
+"""The two protocols, and the results per target that their recordings hold.
+
+* ``crossing``: Park et al. 2024, section IV-F. The next target comes at the first crossing of the
+  threshold or after the dwell; the error is read at that moment.
+* ``hold``: every target lasts the same time. What remains is what an owner cares about: the settled
+  error, how soon it comes and stays, and whether the arm trembles.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rejoint.arms import Arm, Array, tcp_position
+from rejoint.control.loop import Schedule
+from rejoint.control.recording import Recording
+from rejoint.runs.comparison.metrics import crossing, oscillation, settled, stay_time
+from rejoint.runs.comparison.result import Protocol
+
+Kind = Literal["crossing", "hold"]
+KINDS: tuple[Kind, ...] = ("crossing", "hold")
+
+_CHUNK = 8192  # postures per call of the kinematics: enough to be fast, few enough for little memory
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Crossings:
+    """Results of the crossing protocol, each (B, K)."""
+
+    crossed: Array
+    """1 or 0; a target that a trip cut short or prevented is not crossed. NaN for one that was not driven although no
+    trip prevented it: that says nothing about the controller"""
+    error: Array
+    """[m] encoder error at the crossing or the time-out; NaN where a trip came first"""
+    true_error: Array
+    """[m] true error at that moment; NaN where nobody knows"""
+    time: Array
+    """[s] in force; NaN where a trip came first"""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Holds:
+    """Results of the hold protocol, each (B, K); NaN where a trip cut the hold short."""
+
+    settled: Array
+    """[m] encoder error, mean of the last part"""
+    settled_true: Array
+    """[m] true error over the same time"""
+    oscillation: Array
+    """[m] root mean square distance of the encoder TCP from its mean, last part"""
+    stay: Array
+    """(W, B, K) [s] after which the error stays below each distance; infinite where it does not"""
+
+
+def schedule(kind: Kind, protocol: Protocol, *, keep_going: bool, sent: Array | None = None) -> Schedule:
+    """Schedule of a protocol for arms whose last commands were ``sent`` (B, n) [rad]."""
+    if kind == "crossing":
+        return Schedule(dwell=protocol.dwell, stop_below=protocol.threshold, keep_going=keep_going, sent=sent)
+    return Schedule(dwell=protocol.hold, keep_going=keep_going, sent=sent)
+
+
+def encoder_tcp(arm: Arm, recording: Recording) -> Array:
+    """TCP (T, B, 3) [m] by the encoders; NaN where a row has no news."""
+    tcp = np.full((*recording.active.shape, 3), np.nan)
+    t, b = np.nonzero(recording.active)
+    for start in range(0, len(t), _CHUNK):
+        rows = t[start : start + _CHUNK], b[start : start + _CHUNK]
+        tcp[rows] = tcp_position(arm, recording.position[rows])
+    return tcp
+
+
+def measure_crossings(arm: Arm, recording: Recording, targets: Array, protocol: Protocol) -> Crossings:
+    """Results of a recording of the crossing protocol with ``targets`` (B, K, 3) [m]."""
+    error, true_error = _errors(arm, recording)
+    shape = targets.shape[:2]
+    last = np.where(recording.active, recording.target_index, -1).max(axis=0, initial=-1)
+    spared = (np.arange(shape[1]) > last[:, None]) & (recording.tripped == 0)[:, None]
+    result = Crossings(
+        crossed=np.where(spared, np.nan, 0.0), error=_unknown(shape), true_error=_unknown(shape), time=_unknown(shape)
+    )
+    for b, k, rows in _segments(recording, targets):
+        end = crossing(recording.since_target[rows, b], error[rows, b], protocol.threshold)
+        if end.reached or end.time >= protocol.dwell:
+            result.crossed[b, k], result.error[b, k], result.time[b, k] = end.reached, end.error, end.time
+            result.true_error[b, k] = true_error[rows[end.row], b]
+    return result
+
+
+def measure_holds(arm: Arm, recording: Recording, targets: Array, protocol: Protocol) -> Holds:
+    """Results of a recording of the hold protocol with ``targets`` (B, K, 3) [m]."""
+    tcp = encoder_tcp(arm, recording)
+    error, true_error = _errors(arm, recording, tcp)
+    shape = targets.shape[:2]
+    result = Holds(
+        settled=_unknown(shape), settled_true=_unknown(shape), oscillation=_unknown(shape),
+        stay=_unknown((len(protocol.within), *shape)),
+    )  # fmt: skip
+    for b, k, rows in _segments(recording, targets):
+        since = recording.since_target[rows, b]
+        if since[-1] < protocol.hold:
+            continue
+        result.settled[b, k] = settled(since, error[rows, b], protocol.window)
+        result.settled_true[b, k] = settled(since, true_error[rows, b], protocol.window)
+        result.oscillation[b, k] = oscillation(since, tcp[rows, b], protocol.window)
+        for w, within in enumerate(protocol.within):
+            result.stay[w, b, k] = stay_time(since, error[rows, b], within)
+    return result
+
+
+def _errors(arm: Arm, recording: Recording, tcp: Array | None = None) -> tuple[Array, Array]:
+    """Compute encoder and true error, each (T, B) [m]."""
+    tcp = encoder_tcp(arm, recording) if tcp is None else tcp
+    return (
+        np.linalg.norm(tcp - recording.target, axis=-1),
+        np.linalg.norm(recording.true_tcp - recording.target, axis=-1),
+    )
+
+
+def _segments(recording: Recording, targets: Array) -> list[tuple[int, int, NDArray[np.intp]]]:
+    """Arm, target and rows of every target that was ever in force."""
+    count, length = targets.shape[:2]
+    found = []
+    for b in range(count):
+        rows = np.flatnonzero(recording.active[:, b])
+        edges = np.searchsorted(recording.target_index[rows, b], np.arange(length + 1))
+        found += [(b, k, rows[edges[k] : edges[k + 1]]) for k in range(length) if edges[k + 1] > edges[k]]
+    return found
+
+
+def _unknown(shape: tuple[int, ...]) -> Array:
+    return np.full(shape, np.nan)

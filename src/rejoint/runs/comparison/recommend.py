@@ -1,0 +1,163 @@
+"""Which controller the owner should use, and why: the simplest of those that nothing measurably beats.
+
+Controllers are compared result by result on the same targets. The criteria count in this order:
+targets reached, settled encoder error, time to come and stay within the narrowest distance. A
+difference whose 95 % interval contains zero is a tie, and a tie goes to the simpler controller. Where there are too
+few results for an interval, only what an owner would see counts: a target missed, or more than the narrowest
+distance. A controller that was driven no further is out, unless all are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from rejoint.arms import Array
+from rejoint.control.catalogue import CONTROLLERS
+from rejoint.runs.comparison.failure import failure
+from rejoint.runs.comparison.result import Comparison, ControllerRow, Estimate
+from rejoint.runs.comparison.statistics import FEWEST_CLUSTERS, above_zero, cluster, paired_difference
+
+NO_INTERVAL = "too few trials for an interval"
+"""What stands where an interval would"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recommendation:
+    """The controller to use."""
+
+    controller: str
+    why: tuple[str, ...]
+    """sentences for the owner, the most important first"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Criterion:
+    name: str
+    results: Callable[[ControllerRow], Array]
+    """(N,) per target; smaller is better"""
+    missing: float
+    """what counts where there is no result: the worst"""
+    show: Callable[[float], str]
+    plain: float
+    """difference above which one is worse where there is no interval"""
+
+
+def recommend(comparison: Comparison) -> Recommendation:
+    """Recommend a controller of ``comparison``."""
+    left = [row for row in comparison.rows if not row.out] or list(comparison.rows)
+    decided = [failure(row) for row in comparison.rows if row.out]
+    nobody = ["Every controller was stopped; this one got farthest."] if len(decided) == len(comparison.rows) else []
+    for criterion in _criteria(comparison):
+        best = min(left, key=lambda row: (_mean(criterion, row), _complexity(row)))
+        tied = [row for row in left if _tie(criterion, best, row)]
+        decided += [_beaten(criterion, best, row) for row in left if row not in tied]
+        left = tied
+    chosen = min(left, key=_complexity)
+    others = [row.controller for row in left if row is not chosen]
+    why = [*nobody, _achieves(chosen, comparison)]
+    if others and _uncertain(chosen, comparison):
+        why.append(
+            f"Too few trials to tell {chosen.controller} from {_listed(others)} measurably; {chosen.controller} is "
+            "simpler."
+        )
+    elif others:
+        why.append(f"No measurable difference from {_listed(others)}; {chosen.controller} is simpler.")
+    why += (*reversed(decided), *comparison.left_out)
+    return Recommendation(controller=chosen.controller, why=(*why, *_hidden(chosen)))
+
+
+def difference(comparison: Comparison, first: str, second: str, name: str = "settled") -> Estimate | None:
+    """Mean of ``first`` minus ``second`` on the same targets, with interval.
+
+    ``name`` is a field of `Outcomes` with one value per target. None where they share no result.
+    """
+    a, b = comparison.row(first).outcomes, comparison.row(second).outcomes
+    return paired_difference(a.array(name).ravel(), b.array(name).ravel(), cluster(a.shape)[1])
+
+
+def _criteria(comparison: Comparison) -> tuple[_Criterion, ...]:
+    protocol = comparison.protocol
+    narrow = int(np.argmin(protocol.within))
+    return (
+        _Criterion(
+            name="of the targets missed", results=lambda row: 1.0 - row.outcomes.array("crossed").ravel(), missing=1.0,
+            show=lambda share: f"{100 * share:.0f} %", plain=0.0,
+        ),
+        _Criterion(
+            name="settled error", results=lambda row: row.outcomes.array("settled").ravel(), missing=np.inf,
+            show=lambda metres: f"{1e3 * metres:.2f} mm", plain=protocol.within[narrow],
+        ),
+        _Criterion(
+            name=f"to stay within {1e3 * protocol.within[narrow]:g} mm",
+            results=lambda row: row.outcomes.array("stay")[narrow].ravel(), missing=protocol.hold,
+            show=lambda seconds: f"{seconds:.2f} s", plain=np.inf,
+        ),
+    )  # fmt: skip
+
+
+def _mean(criterion: _Criterion, row: ControllerRow) -> float:
+    results = criterion.results(row)
+    return float(np.where(np.isfinite(results), results, criterion.missing).mean())
+
+
+def _tie(criterion: _Criterion, best: ControllerRow, row: ControllerRow) -> bool:
+    ours, theirs = criterion.results(best), criterion.results(row)
+    if not np.isfinite(criterion.missing):
+        lost = int(np.isnan(theirs).sum()) - int(np.isnan(ours).sum())
+        if lost:  # holds that the guard cut short: no number stands for them
+            return lost < 0
+    else:
+        ours, theirs = (np.where(np.isfinite(part), part, criterion.missing) for part in (ours, theirs))
+    estimate = paired_difference(theirs, ours, cluster(row.outcomes.shape)[1])
+    if estimate is not None and estimate.low is None:
+        return estimate.value <= criterion.plain
+    return estimate is None or not above_zero(estimate)
+
+
+def _beaten(criterion: _Criterion, best: ControllerRow, row: ControllerRow) -> str:
+    worse, better = _mean(criterion, row), _mean(criterion, best)
+    short = f"{row.controller}: holds cut short, so that no {criterion.name} is known."
+    if np.isfinite(worse):
+        against = criterion.show(better) if np.isfinite(better) else "fewer holds"
+        short = f"{row.controller}: {criterion.show(worse)} {criterion.name}, against {against} of {best.controller}."
+    return f"{short} {failure(row)}" if row.failures else short
+
+
+def _achieves(row: ControllerRow, comparison: Comparison) -> str:
+    text = f"{row.controller} reaches {100 * row.crossing.success.value:.0f} % of the targets"
+    if row.crossing.cycle_time is not None:
+        text += f" ({row.crossing.cycle_time.mean.value:.1f} s for {len(comparison.targets[0])})"
+    if row.hold.settled is not None:
+        mean = row.hold.settled.mean
+        likely = NO_INTERVAL
+        if mean.low is not None and mean.high is not None and mean.low < mean.high:
+            likely = f"{1e3 * mean.low:.2f} to {1e3 * mean.high:.2f}"
+        text += f" and settles at {1e3 * mean.value:.2f} mm ({likely}) by its encoders"
+    return text + "."
+
+
+def _uncertain(row: ControllerRow, comparison: Comparison) -> bool:
+    """Tell whether there are too few results for any interval."""
+    _, labels = cluster(row.outcomes.shape)
+    return len(comparison.rows) > 1 and len(np.unique(labels)) < FEWEST_CLUSTERS
+
+
+def _hidden(row: ControllerRow) -> tuple[str, ...]:
+    """Say what the encoders do not see."""
+    true = row.hold.settled_true
+    if true is None:
+        return ("Where the tool really is was not measured: play and bending behind the encoders come on top.",)
+    return (f"The tool itself is {1e3 * true.mean.value:.1f} mm off: play and bending behind the encoders remain.",)
+
+
+def _complexity(row: ControllerRow) -> tuple[int, str]:
+    """Rank from the simplest controller on; unknown ones count as the most demanding."""
+    known = CONTROLLERS.index(row.controller) if row.controller in CONTROLLERS else len(CONTROLLERS)
+    return known, row.controller
+
+
+def _listed(names: list[str]) -> str:
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"

@@ -1,0 +1,147 @@
+"""From results per target to the rows of a comparison."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rejoint.arms import Array
+from rejoint.control.robot import Robot
+from rejoint.runs.comparison.driven import Driven, Places
+from rejoint.runs.comparison.result import (
+    Comparison,
+    ControllerRow,
+    CrossingRow,
+    Ended,
+    GuardCount,
+    HoldRow,
+    Outcomes,
+    Protocol,
+    Stay,
+    Values,
+)
+from rejoint.runs.comparison.statistics import Labels, cluster, clustered_share, spread
+
+
+class Tally:
+    """Collects the results of one controller, trial by trial."""
+
+    def __init__(self, shape: tuple[int, int, int], protocol: Protocol) -> None:
+        self.shape, self.protocol = shape, protocol
+        self.crossed, self.crossing_error, self.crossing_true, self.crossing_time = _unknown(4, shape)
+        self.settled, self.settled_true, self.oscillation = _unknown(3, shape)
+        self.stay = _unknown(len(protocol.within), shape)
+        self.held = np.zeros(shape, dtype=bool)
+        self.cycles, self.out = 0, ""
+        self.ended: list[Ended] = []
+        self.reasons: dict[str, int] = {}
+
+    def add(self, driven: Driven) -> None:
+        """Take over what was driven."""
+        at = _index(driven.places)
+        if driven.crossings is not None:
+            found = driven.crossings
+            self.crossed[at], self.crossing_error[at] = found.crossed, found.error
+            self.crossing_true[at], self.crossing_time[at] = found.true_error, found.time
+        if driven.holds is not None:
+            held = driven.holds
+            self.held[at] = True
+            self.settled[at], self.settled_true[at] = held.settled, held.settled_true
+            self.oscillation[at], self.stay[(slice(None), *at)] = held.oscillation, held.stay
+        self.cycles += driven.cycles
+        self.ended += driven.ended
+        for reason, cycles in driven.reasons.items():
+            self.reasons[reason] = self.reasons.get(reason, 0) + cycles
+
+    def row(self, controller: str) -> ControllerRow:
+        """Statistics of everything collected."""
+        _, labels = cluster(self.shape)
+        return ControllerRow(
+            controller=controller,
+            crossing=self._crossing_row(labels),
+            hold=self._hold_row(labels),
+            guard=self._guard_counts(),
+            failures=len(self.ended),
+            outcomes=self._outcomes(),
+            ended=tuple(self.ended),
+            out=self.out,
+        )
+
+    def _crossing_row(self, labels: Labels) -> CrossingRow:
+        whole = self.crossing_time.sum(axis=-1)  # NaN where a trip ended the trial
+        return CrossingRow(
+            success=clustered_share(self.crossed.ravel(), labels),
+            error=spread(self.crossing_error.ravel(), labels),
+            true_error=spread(self.crossing_true.ravel(), labels),
+            cycle_time=spread(whole.ravel(), labels.reshape(self.shape)[..., 0].ravel()),
+        )
+
+    def _hold_row(self, labels: Labels) -> HoldRow:
+        stays = []
+        held = self.held.ravel()
+        for within, time in zip(self.protocol.within, self.stay, strict=True) if held.any() else ():
+            # A hold that was cut short did not stay.
+            finite = np.isfinite(time.ravel()[held])
+            median = float(np.median(np.where(finite, time.ravel()[held], np.inf)))
+            share = clustered_share(finite.astype(float), labels[held])
+            stays.append(Stay(within=within, share=share, median=median if np.isfinite(median) else None))
+        return HoldRow(
+            settled=spread(self.settled.ravel(), labels),
+            settled_true=spread(self.settled_true.ravel(), labels),
+            stays=tuple(stays),
+            oscillation=spread(self.oscillation.ravel(), labels),
+        )
+
+    def _guard_counts(self) -> tuple[GuardCount, ...]:
+        counts = [
+            GuardCount(reason=reason, cycles=cycles, share=cycles / self.cycles)
+            for reason, cycles in self.reasons.items()
+        ]
+        return tuple(sorted(counts, key=lambda count: -count.cycles))
+
+    def _outcomes(self) -> Outcomes:
+        stayed = np.where(self.held, np.isfinite(self.stay), np.nan)
+        stay = np.where(np.isfinite(self.stay), self.stay, np.where(np.isnan(self.stay), np.nan, self.protocol.hold))
+        return Outcomes(
+            shape=self.shape,
+            within=self.protocol.within,
+            crossed=_values(self.crossed),
+            crossing_error=_values(self.crossing_error),
+            crossing_true=_values(self.crossing_true),
+            crossing_time=_values(self.crossing_time),
+            settled=_values(self.settled),
+            settled_true=_values(self.settled_true),
+            oscillation=_values(self.oscillation),
+            stay=tuple(_values(part) for part in stay),
+            stayed=tuple(_values(part) for part in stayed),
+        )
+
+
+def summarise(robot: Robot, seed: int, batched: bool, targets: Array, tallies: dict[str, Tally]) -> Comparison:
+    """Make the comparison of all controllers from their tallies; ``targets`` is (S, K, 3) [m]."""
+    first = next(iter(tallies.values()))
+    return Comparison(
+        robot=robot.address,
+        arm=robot.arm.name,
+        seed=seed,
+        batched=batched,
+        true_known=any(np.isfinite(tally.settled_true).any() for tally in tallies.values()),
+        repetitions=first.shape[1],
+        targets=tuple(tuple((float(x), float(y), float(z)) for x, y, z in points) for points in targets),
+        protocol=first.protocol,
+        clusters=cluster(first.shape)[0],
+        rows=tuple(tally.row(name) for name, tally in tallies.items()),
+    )
+
+
+def _unknown(count: int, shape: tuple[int, ...]) -> Array:
+    return np.full((count, *shape), np.nan)
+
+
+def _index(places: Places) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    sets, repetitions = np.array(places).T
+    return sets, repetitions
+
+
+def _values(array: Array) -> Values:
+    return tuple(float(value) if np.isfinite(value) else None for value in array.ravel())

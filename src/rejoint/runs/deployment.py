@@ -1,0 +1,165 @@
+"""Driving an arm to targets, and saying of each whether it was reached, and if not, why.
+
+An arm that was driven is judged by what it answered: a target that was reached by its encoders, without gaps and while
+every joint followed, counts; everything else is named.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rejoint.arms import Arm, Array, tcp_position
+from rejoint.control.contract import check_controller_period
+from rejoint.control.controller import Controller
+from rejoint.control.guard import GuardLimits, Reason, Reasons, reason_names
+from rejoint.control.loop import Schedule, run
+from rejoint.control.progress import GAP
+from rejoint.control.recording import OnCycle, Recording, recording_of
+from rejoint.control.robot import JointState, Robot
+from rejoint.control.start import begin
+from rejoint.runs.comparison.result import Protocol
+from rejoint.system.errors import InputError
+
+Rows = NDArray[np.intp]
+
+REACHED = Protocol.threshold
+"""[m] within which a target counts as reached"""
+
+_OFTEN = 0.5  # share of its cycles from which the guard's part in a missed target is told (chosen)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Deployment:
+    """What an arm is to do."""
+
+    controller: str
+    targets: Array
+    """(K, 3) [m]"""
+    dwell: float
+    """[s] per target"""
+    within: float = REACHED
+    """[m] of encoder error at the end within which a target counts as reached"""
+
+    def __post_init__(self) -> None:
+        if not self.within > 0.0:
+            raise InputError(f"deployment: a target is reached within a positive distance, got {self.within} m")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Visit:
+    """What became of one target."""
+
+    target: tuple[float, float, float]
+    """[m]"""
+    error: float | None
+    """[m] encoder error at the end; None where the arm was not sent there"""
+    true_error: float | None
+    """[m] error of the tool itself at the end; None where nobody knows"""
+    reached: bool
+    remark: str
+    """why it was not reached, and what else is worth knowing; empty where there is nothing"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Deployed:
+    """What became of a deployment."""
+
+    visits: tuple[Visit, ...]
+    period: float | None
+    """[s] middle of the measured control periods; None before there are any"""
+    gaps: tuple[float, ...]
+    """[s] lengths of the pauses in the answers after which the arm began slowly again"""
+
+    @property
+    def missed(self) -> tuple[int, ...]:
+        """Numbers of the targets, from 1, that were not reached."""
+        return tuple(number for number, visit in enumerate(self.visits, start=1) if not visit.reached)
+
+
+OnStart = Callable[[JointState, Array], object]
+"""Called with the joint state and the last command (1, n) [rad] at rest, before the first target; may refuse."""
+
+
+def deploy(
+    robot: Robot, controller: Controller, job: Deployment, *, limits: GuardLimits | None = None,
+    on_start: OnStart | None = None, on_cycle: OnCycle | None = None,
+) -> tuple[Recording, Deployed]:  # fmt: skip
+    """Bring one arm to its rest posture, slowly, and then to the targets of ``job``.
+
+    Raises what `run` raises, with what was done until then on the error, see `deployed_of`; ContractError where the
+    measured control period does not suit a policy; NotReadyError where the arm had better not be moved.
+    """
+    start = begin(robot, limits)
+    check_controller_period(controller, start.usual_period())
+    if on_start is not None:
+        on_start(robot.read(), start.command[-1])
+    schedule = Schedule(dwell=job.dwell, sent=start.command[-1])
+    recording = run(robot, controller, job.targets[None], schedule, limits=limits, on_cycle=on_cycle)
+    return recording, judge(robot.arm, recording, job)
+
+
+def deployed_of(error: BaseException, arm: Arm, job: Deployment) -> Deployed | None:
+    """Return what a deployment that ``error`` ended has done; None if it ended before the first target."""
+    partial = recording_of(error)
+    if partial is None or not len(partial.time) or not np.isfinite(partial.target).any():
+        return None
+    return judge(arm, partial, job, ended=error)
+
+
+def judge(arm: Arm, recording: Recording, job: Deployment, *, ended: BaseException | None = None) -> Deployed:
+    """Say what became of each target; ``ended`` is what ended the recording early."""
+    rows = np.flatnonzero(recording.active[:, 0])
+    error = np.linalg.norm(recording.target[:, 0] - tcp_position(arm, recording.position[:, 0]), axis=-1)
+    true_error = np.linalg.norm(recording.target[:, 0] - recording.true_tcp[:, 0], axis=-1)
+    gap = _gaps(recording, rows)
+    visits = []
+    for k, target in enumerate(job.targets):
+        own = rows[recording.target_index[rows, 0] == k]
+        last = ended is not None and k == int(recording.target_index[rows[-1], 0])
+        visits.append(_visit(target, job, own, recording.reasons[own, 0], error, true_error, gap, ended=last))
+    lengths = tuple(float(value) for value in gap[gap > 0.0])
+    period = recording.usual_period()
+    return Deployed(visits=tuple(visits), period=period if np.isfinite(period) else None, gaps=lengths)
+
+
+def _visit(
+    target: Array, job: Deployment, rows: Rows, reasons: Reasons, error: Array, true_error: Array, gap: Array, *,
+    ended: bool,
+) -> Visit:  # fmt: skip
+    x, y, z = (float(value) for value in target)
+    if not len(rows):
+        return Visit(target=(x, y, z), error=None, true_error=None, reached=False, remark="not tried")
+    end, true = float(error[rows[-1]]), float(true_error[rows[-1]])
+    reached = end < job.within and not ended
+    remarks = ["ended early"] if ended else []
+    if not reached and not ended:
+        remarks.append(f"still {1e3 * end:.0f} mm off after {job.dwell:g} s{_held_back(reasons)}")
+    paused = float(gap[rows].max(initial=0.0))
+    if paused > 0.0:
+        remarks.append(f"no answers for {paused:.1f} s")
+    return Visit(
+        target=(x, y, z), error=end, true_error=true if np.isfinite(true) else None, reached=reached,
+        remark="; ".join(remarks),
+    )  # fmt: skip
+
+
+def _held_back(reasons: Reasons) -> str:
+    """Name the limits of the guard that a target mostly met."""
+    often = [
+        reason_names(reason)[0]
+        for reason in Reason
+        if reason != Reason.GAP and np.mean((reasons & np.uint16(reason.value)) != 0) > _OFTEN
+    ]
+    return f", held back by its limits of {' and '.join(often)}" if often else ""
+
+
+def _gaps(recording: Recording, rows: Rows) -> Array:
+    """Length (T,) [s] of the pause in the answers before each row; 0 where there was none."""
+    gap = np.zeros(len(recording.time))
+    marked = (recording.reasons[rows, 0] & np.uint16(Reason.GAP.value)) != 0
+    gap[rows] = np.where(marked, np.diff(recording.time[rows, 0], prepend=recording.time[rows[0], 0]), 0.0)
+    return np.where(gap > 0.0, np.maximum(gap, GAP), 0.0)

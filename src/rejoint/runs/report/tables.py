@@ -1,0 +1,163 @@
+"""The comparison as a table of words: the same cells on the page and at the terminal."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from rejoint.runs.comparison.result import Comparison, ControllerRow, Spread, Stay
+from rejoint.runs.comparison.statistics import FEWEST_CLUSTERS
+from rejoint.runs.report.numerals import NEVER, UNKNOWN, interval, number, spread
+from rejoint.runs.report.palette import LOOKS, look_of
+from rejoint.runs.report.view import Cell, Row, Table
+from rejoint.runs.report.words import CONTROLLERS, plural
+
+MM, PERCENT = 1e3, 1e2
+
+
+@dataclass(frozen=True, kw_only=True)
+class PaperRow:
+    """One column of Table 4 of Park et al. 2024."""
+
+    success: str
+    error: str
+    cycle: str
+
+
+PAPER = {
+    "default": PaperRow(success="6.67", error="22.0 ± 14.6", cycle="197"),
+    "pid-sum": PaperRow(success="75.0", error="13.4 ± 12.2", cycle="96.3"),
+    "pid-literal": PaperRow(success="75.0", error="13.4 ± 12.2", cycle="96.3"),
+    "policy": PaperRow(success="100", error="8.21 ± 1.11", cycle="14.2"),
+}
+"""Park et al. 2024, Table 4: the real worn myCobot of the paper, n = 6, ten targets. Their PID is not said to be
+one reading of their equation 27 or the other, so it stands beside both."""
+
+PAPER_ARM = "mycobot280"
+"""Arm of the paper; errors of another one, in millimetres, are not comparable"""
+
+PAPER_TARGETS = 10
+"""Targets in a cycle of the paper; other numbers of targets are not comparable"""
+
+
+def comparison_table(comparison: Comparison) -> tuple[list[str], list[list[str]]]:
+    """Return headers and rows of plain text, first column the controllers' names on the command line."""
+    rows = [[row.controller, *(cell.text for cell in _cells(row, comparison))] for row in comparison.rows]
+    return ["controller", *_headers(comparison)], rows
+
+
+def comparison_view(comparison: Comparison, best: str) -> Table:
+    """Return the same table for the page, with small print, and the row of the ``best`` controller set off."""
+    rows = tuple(
+        Row(
+            cells=(
+                Cell(row.controller, CONTROLLERS.get(row.controller, "")),
+                *_cells(row, comparison),
+            ),
+            look=LOOKS.index(look_of(row.controller)),
+            badge="recommended" if row.controller == best else "",
+            emphasis=row.controller == best,
+        )
+        for row in comparison.rows
+    )
+    return Table(
+        caption="Every controller on the same arm with the same targets",
+        headers=("controller", *_headers(comparison)), rows=rows, notes=_notes(comparison),
+    )  # fmt: skip
+
+
+def _headers(comparison: Comparison) -> list[str]:
+    within = " / ".join(f"{distance * MM:g}" for distance in comparison.protocol.within)
+    return [
+        "success [%]", "error at the crossing [mm]", f"{plural(_count(comparison), 'target')} [s]",
+        "settled error, encoders [mm]", "settled error, true [mm]", f"time to stay within {within} mm [s]",
+        "oscillation [mm]", "guard",
+    ]  # fmt: skip
+
+
+def _count(comparison: Comparison) -> int:
+    return len(comparison.targets[0])
+
+
+def _cells(row: ControllerRow, comparison: Comparison) -> list[Cell]:
+    crossing, hold, success = row.crossing, row.hold, row.crossing.success
+    nothing = PaperRow(success="", error="", cycle="")
+    paper = PAPER.get(row.controller, nothing) if comparison.arm == PAPER_ARM else nothing
+    cycle = paper.cycle if _count(comparison) == PAPER_TARGETS else ""
+    likely = interval(success.low, success.high, 2, factor=PERCENT)
+    return [
+        Cell(number(success.value * PERCENT, 3), _small_print(likely, paper.success)),
+        Cell(_spread(crossing.error, MM), _small_print("", paper.error)),
+        Cell(_mean(crossing.cycle_time, 1.0, 3), _small_print(_range(crossing.cycle_time, 1.0), cycle)),
+        Cell(_mean(hold.settled, MM, 3), _range(hold.settled, MM)),
+        Cell(_mean(hold.settled_true, MM, 2), _range(hold.settled_true, MM, 2)),
+        _stays(hold.stays),
+        Cell(_mean(hold.oscillation, MM, 2)),
+        _guard(row),
+    ]
+
+
+def _small_print(own: str, paper: str) -> str:
+    return "\n".join(part for part in (own, f"paper: {paper}" if paper else "") if part)
+
+
+def _mean(value: Spread | None, factor: float, digits: int) -> str:
+    return UNKNOWN if value is None else number(value.mean.value * factor, digits)
+
+
+def _range(value: Spread | None, factor: float, digits: int = 3) -> str:
+    return "" if value is None else interval(value.mean.low, value.mean.high, digits, factor=factor)
+
+
+def _spread(value: Spread | None, factor: float) -> str:
+    if value is None:
+        return UNKNOWN
+    return spread(value.mean.value * factor, None if value.std is None else value.std * factor)
+
+
+def _stays(stays: tuple[Stay, ...]) -> Cell:
+    times = " / ".join(NEVER if stay.median is None else number(stay.median, 2) for stay in stays)
+    shares = " / ".join(f"{stay.share.value * PERCENT:.0f}" for stay in stays)
+    return Cell(times or UNKNOWN, f"{shares} %" if stays else "")
+
+
+def _guard(row: ControllerRow) -> Cell:
+    reasons = [f"{number(count.share * PERCENT, 2)} % {count.reason}" for count in row.guard]
+    stopped = [f"{plural(row.failures, 'trial')} stopped"] if row.failures else []
+    what, _, where = row.out.partition(" (")
+    out = [f"stopped: {what}", *([where.removesuffix(")")] if where else [])] if row.out else []
+    parts = [*out, *stopped, *reasons] or [NEVER]
+    return Cell(parts[0], "\n".join(parts[1:]))
+
+
+def _without(comparison: Comparison) -> str:
+    """Say what has no interval."""
+    trials = len(comparison.targets) * comparison.repetitions
+    if trials >= FEWEST_CLUSTERS:
+        return ""
+    whole = f"; none for the time of {plural(_count(comparison), 'target')}"
+    if trials * _count(comparison) < FEWEST_CLUSTERS:
+        whole = "; none where they would be"
+    return f"{whole}: {plural(trials, 'trial')} of it say{'s' * (trials == 1)} too little about another one"
+
+
+def _notes(comparison: Comparison) -> tuple[str, ...]:
+    protocol, sets = comparison.protocol, len(comparison.targets)
+    how = "side by side on equal emulated arms" if comparison.batched else "interleaved on the same arm"
+    notes = [
+        f"{plural(sets, 'set')} of {plural(_count(comparison), 'target')}, "
+        f"{plural(comparison.repetitions, 'repetition')}, {how}. Small print: 95 % intervals, resampled over "
+        f"{comparison.clusters}{_without(comparison)}.",
+        "Success, error at the crossing and time for the targets: the protocol of Park et al. 2024. The next target is "
+        f"set at the first crossing of {protocol.threshold * MM:g} mm or after {protocol.dwell:g} s; the error is the "
+        "one at that moment, mean ± standard deviation.",
+        f"Settled error: mean over the last {protocol.window:g} s of {protocol.hold:g} s at each target. Time to stay "
+        f"within a distance: median over the holds, and the share that does; “{NEVER}” where fewer than half do. "
+        "Oscillation: root mean square around the settled position. Guard: share of all control cycles, by reason.",
+    ]
+    if comparison.arm == PAPER_ARM:
+        notes.append(
+            "“paper”: Park et al. 2024 (IEEE Access), Table 4, measured on their own worn myCobot 280, for reference."
+        )
+    if not comparison.true_known:
+        notes.append("The true position of the tool is not known on this robot: it has to be measured from outside.")
+    return tuple(notes)

@@ -1,0 +1,149 @@
+"""Files: written whole or not at all, and read only where they are of a believable size."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+import shutil
+import stat
+import tempfile
+from collections.abc import Callable
+from datetime import datetime
+from pathlib import Path
+from typing import TypeVar
+
+import msgspec
+
+from rejoint.system.errors import FileError, first_line
+
+T = TypeVar("T")
+
+MEGABYTE = 10**6
+
+CHANGED = "damaged (it is not what was written: its digest is another)"
+"""What is wrong with a file whose digest is another"""
+
+JSON_MOST = 64 * MEGABYTE
+"""Largest JSON file that is read (chosen: a hundred times the largest that a stage writes)"""
+
+TOML_MOST = 4 * MEGABYTE
+"""Largest TOML file that is read (chosen: the twin of an arm of 60 joints; one of six takes 26 kB)"""
+
+SPACE = 50 * MEGABYTE
+"""Least free space before an arm moves (chosen: a whole run folder takes 5 MB, an hour of an arm's motion 25 MB)"""
+
+MODEL_MOST = 64 * MEGABYTE
+"""Largest policy or arm description of another program that is read (chosen: a policy takes 0.1 MB)"""
+
+UNFINISHED = ".partial"
+"""How the name of a file ends that is being written, or whose writer was killed"""
+
+UNWRITABLE = "free some space, allow writing there, or choose another folder"
+_DIGEST = re.compile(rb',\n  "digest": "([0-9a-f]{16})"\n}\Z')
+
+
+def write_whole(path: Path, write: Callable[[Path], object]) -> None:
+    """Let ``write`` fill a temporary file beside ``path`` and move it there: all or nothing; FileError if it fails.
+
+    What is there afterwards is on the disk: it survives a loss of power as well.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=UNFINISHED)
+        temporary = Path(name)
+        try:
+            try:
+                write(temporary)
+                temporary.chmod(0o644)
+                os.fsync(handle)
+            finally:
+                os.close(handle)
+            temporary.replace(path)
+        finally:
+            temporary.unlink(missing_ok=True)
+    except OSError as error:
+        raise unwritable(path, error) from error
+
+
+def unwritable(path: Path, error: OSError) -> FileError:
+    """Return the error of a file that cannot be written, which names it."""
+    return FileError(path, f"cannot be written ({error.strerror or first_line(error)})", UNWRITABLE)
+
+
+def read_bounded(path: Path, most: int, remedy: str) -> bytes:
+    """Read a file of at most ``most`` bytes; FileError if it is larger or no file, else OSError as it comes.
+
+    The size is looked at before anything is read, and a pipe or a device is not even opened: it might never end.
+    """
+    require_file(path, most, remedy)
+    with path.open("rb") as file:
+        data = file.read(most + 1)
+    if len(data) > most:
+        raise FileError(path, f"grew beyond {_size(most)} while it was read", remedy)
+    return data
+
+
+def require_file(path: Path, most: int, remedy: str) -> None:
+    """Raise FileError unless ``path`` is a file of at most ``most`` bytes; FileNotFoundError if nothing is there."""
+    found = path.stat()
+    if stat.S_ISDIR(found.st_mode):
+        raise FileError(path, "cannot be read: it is a folder", remedy)
+    if not stat.S_ISREG(found.st_mode):
+        raise FileError(path, "cannot be read: it is a pipe or a device", remedy)
+    if found.st_size > most:
+        raise FileError(path, f"{_size(found.st_size)} large, expected at most {_size(most)}", remedy)
+
+
+def require_space(folder: Path, needed: int = SPACE) -> None:
+    """Raise FileError unless ``needed`` bytes are free where ``folder`` is: better known before an arm has moved."""
+    try:
+        free = shutil.disk_usage(folder).free
+    except OSError as error:
+        raise unwritable(folder, error) from error
+    if free < needed:
+        raise FileError(folder, f"{_size(free)} free on that disk, {_size(needed)} needed", UNWRITABLE)
+
+
+def write_json(path: Path, value: object) -> None:
+    """Write a dataclass (or plain data) as readable JSON; an object gets the digest of its own text as last entry."""
+    data = msgspec.json.format(msgspec.json.encode(value), indent=2)
+    if data.endswith(b"\n}"):
+        data = data[:-2] + b',\n  "digest": "' + digest(data) + b'"\n}'
+    write_whole(path, lambda temporary: temporary.write_bytes(data))
+
+
+def read_json(path: Path, kind: type[T]) -> T:
+    """Read JSON written by `write_json` as an instance of ``kind``; FileError if it is not one.
+
+    A digest must be that of the text before it. One written by hand needs none.
+    """
+    remedy = "delete it and run its stage again"
+    try:
+        data = read_bounded(path, JSON_MOST, remedy)
+        found = _DIGEST.search(data)
+        if found:
+            data = data[: found.start()] + b"\n}"
+            if digest(data) != found[1]:
+                raise FileError(path, CHANGED, remedy)
+        return msgspec.json.decode(data, type=kind)
+    except FileNotFoundError as error:
+        raise FileError(path, "no such file", "run the stage that writes it first") from error
+    except (OSError, msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
+        raise FileError(path, f"damaged ({first_line(error)})", remedy) from error
+
+
+def set_aside(path: Path) -> None:
+    """Rename a file, if there is one, that another takes the place of, by its time: it may have cost hours."""
+    if path.exists():
+        made = datetime.fromtimestamp(path.stat().st_mtime)
+        path.replace(path.with_stem(f"{path.stem}-{made:%Y%m%d-%H%M%S}"))
+
+
+def digest(data: bytes) -> bytes:
+    """Return the fingerprint of some text by which it is noticed that it was changed."""
+    return hashlib.sha256(data).hexdigest()[:16].encode()
+
+
+def _size(size: int) -> str:
+    return f"{size / MEGABYTE:.1f} MB" if size < 1000 * MEGABYTE else f"{size / MEGABYTE / 1000:.1f} GB"

@@ -1,0 +1,82 @@
+"""Frames: bytes worked by hand from the protocol page, round trips, and streams that are broken."""
+
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+
+from rejoint.lab.emulator.frames import MAX_PAYLOAD, Decoder, Frame, encode, split
+
+frames = st.builds(Frame, st.integers(0, 255), st.binary(max_size=MAX_PAYLOAD))
+nasty = st.lists(st.sampled_from([0xFE, 0xFA, 0x00, 0x02, 0x0F, 0x1E, 0x20, 0xFF]), max_size=60).map(bytes)
+
+# get_angles; the acknowledgement of send_angles in a real arm's log; send_angles(
+# [10.5, -20.25, 0, 90, -155, 180], 50): 1050 = 0x041A, -2025 = 0xF817, 9000 = 0x2328,
+# -15500 = 0xC374, 18000 = 0x4650, 50 = 0x32; LEN = 13 + 2.
+GOLDEN = [
+    (Frame(0x20), "FE FE 02 20 FA"),
+    (Frame(0x22, b"\x01"), "FE FE 03 22 01 FA"),
+    (
+        Frame(0x22, bytes.fromhex("041A F817 0000 2328 C374 4650 32")),
+        "FE FE 0F 22 04 1A F8 17 00 00 23 28 C3 74 46 50 32 FA",
+    ),
+]
+
+
+@pytest.mark.parametrize(("frame", "text"), GOLDEN)
+def test_golden_bytes(frame, text):
+    assert encode(frame) == bytes.fromhex(text)
+    assert split(bytes.fromhex(text)) == ([frame], b"")
+
+
+@given(st.lists(frames, max_size=5))
+def test_what_is_encoded_is_decoded(sent):
+    assert split(b"".join(encode(frame) for frame in sent)) == (sent, b"")
+
+
+@given(nasty | st.binary(max_size=200), st.lists(st.integers(1, 7), max_size=40))
+def test_pieces_give_the_same_frames_as_the_whole(stream, sizes):
+    decoder, got, at = Decoder(), [], 0
+    for size in [*sizes, len(stream)]:
+        got += decoder.feed(stream[at : at + size])
+        at += size
+    whole, rest = split(stream)
+    assert got == whole
+    assert decoder.pending == bool(rest)
+    assert len(rest) < MAX_PAYLOAD + 5
+
+
+@given(nasty | st.binary(max_size=200), frames)
+@example(b"\xfe\xfe\x0f\x22", Frame(0x20))
+@example(b"\xfe", Frame(0x20))
+def test_a_frame_is_found_after_any_garbage_once_the_line_was_quiet(garbage, frame):
+    decoder = Decoder()
+    decoder.feed(garbage)
+    decoder.expire()
+    assert not decoder.pending
+    assert decoder.feed(encode(frame)) == [frame]
+
+
+def test_a_half_frame_does_not_keep_the_command_behind_it():
+    decoder = Decoder()
+    assert decoder.feed(bytes.fromhex("FE FE 0F 22 04 1A  FE FE 02 20 FA")) == []
+    assert decoder.expire() == [Frame(0x20)]
+
+
+@pytest.mark.parametrize(
+    "noise", ["FE", "00 FE 33", "FE FE FE", "FE FE 1F 20 FA", "FE FE 01 20 FA", "FE FE 03 20 00 00"]
+)
+def test_noise_before_a_frame_is_skipped(noise):
+    found, rest = split(bytes.fromhex(noise) + encode(Frame(0x12)))
+    assert found == [Frame(0x12)]
+    assert rest == b""
+
+
+def test_header_and_footer_inside_a_payload_are_data():
+    frame = Frame(0x22, b"\xfe\xfe\x02\x20\xfa\xfe\xfe")
+    assert split(encode(frame)) == ([frame], b"")
+
+
+@pytest.mark.parametrize(("command", "payload"), [(256, b""), (-1, b""), (0x20, bytes(MAX_PAYLOAD + 1))])
+def test_what_does_not_fit_into_a_frame_is_refused(command, payload):
+    with pytest.raises(ValueError, match="a frame holds"):
+        Frame(command, payload)

@@ -1,0 +1,145 @@
+"""The reference: ramps, interpolated paths, queue; straight lines of the tool."""
+
+import numpy as np
+import pytest
+
+from rejoint.arms import mycobot280, tcp_pose
+from rejoint.lab.emulator.motion import MAX_QUEUE, Motion
+from rejoint.lab.emulator.paths import CARTESIAN_SPEED, joint_path, line_path, solve_pose
+
+ARM = mycobot280()
+FULL = 2.0
+ACCELERATION = 4.0
+
+
+def motion(start=(0.0, 0.0)):
+    return Motion(np.array(start), full_speed=FULL, acceleration=ACCELERATION)
+
+
+def run(m, duration, step=0.01):
+    """Advance and return the references (k, n)."""
+    seen = [m.reference.copy()]
+    for _ in range(round(duration / step)):
+        m.advance(step)
+        seen.append(m.reference.copy())
+    return np.array(seen)
+
+
+def test_a_ramp_moves_each_joint_at_its_own_set_speed():
+    m = motion()
+    m.ramp(np.array([1.0, -0.1]), 0.5)
+    m.advance(0.2)
+    np.testing.assert_allclose(m.reference, [0.2, -0.1])
+    run(m, 1.0)
+    np.testing.assert_array_equal(m.reference, [1.0, -0.1])
+    assert not m.moving
+
+
+def test_joints_on_a_path_arrive_together_within_speed_and_acceleration():
+    m = motion()
+    m.follow(joint_path(m.reference, np.array([1.0, -0.5]), FULL), 1.0)
+    seen = run(m, 2.0)
+    np.testing.assert_allclose(seen[:, 1], -0.5 * seen[:, 0], atol=1e-9)
+    speed = np.diff(seen[:, 0]) / 0.01
+    assert speed.max() <= FULL + 1e-9
+    assert np.abs(np.diff(speed))[:-1].max() <= ACCELERATION * 0.01 + 1e-6
+    np.testing.assert_array_equal(seen[-1], [1.0, -0.5])
+    assert not m.moving
+
+
+def test_speed_scales_a_path():
+    """A long move at half the speed takes nearly twice the time."""
+    times = []
+    for rate in (1.0, 0.5):
+        m = motion()
+        m.follow(joint_path(m.reference, np.array([20.0, 0.0]), FULL), rate)
+        times.append(int(np.argmax(run(m, 30.0)[:, 0] >= 20.0)))
+    assert times[1] == pytest.approx(2 * times[0], rel=0.05)
+
+
+def test_a_queue_passes_every_waypoint_in_order():
+    m = motion()
+    stops = [np.array([1.0, 0.0]), np.array([1.0, 1.0]), np.array([-1.0, 0.0])]
+    for stop in stops:
+        assert m.enqueue(joint_path(m.end, stop, FULL), 1.0)
+    assert m.waiting == 2
+    seen = run(m, 8.0)
+    reached = [int(np.argmax(np.abs(seen - stop).max(axis=1) < 1e-9)) for stop in stops]
+    assert 0 < reached[0] < reached[1] < reached[2]
+    assert not m.moving
+
+
+def test_a_ramp_forgets_the_queue_and_starts_where_the_reference_is():
+    m = motion()
+    for stop in ([1.0, 0.0], [2.0, 0.0]):
+        m.enqueue(joint_path(m.end, np.array(stop), FULL), 1.0)
+    before = run(m, 0.3)[-1]
+    m.ramp(np.array([0.0, 0.5]), 1.0)
+    np.testing.assert_array_equal(m.reference, before)
+    np.testing.assert_array_equal(run(m, 2.0)[-1], [0.0, 0.5])
+
+
+def test_a_full_queue_refuses():
+    m = motion()
+    paths = [joint_path(m.reference, np.array([1.0, 0.0]), FULL) for _ in range(MAX_QUEUE + 2)]
+    assert [m.enqueue(path, 1.0) for path in paths] == [True] * (MAX_QUEUE + 1) + [False]
+
+
+def test_hold_and_pause():
+    m = motion()
+    m.follow(joint_path(m.reference, np.array([1.0, 0.0]), FULL), 1.0)
+    run(m, 0.3)
+    m.paused = True
+    there = m.reference.copy()
+    np.testing.assert_array_equal(run(m, 0.5)[-1], there)
+    m.paused = False
+    m.advance(0.01)
+    assert m.reference[0] > there[0]
+    m.hold()
+    assert not m.moving
+    np.testing.assert_array_equal(m.goal, m.reference)
+
+
+START = np.radians([20.0, 0.0, -85.0, -5.0, 0.0, 0.0])
+
+
+def test_a_line_is_straight_and_keeps_to_the_tool_speed():
+    goal = tcp_pose(ARM, START)
+    goal[:3, 3] += [0.0, 0.06, -0.03]
+    path, complete = line_path(ARM, START, goal, np.radians(120.0))
+    assert complete
+    tips = tcp_pose(ARM, path.points)[:, :3, 3]
+    way = goal[:3, 3] - tips[0]
+    along = (tips - tips[0]) @ way / np.linalg.norm(way)
+    off = np.linalg.norm(tips - tips[0] - along[:, None] * way / np.linalg.norm(way), axis=1)
+    assert off.max() < 5e-4
+    np.testing.assert_allclose(tips[-1], goal[:3, 3], atol=5e-4)
+    assert path.duration >= np.linalg.norm(way) / CARTESIAN_SPEED - 1e-9
+
+
+def test_a_line_out_of_reach_ends_inside_the_limits():
+    goal = tcp_pose(ARM, START)
+    goal[2, 3] += 0.6
+    path, complete = line_path(ARM, START, goal, np.radians(120.0))
+    assert not complete
+    assert len(path.points) > 3
+    assert np.all((path.points >= ARM.lower) & (path.points <= ARM.upper))
+
+
+def test_a_pose_is_solved_with_its_orientation():
+    rng = np.random.default_rng(3)
+    solved = 0
+    for _ in range(20):
+        wanted = tcp_pose(ARM, rng.uniform(0.8 * ARM.lower, 0.8 * ARM.upper))
+        q = solve_pose(ARM, wanted, START)
+        if q is not None:
+            solved += 1
+            np.testing.assert_allclose(tcp_pose(ARM, q), wanted, atol=1e-3)
+            assert np.all((q >= ARM.lower) & (q <= ARM.upper))
+    assert solved >= 18
+
+
+def test_an_unreachable_pose_has_no_solution():
+    far = tcp_pose(ARM, START)
+    far[0, 3] = 0.6
+    assert solve_pose(ARM, far, START) is None

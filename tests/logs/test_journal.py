@@ -1,0 +1,206 @@
+"""The journal: what an arm did is on file before the process can die, and the disk never holds up or ends a motion."""
+
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from rejoint.logs import journal as module
+from rejoint.logs.journal import CUT_SHORT, Journal, read_journal, recover
+from rejoint.logs.runlog import RunLog, read_log
+from rejoint.runs.folder import RunFolder, locked
+from rejoint.system.errors import FileError
+
+JOINTS = ("a", "b")
+RNG = np.random.default_rng(7)
+ROWS = [(0.025 * k, *RNG.normal(size=(2, 2)), np.full(3, np.nan), RNG.normal(size=3)) for k in range(60)]
+
+
+def begin(folder: Path, rows: int = 0, name: str = "deploy-1") -> Journal:
+    path = folder / "logs" / f"{name}.parquet"
+    return Journal.begin(path, arm="planar", joint_names=JOINTS, robot="tcp://x", label="deploy/policy", rows=rows)
+
+
+def written(folder: Path, count: int = len(ROWS), rows: int = 0) -> Journal:
+    journal = begin(folder, rows)
+    for row in ROWS[:count]:
+        journal.append(*row)
+    journal.close()
+    return journal
+
+
+def same(log: RunLog, rows: list[tuple]) -> None:
+    for name, column in zip(
+        ("time", "position", "command", "target", "true_tcp"), zip(*rows, strict=True), strict=True
+    ):
+        np.testing.assert_array_equal(getattr(log, name), np.stack(column))
+
+
+def whole(rows: list[tuple] = ROWS) -> RunLog:
+    columns = dict(zip(("time", "position", "command", "target", "true_tcp"), zip(*rows, strict=True), strict=True))
+    return RunLog(arm="planar", joint_names=JOINTS, robot="tcp://x", label="deploy/policy",
+                  **{name: np.stack(column) for name, column in columns.items()})  # fmt: skip
+
+
+@pytest.mark.parametrize("rows", [0, 500])
+def test_what_a_killed_process_wrote_becomes_a_log_of_its_own(tmp_path: Path, rows: int) -> None:
+    written(tmp_path, rows=rows)
+    (found,) = recover(tmp_path / "logs")
+    log = read_log(found)
+    same(log, ROWS)
+    assert (found.name, log.label) == (f"deploy-1-{CUT_SHORT}.parquet", f"deploy/policy/{CUT_SHORT}")
+    assert (log.arm, log.joint_names, log.robot) == ("planar", JOINTS, "tcp://x")
+    assert [path.name for path in (tmp_path / "logs").iterdir()] == [found.name]
+    assert recover(tmp_path / "logs") == ()
+
+
+def test_a_log_that_came_to_its_end_leaves_no_journal(tmp_path: Path) -> None:
+    journal = written(tmp_path)
+    journal.finish(whole())
+    same(read_log(journal.path), ROWS)
+    assert list(journal.path.parent.iterdir()) == [journal.path]
+    other = written(tmp_path)  # killed after the log was written and before the journal was removed
+    assert other.file.exists()
+    assert recover(tmp_path / "logs") == ()
+    assert list(journal.path.parent.iterdir()) == [journal.path]
+
+
+def test_earlier_recovered_logs_are_kept(tmp_path: Path) -> None:
+    for _ in range(3):
+        written(tmp_path)
+        recover(tmp_path / "logs")
+    names = {path.name for path in (tmp_path / "logs").iterdir()}
+    assert names == {f"deploy-1-{CUT_SHORT}{tail}.parquet" for tail in ("", "-2", "-3")}
+
+
+def test_a_journal_without_rows_leaves_nothing(tmp_path: Path) -> None:
+    for journal in (written(tmp_path, 0), written(tmp_path, 0, rows=100)):
+        journal.close()
+    journal.file.write_bytes(b"\0" * 4096)  # as a loss of power may leave it
+    assert recover(tmp_path / "logs") == ()
+    assert list((tmp_path / "logs").iterdir()) == []
+
+
+def test_rows_that_no_run_log_may_hold_are_left_out(tmp_path: Path) -> None:
+    journal = begin(tmp_path)
+    late, broken = ROWS[5], (0.2, np.full(2, np.nan), *ROWS[6][2:])
+    for row in (*ROWS[:8], late, broken, *ROWS[8:]):
+        journal.append(*row)
+    journal.close()
+    same(read_journal(journal.file), ROWS)
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None, max_examples=60)
+@given(cut=st.floats(0, 1), flips=st.lists(st.tuples(st.floats(0, 0.999), st.integers(1, 255)), max_size=3))
+def test_damage_costs_the_rows_that_it_hit_and_no_more(
+    tmp_path: Path, cut: float, flips: list[tuple[float, int]]
+) -> None:
+    journal = written(tmp_path)
+    before = journal.file.read_bytes()
+    head, data = before.index(b"\n") + 1, bytearray(before)
+    for where, mask in flips:
+        data[int(where * len(data))] ^= mask
+    journal.file.write_bytes(data if flips else data[: round(cut * len(data))])
+    after = journal.file.read_bytes()
+    step = (len(before) - head) // len(ROWS)
+    places = [slice(start, start + step) for start in range(head, len(before), step)]
+    left = [row for row, place in zip(ROWS, places, strict=True) if after[place] == before[place]]
+    found = read_journal(journal.file)
+    if after[:head] == before[:head] and left:
+        assert found is not None
+        same(found, left)
+    else:
+        assert found is None or len(found) <= len(ROWS)
+    journal.file.unlink()
+
+
+def test_a_journal_that_does_not_say_whose_it_is_is_not_thrown_away(tmp_path: Path) -> None:
+    journal = written(tmp_path)
+    journal.file.write_bytes(b"?" + journal.file.read_bytes()[1:])
+    assert recover(tmp_path / "logs") == ()
+    assert [path.name for path in (tmp_path / "logs").iterdir()] == ["deploy-1-damaged.journal"]
+
+
+def test_what_is_written_survives_a_kill(tmp_path: Path) -> None:
+    code = f"""
+import sys, time
+from pathlib import Path
+sys.path.insert(0, {str(Path(__file__).parent)!r})
+from test_journal import ROWS, begin
+journal = begin(Path(sys.argv[1]))
+head = journal.file.stat().st_size
+for row in ROWS:
+    journal.append(*row)
+while journal.file.stat().st_size < head + len(ROWS) * 92:
+    time.sleep(0.01)
+print("written", flush=True)
+time.sleep(600)
+"""
+    words = [sys.executable, "-c", code, str(tmp_path)]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "written\n"
+        process.send_signal(signal.SIGKILL)
+    with locked(RunFolder(tmp_path)):
+        (path,) = (tmp_path / "logs").iterdir()
+        same(read_log(path), ROWS)
+
+
+def test_a_disk_that_fills_meanwhile_neither_ends_the_run_nor_hides_the_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    journal = begin(tmp_path)
+
+    def full(*_: object) -> int:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(module.os, "write", full)
+    journal.append(*ROWS[0])
+    deadline = time.monotonic() + 30.0
+    while journal.problem is None and time.monotonic() < deadline:
+        time.sleep(0.01)
+    assert journal.problem is not None
+    for row in ROWS[1:]:
+        journal.append(*row)  # raises nothing
+    monkeypatch.undo()
+    journal.finish(whole())  # by then there may be room again, and all of it is in memory
+    same(read_log(journal.path), ROWS)
+
+
+def test_a_log_that_cannot_be_written_stays_in_the_journal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    journal = written(tmp_path)
+
+    def full(path: Path, _: RunLog) -> None:
+        raise FileError(path, "cannot be written (No space left on device)", "free some space")
+
+    monkeypatch.setattr(module, "write_log", full)
+    with pytest.raises(FileError, match=r"deploy-1\.parquet: cannot be written") as caught:
+        journal.finish(whole())
+    assert str(journal.file) in caught.value.__notes__[0]
+    assert re.search(r"deploy-1\.parquet: cannot be written.*\n.*makes a log of it", journal.keep(whole()))
+    monkeypatch.undo()
+    same(read_log(recover(tmp_path / "logs")[0]), ROWS)
+
+
+def test_a_journal_that_does_not_fit_is_refused_before_anything_moves(tmp_path: Path) -> None:
+    with pytest.raises(FileError, match=r"MB free on that disk|GB free on that disk"):
+        begin(tmp_path, rows=10**12)
+    assert list((tmp_path / "logs").iterdir()) == []
+    (tmp_path / "file").touch()
+    with pytest.raises(FileError, match="cannot be written"):
+        begin(tmp_path / "file")
+
+
+def test_the_space_that_a_run_takes_is_set_aside(tmp_path: Path) -> None:
+    journal = begin(tmp_path, rows=10_000)
+    assert journal.file.stat().st_size >= 10_000 * 8 * 11
+    assert journal.file.stat().st_blocks * 512 >= 10_000 * 8 * 11
+    journal.discard()
+    assert not journal.file.exists()

@@ -1,0 +1,140 @@
+"""Whatever a policy says: the guard keeps its laws, the comparison notices, a baseline is handed over."""
+
+import json
+import sys
+from dataclasses import replace
+
+import bad_policies as bad
+import numpy as np
+import pytest
+
+from rejoint.arms import heights, mycobot280
+from rejoint.cli import main
+from rejoint.control.catalogue import make_controller
+from rejoint.control.guard import GuardLimits
+from rejoint.control.policy import load_policy
+from rejoint.robots import open_robot
+from rejoint.runs import opening
+from rejoint.runs import stages as work
+from rejoint.runs.comparison import Protocol, Settings, compare, draw_targets, recommend
+from rejoint.runs.comparison.failure import failure
+from rejoint.twin.file import write_twin
+
+ARM = mycobot280()
+PROTOCOL = Protocol(dwell=5.0, hold=4.0, window=0.5)
+TARGETS = draw_targets(ARM, sets=1, count=3, seed=1)
+NAMES = ("random", "saturated", "nan", "nan-later", "infinite", "softer")
+LIMITS = GuardLimits.of(ARM)
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("policies")
+    return {
+        "random": bad.random_weights(folder / "random.onnx", ARM),
+        "saturated": bad.saturated(folder / "saturated.onnx", ARM),
+        "nan": bad.poisoned(folder / "nan.onnx", ARM, np.nan, "distance", bad.FAR),
+        "nan-later": bad.poisoned(folder / "later.onnx", ARM, np.nan, "waited", bad.LATE),
+        "infinite": bad.poisoned(folder / "infinite.onnx", ARM, np.inf, "distance", bad.FAR),
+        "softer": bad.for_a_softer_arm(folder / "softer", ARM),
+    }
+
+
+def tried(files, *, batched):
+    trials = []
+    controllers = {"integrator": lambda arm: make_controller("integrator", arm)}
+    controllers |= {name: (lambda arm, name=name: load_policy(files[name], arm)) for name in NAMES}
+    found = compare(
+        lambda count, seed: open_robot("emulated:worn", arm=ARM, seed=seed, count=count), controllers, TARGETS,
+        Settings(batched=batched, repetitions=2 if batched else 1, protocol=PROTOCOL), on_trial=trials.append,
+    )  # fmt: skip
+    return found, trials
+
+
+@pytest.fixture(scope="module", params=[True, False], ids=["batch", "one arm"])
+def comparison(request, files):
+    return tried(files, batched=request.param)
+
+
+def test_the_guard_keeps_every_law_on_the_whole_recording(comparison):
+    _, trials = comparison
+    assert {trial.controller for trial in trials} == {"integrator", *NAMES}
+    for trial in trials:
+        rows = trial.recording.active[:, trial.arm_index]
+        time, command = (getattr(trial.recording, name)[rows, trial.arm_index] for name in ("time", "command"))
+        assert np.isfinite(command).all(), trial.label
+        assert ((command >= LIMITS.lower - 1e-9) & (command <= LIMITS.upper + 1e-9)).all(), trial.label
+        period = np.minimum(np.diff(time), LIMITS.max_period)
+        assert (period > 0).all()
+        assert (np.abs(np.diff(command, axis=0)) <= LIMITS.max_speed * period[:, None] + 1e-9).all(), trial.label
+        height = heights(ARM, command)[:, 1:] - LIMITS.floors
+        assert (height[1:] >= np.minimum(height[:-1], 0.0) - 1e-8).all(), trial.label
+
+
+def test_the_comparison_notices(comparison):
+    found, _ = comparison
+    good = found.row("integrator")
+    assert (good.crossing.success.value, good.failures, good.out) == (1.0, 0, "")
+    for name in ("random", "saturated", "infinite"):
+        row = found.row(name)
+        assert row.crossing.success.value < 1.0, name
+        assert failure(row) or row.hold.settled.mean.value > 10 * good.hold.settled.mean.value, name
+    for name in ("nan", "nan-later"):
+        row = found.row(name)
+        assert row.failures > 0
+        assert {end.why for end in row.ended} == {"not finite"}
+        assert "not a number" in failure(row)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_baseline_is_handed_over(comparison, name):
+    found, _ = comparison
+    both = replace(found, rows=tuple(replace(found.row(each), controller=as_) for each, as_ in
+                                     (("integrator", "integrator"), (name, "policy"))))  # fmt: skip
+    advice = recommend(both)
+    assert advice.controller == "integrator"
+    assert any("policy" in line for line in advice.why), "and it says why"
+
+
+@pytest.fixture(scope="module")
+def before_policy(tmp_path_factory):
+    """A run folder with everything that comes before the policy."""
+    run = opening.begin(tmp_path_factory.mktemp("run") / "one", "emulated:worn", ARM, 0)
+    work.diagnose_stage(run)
+    write_twin(run.folder.twin, bad.softer_twin(ARM))
+    return run.folder
+
+
+def repair(folder, capsys, monkeypatch):
+    points = folder.path.parent / "points.csv"
+    points.write_text("x,y,z\n170,0,200\n180,30,210\n")
+    options = ("--targets", str(points), "--repetitions", "1", "--controllers", "integrator,policy", "--json")
+    monkeypatch.setattr(sys, "argv", ["rejoint", "repair", "emulated:worn", "--run", str(folder.path), *options])
+    with pytest.raises(SystemExit) as stopped:
+        main()
+    return int(stopped.value.code or 0), capsys.readouterr()
+
+
+def test_repair_hands_over_the_baseline_and_says_why(before_policy, files, capsys, monkeypatch):
+    before_policy.policy.write_bytes(files["nan-later"].read_bytes())
+    code, said = repair(before_policy, capsys, monkeypatch)
+    assert code == 0, said.err
+    last = json.loads(said.out.splitlines()[-1])
+    assert last["recommended"]["controller"] == "integrator"
+    sentence = "policy: 1 of 2 runs ended early, because a command or a measured position was not a number."
+    assert sentence in said.out
+    page = before_policy.report.read_text(encoding="utf-8")
+    assert f"The learned policy was tried and failed. {sentence.capitalize()}" in page.replace("\n", " ")
+    assert "What failed, and why" in page
+
+
+def test_a_damaged_policy_is_one_line(before_policy, files, capsys, monkeypatch):
+    before_policy.comparison.unlink(missing_ok=True)
+    before_policy.policy.write_bytes(files["random"].read_bytes()[:3000])
+    logs = before_policy.logs()
+    code, said = repair(before_policy, capsys, monkeypatch)
+    assert code == 2
+    errors = [line for line in said.err.splitlines() if line.startswith("error: ")]
+    assert errors == [said.err.splitlines()[-1]]
+    assert "policy.onnx" in errors[0]
+    assert before_policy.logs() == logs, "nothing has moved"

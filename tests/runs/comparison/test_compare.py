@@ -1,0 +1,282 @@
+"""Laws of the comparison: what is measured is what happened, batch equals single trials, verdicts are honest."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from rejoint.arms import gravity_torque, mycobot280, tcp_position
+from rejoint.control.catalogue import make_controller
+from rejoint.control.integrator import IntegratorController
+from rejoint.control.loop import run
+from rejoint.control.robot import JointState
+from rejoint.logs.runlog import read_log, write_log
+from rejoint.runs.comparison import Comparison, Protocol, Settings, compare, difference, draw_targets, recommend
+from rejoint.runs.comparison.protocols import encoder_tcp, measure_crossings, measure_holds, schedule
+from rejoint.system.errors import GuardTripError, InputError
+from rejoint.system.files import read_json, write_json
+
+ARM = mycobot280()
+PROTOCOL = Protocol(dwell=4.0, hold=5.0)
+TARGETS = draw_targets(ARM, sets=2, count=2, seed=1)
+STIFFNESS = 4.0
+OFFSET = np.array([0.0, 0.0, -0.006])
+
+
+class SaggingRobot:
+    """Servos with lag and sag and seeded noise; the tool is truly 6 mm below where the encoders put it."""
+
+    arm, address = ARM, "test:sagging"
+
+    def __init__(self, count, seed, *, know_truth=True, hot=()):
+        self.count, self.know_truth, self.hot = count, know_truth, hot
+        self.rngs = [np.random.default_rng([seed, b]) for b in range(count)]
+        self.position, self.time = np.tile(ARM.rest, (count, 1)), np.zeros(count)
+        self.closed = 0
+
+    def read(self):
+        temperature = np.full(self.position.shape, 30.0)
+        for b, since in self.hot:
+            temperature[b] = 90.0 if self.time[b] > since else 30.0
+        return JointState(
+            time=self.time, position=self.position.copy(), age=np.zeros(self.count), temperature=temperature
+        )
+
+    def step(self, command, active=None):
+        noise = np.zeros(self.position.shape)
+        for b in np.flatnonzero(active):
+            noise[b] = 1e-4 * self.rngs[b].normal(size=ARM.joints)
+        goal = command - gravity_torque(ARM, self.position) / STIFFNESS
+        moved = self.position + 0.3 * (goal - self.position) + noise
+        self.position = np.where(active[:, None], moved, self.position)
+        self.time = self.time + 0.025 * active
+        return self.read()
+
+    def true_tcp(self):
+        found = tcp_position(ARM, self.position) + OFFSET
+        return found if self.know_truth else np.full_like(found, np.nan)
+
+    def stop(self):
+        pass
+
+    def close(self):
+        self.closed += 1
+
+
+def factories(*names):
+    return {name: (lambda arm, name=name: make_controller(name, arm)) for name in names}
+
+
+@pytest.fixture(scope="module")
+def comparison():
+    opened, trials, progress = [], [], []
+
+    def open_robot(count, seed):
+        opened.append(SaggingRobot(count, seed))
+        return opened[-1]
+
+    found = compare(
+        open_robot, factories("default", "integrator"), TARGETS,
+        Settings(repetitions=3, seed=7, batched=True, protocol=PROTOCOL),
+        on_progress=lambda done, total, text: progress.append((done, total, text)), on_trial=trials.append,
+    )  # fmt: skip
+    return found, opened, trials, progress
+
+
+def test_batch_has_one_arm_per_trial_and_closes_it(comparison):
+    found, opened, trials, _ = comparison
+    assert [robot.count for robot in opened] == [6] * 4  # 2 controllers x 2 protocols
+    assert all(robot.closed == 1 for robot in opened)
+    assert {trial.label for trial in trials} == {
+        f"{kind}/{name}/{s}/{r}"
+        for kind in ("crossing", "hold") for name in ("default", "integrator") for s in range(2) for r in range(3)
+    }  # fmt: skip
+    for trial in trials:
+        seen = trial.recording.target[trial.recording.active[:, trial.arm_index], trial.arm_index]
+        assert (seen[0] == TARGETS[trial.target_set, 0]).all()
+    assert found.clusters == "trials"
+    assert found.true_known
+
+
+def test_results_per_target_are_those_of_single_trials(comparison):
+    """Recompute one trial of the hold protocol from its run log alone."""
+    found, _, trials, _ = comparison
+    trial = next(trial for trial in trials if trial.label == "hold/integrator/1/2")
+    log = trial.log()
+    error = np.linalg.norm(tcp_position(ARM, log.position) - log.target, axis=-1)
+    true = np.linalg.norm(log.true_tcp - log.target, axis=-1)
+    outcomes = found.row("integrator").outcomes
+    for k in range(2):
+        rows = (log.target == TARGETS[1, k]).all(axis=1)
+        last = rows & (log.time >= log.time[rows][-1] - PROTOCOL.window)
+        assert outcomes.array("settled")[1, 2, k] == pytest.approx(error[last].mean(), rel=0.02)
+        assert outcomes.array("settled_true")[1, 2, k] == pytest.approx(true[last].mean(), rel=0.02)
+
+
+def test_numbers_are_those_of_the_robot(comparison):
+    found, *_ = comparison
+    default, integrator = found.row("default"), found.row("integrator")
+    assert integrator.crossing.success.value == 1.0
+    assert default.crossing.success.value == 0.0
+    # Nothing is reached: each of the two targets lasts its dwell, up to one period more.
+    assert default.crossing.cycle_time.mean.value == pytest.approx(8.0, abs=0.06)
+    assert (integrator.outcomes.array("crossing_error") < PROTOCOL.threshold).all()
+    assert integrator.hold.settled.mean.value < 5e-4
+    assert integrator.hold.settled_true.mean.value == pytest.approx(0.006, abs=3e-4)
+    assert [stay.within for stay in integrator.hold.stays] == [0.01, 0.005, 0.002]
+    medians = [stay.median for stay in integrator.hold.stays]
+    assert medians == sorted(medians)
+    assert all(stay.median is None for stay in default.hold.stays)
+    assert (default.outcomes.array("stay") == PROTOCOL.hold).all()
+    assert integrator.failures == 0
+    assert {count.reason for count in default.guard} == {"lead", "step"}
+
+
+def test_progress_ends_at_its_total(comparison):
+    *_, progress = comparison
+    done = [entry[0] for entry in progress]
+    assert done == sorted(done)
+    assert progress[-1][:2] == (48, 48)  # 2 controllers x 2 protocols x 12 targets
+    assert progress[0][2] == "default: crossing protocol"
+
+
+def test_a_comparison_survives_its_file(comparison, tmp_path):
+    found, _, trials, _ = comparison
+    write_json(tmp_path / "comparison.json", found)
+    assert read_json(tmp_path / "comparison.json", Comparison) == found
+    write_log(tmp_path / "log.parquet", trials[0].log())
+    assert read_log(tmp_path / "log.parquet").label == trials[0].label
+
+
+def test_same_seed_same_numbers_and_noise_shared_by_the_controllers():
+    settings = Settings(repetitions=2, seed=3, batched=True, protocol=PROTOCOL)
+    two = dict.fromkeys(("one", "two"), IntegratorController)
+    first = compare(SaggingRobot, two, TARGETS, settings)
+    again = compare(SaggingRobot, two, TARGETS, settings)
+    assert first == again
+    assert first.row("one").outcomes == first.row("two").outcomes
+    settled = first.row("one").outcomes.array("settled")
+    assert (settled[:, 0] != settled[:, 1]).all()  # repetitions differ by their noise
+
+
+def test_one_arm_interleaves_and_returns_to_the_start():
+    robot, starts, order = SaggingRobot(1, 0, know_truth=False), [], []
+
+    def note(trial):
+        order.append((trial.repetition, trial.target_set, trial.controller, trial.kind))
+        starts.append(trial.recording.position[0, 0])
+
+    found = compare(
+        lambda *_: robot, dict.fromkeys(("one", "two", "three"), IntegratorController), TARGETS[:1, :1],
+        Settings(repetitions=4, seed=2, batched=False, protocol=PROTOCOL), on_trial=note,
+    )  # fmt: skip
+    assert robot.closed == 1
+    assert [entry[0] for entry in order] == [r for r in range(4) for _ in range(6)]
+    firsts = {tuple(entry[2] for entry in order[6 * r : 6 * r + 6 : 2]) for r in range(4)}
+    assert len(firsts) > 1  # not always the same order
+    assert all(sorted(each) == ["one", "three", "two"] for each in firsts)
+    sag = gravity_torque(ARM, ARM.rest) / STIFFNESS
+    np.testing.assert_allclose(np.array(starts), np.tile(ARM.rest - sag, (24, 1)), atol=0.02)
+    np.testing.assert_allclose(np.array(starts), np.tile(starts[0], (24, 1)), atol=2e-3)
+    assert not found.true_known
+    assert found.row("one").hold.settled_true is None
+    assert found.row("one").crossing.true_error is None
+
+
+def test_a_trip_on_one_arm_ends_the_comparison():
+    robot = SaggingRobot(1, 0, hot=[(0, 6.0)])
+    with pytest.raises(GuardTripError, match="temperature"):
+        compare(lambda *_: robot, factories("integrator"), TARGETS, Settings(batched=False, protocol=PROTOCOL))
+    assert robot.closed == 1
+
+
+def test_a_trip_in_a_batch_is_a_failure_of_its_trial():
+    found = compare(
+        lambda count, seed: SaggingRobot(count, seed, hot=[(1, 6.0)]), factories("default"), TARGETS,
+        Settings(batched=True, protocol=PROTOCOL),
+    )  # fmt: skip
+    row = found.row("default")
+    assert row.failures == 2
+    assert any(count.reason == "temperature" for count in row.guard)
+    settled = row.outcomes.array("settled")
+    assert np.isfinite(settled[0]).all()
+    assert np.isfinite(settled[1, 0, 0])  # held before it got hot
+    assert np.isnan(settled[1, 0, 1])
+    assert np.isnan(row.outcomes.array("crossing_error")[1, 0, 1])
+    assert row.crossing.cycle_time.count == 1
+
+
+def test_protocols_on_one_recording():
+    targets = TARGETS[:, :2]
+    plan = schedule("crossing", PROTOCOL, keep_going=True)
+    rec = run(SaggingRobot(2, 0), make_controller("integrator", ARM), targets, plan)
+    assert np.isnan(encoder_tcp(ARM, rec)).all(axis=-1).tolist() == (~rec.active).tolist()
+    found = measure_crossings(ARM, rec, targets, PROTOCOL)
+    for b in range(2):
+        rows = np.flatnonzero(rec.active[:, b])
+        assert found.time[b].sum() == pytest.approx(rec.time[rows[-1], b] - rec.time[rows[0], b])
+    plan = schedule("hold", PROTOCOL, keep_going=True)
+    holds = measure_holds(
+        ARM, run(SaggingRobot(2, 0), make_controller("integrator", ARM), targets, plan), targets, PROTOCOL
+    )
+    assert (np.diff(holds.stay, axis=0) >= 0).all()  # the narrower, the later
+
+
+def alike(errors):
+    """Comparison of controllers whose settled errors are given; all else equal."""
+    same = dict.fromkeys(errors, IntegratorController)
+    found = compare(SaggingRobot, same, draw_targets(ARM, sets=6, count=1), Settings(batched=True, protocol=PROTOCOL))
+    rng = np.random.default_rng(0)
+    rows = []
+    for row in found.rows:
+        settled = errors[row.controller] * (1 + 0.2 * rng.normal(size=6))
+        rows.append(replace(row, outcomes=replace(row.outcomes, settled=tuple(settled))))
+    return replace(found, rows=tuple(rows))
+
+
+def test_the_better_one_is_recommended_and_a_tie_goes_to_the_simpler():
+    clear = alike({"default": 0.02, "integrator": 0.001, "policy": 0.0003})
+    assert recommend(clear).controller == "policy"
+    assert any(line.startswith("integrator: ") and "settled error, against" in line for line in recommend(clear).why)
+    tie = alike({"default": 0.02, "policy": 0.00101, "integrator": 0.001})
+    assert recommend(tie).controller == "integrator"
+    assert any("No measurable difference from policy; integrator is simpler." in line for line in recommend(tie).why)
+    worse = alike({"policy": 0.004, "integrator": 0.001})
+    assert recommend(worse).controller == "integrator"
+    found = difference(clear, "integrator", "policy")
+    assert found.low > 0.0
+    assert found.value == pytest.approx(0.0007, rel=0.3)
+
+
+def test_reaching_the_targets_counts_before_settling():
+    found = alike({"integrator": 0.0001, "policy": 0.001})
+    rows = [
+        replace(row, outcomes=replace(row.outcomes, crossed=(1.0, 0.0, 0.0, 1.0, 0.0, 0.0)))
+        if row.controller == "integrator" else row
+        for row in found.rows
+    ]  # fmt: skip
+    verdict = recommend(replace(found, rows=tuple(rows)))
+    assert verdict.controller == "policy"
+    assert any("integrator: 67 % of the targets missed, against 0 % of policy" in line for line in verdict.why)
+
+
+def test_holds_cut_short_by_the_guard_lose():
+    found = alike({"integrator": 0.0001, "policy": 0.001})
+    rows = [
+        replace(row, outcomes=replace(row.outcomes, settled=(None, *row.outcomes.settled[1:])))
+        if row.controller == "integrator" else row
+        for row in found.rows
+    ]  # fmt: skip
+    assert recommend(replace(found, rows=tuple(rows))).controller == "policy"
+
+
+def test_bad_requests_are_refused(comparison):
+    settings = Settings(batched=True, protocol=PROTOCOL)
+    with pytest.raises(InputError, match="targets have shape"):
+        compare(SaggingRobot, factories("default"), TARGETS[0], settings)
+    with pytest.raises(InputError, match="no controllers"):
+        compare(SaggingRobot, {}, TARGETS, settings)
+    with pytest.raises(InputError, match="repetitions"):
+        Settings(repetitions=0, batched=True)
+    with pytest.raises(InputError, match=r"no controller 'policy'.*default"):
+        comparison[0].row("policy")

@@ -1,0 +1,44 @@
+"""Worn arms that are not a myCobot: the default misses, and what integrates brings them to their targets."""
+
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rejoint.arms import Arm, load_arm, so101
+from rejoint.control.catalogue import make_controller
+from rejoint.robots import open_robot
+from rejoint.runs.comparison.compare import Settings, compare
+from rejoint.runs.comparison.result import Protocol
+from rejoint.runs.comparison.targets import draw_targets
+from rejoint.twin.parameters import nominal_parameters
+
+
+def ur5e() -> Arm:
+    found = find_spec("airo_models")
+    assert found is not None, "the extra dev brings airo-models"
+    return load_arm(str(Path(found.origin).parent / "arms/ur5e/ur5e.urdf"))
+
+
+@pytest.mark.parametrize(
+    ("make", "address"), [(so101, "emulated:worn"), (so101, "emulated:so101"), (ur5e, "emulated:worn")]
+)
+def test_a_worn_arm_of_any_size_is_brought_within_10_mm(make, address):
+    arm = make()
+    stiffness = nominal_parameters(arm).stiffness
+    found = compare(
+        lambda count, seed: open_robot(address, arm=arm, seed=seed, count=count),
+        {name: lambda arm, name=name: make_controller(name, arm, stiffness=stiffness)
+         for name in ("default", "integrator", "feedforward")},
+        draw_targets(arm, sets=1, count=4, seed=2),
+        Settings(batched=True, seed=2, protocol=Protocol(dwell=6.0, hold=5.0)),
+    )  # fmt: skip
+    rows = {row.controller: row for row in found.rows}
+    assert rows["default"].hold.settled.mean.value > 0.015
+    for name in ("integrator", "feedforward"):
+        assert rows[name].crossing.success.value == 1.0, name
+        assert rows[name].failures == 0
+        assert rows[name].hold.settled.mean.value < 0.005, name
+        assert rows[name].hold.oscillation.mean.value < 0.003, name
+        assert np.isfinite(rows[name].hold.settled_true.mean.value)

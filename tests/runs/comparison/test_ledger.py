@@ -1,0 +1,136 @@
+"""An interrupted comparison goes on after the trials that are done, and finds what it would have found."""
+
+from dataclasses import replace
+from importlib import import_module
+
+import numpy as np
+import pytest
+
+from rejoint.arms import mycobot280
+from rejoint.control.catalogue import BASELINES
+from rejoint.control.guard import Reason
+from rejoint.control.loop import run as drive
+from rejoint.robots import open_robot
+from rejoint.runs.comparison import Settings, compare
+from rejoint.runs.comparison.ledger import Ledger
+from rejoint.runs.comparison.result import Protocol
+from rejoint.system.errors import FileError, NoReplyError
+
+ARM = mycobot280()
+TARGETS = ARM.targets.sample(np.random.default_rng(3), (2, 2))
+QUICK = Protocol(dwell=1.5, hold=1.2, window=0.4)
+NAMES = ("default", "integrator")
+FACTORIES = {name: BASELINES[name] for name in NAMES}
+BATCHED = Settings(repetitions=2, seed=1, batched=True, protocol=QUICK)
+ALONE = replace(BATCHED, batched=False)
+
+
+def connect(count, seed):
+    return open_robot("emulated:worn", count=count, seed=seed)
+
+
+def stop_after(number):
+    """Raise after as many trials."""
+    seen = []
+
+    def count(_trial):
+        seen.append(1)
+        if len(seen) > number:
+            raise NoReplyError("gone")
+
+    return count
+
+
+def test_a_comparison_that_was_interrupted_finds_what_it_would_have_found(tmp_path):
+    whole = compare(connect, FACTORIES, TARGETS, BATCHED)
+    path = tmp_path / "trials"
+    with pytest.raises(NoReplyError):
+        compare(connect, FACTORIES, TARGETS, BATCHED, ledger=Ledger.begin(path, "one"), on_trial=stop_after(9))
+    ledger = Ledger.begin(path, "one")
+    assert len(ledger.done) == 2  # of four batches of four trials, the third was cut
+    driven = []
+    again = compare(connect, FACTORIES, TARGETS, BATCHED, ledger=ledger, on_trial=driven.append)
+    assert again == whole
+    assert {(trial.controller, trial.kind) for trial in driven} == {("integrator", "crossing"), ("integrator", "hold")}
+
+
+def test_on_one_arm_trials_that_are_done_are_not_driven_again(tmp_path):
+    path = tmp_path / "trials"
+    with pytest.raises(NoReplyError):
+        compare(connect, FACTORIES, TARGETS, ALONE, ledger=Ledger.begin(path, "one"), on_trial=stop_after(5))
+    first = Ledger.begin(path, "one")
+    assert len(first.done) == 5
+    driven = []
+    result = compare(connect, FACTORIES, TARGETS, ALONE, ledger=first, on_trial=driven.append)
+    labels = {(trial.controller, trial.kind, trial.target_set, trial.repetition) for trial in driven}
+    done = set(Ledger.begin(path, "one").done)
+    assert len(done) == len(driven) + 5
+    assert {(name, kind, ((s, r),)) for name, kind, s, r in labels} | set(first.done) == done
+    for row in result.rows:
+        if not row.out:
+            assert np.isfinite(row.outcomes.array("crossed")).all()
+
+
+def test_trials_of_another_comparison_are_set_aside(tmp_path):
+    path = tmp_path / "trials"
+    ledger = Ledger.begin(path, "one")
+    compare(connect, {"default": BASELINES["default"]}, TARGETS, BATCHED, ledger=ledger)
+    assert Ledger.begin(path, "other").done == {}
+    kept = [file.name for file in tmp_path.iterdir() if file.name != "trials"]
+    assert len(kept) == 1
+
+
+@pytest.mark.parametrize("cut", [2, 40, 400])
+def test_a_line_that_was_cut_is_not_one(tmp_path, cut):
+    path = tmp_path / "trials"
+    compare(connect, {"default": BASELINES["default"]}, TARGETS, BATCHED, ledger=Ledger.begin(path, "one"))
+    path.write_bytes(path.read_bytes()[:-cut])
+    found = Ledger.begin(path, "one")
+    assert len(found.done) == 1
+    (key,) = found.done
+    assert key[:2] == ("default", "crossing")
+    compare(connect, {"default": BASELINES["default"]}, TARGETS, BATCHED, ledger=found)
+    assert len(Ledger.begin(path, "one").done) == 2, "what is added after a cut line counts"
+
+
+def test_a_flipped_bit_costs_a_trial_and_no_more(tmp_path):
+    path = tmp_path / "trials"
+    compare(connect, FACTORIES, TARGETS, BATCHED, ledger=Ledger.begin(path, "one"))
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 4
+    path.write_bytes(data)
+    assert len(Ledger.begin(path, "one").done) == 3
+
+
+def test_a_ledger_that_cannot_be_written_is_named(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(FileError, match="trials"):
+        Ledger.begin(tmp_path / "file" / "trials", "one")
+
+
+def test_a_trial_with_a_long_gap_is_driven_again(monkeypatch):
+    """At most twice; then it counts, and the guard's column says so."""
+    paused, trials = [], []
+
+    def pausing(robot, controller, targets, schedule, **options):
+        recording = drive(robot, controller, targets, schedule, **options)
+        if len(paused) == 4:
+            return recording
+        paused.append(1)
+        time, reasons = recording.time.copy(), recording.reasons.copy()
+        time[5:] += 2.5
+        reasons[5] |= np.uint16(Reason.GAP.value)
+        return replace(recording, time=time, reasons=reasons)
+
+    monkeypatch.setattr(import_module("rejoint.runs.comparison.compare"), "run", pausing)
+    one = replace(ALONE, repetitions=1)
+    result = compare(
+        connect,
+        {"integrator": BASELINES["integrator"]},
+        TARGETS[:1],
+        one,
+        on_trial=lambda trial: trials.append(trial.kind),
+    )
+    assert trials == ["crossing"] * 3 + ["hold"] * 2
+    (gap,) = [count for count in result.rows[0].guard if count.reason == "gap"]
+    assert gap.cycles == 1

@@ -1,0 +1,126 @@
+"""What a deployment says of each target: reached, missed and why, never tried."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from rejoint.arms import mycobot280
+from rejoint.control.catalogue import make_controller
+from rejoint.control.guard import Reason
+from rejoint.control.recording import recording_of
+from rejoint.logs.runlog import write_log
+from rejoint.robots import open_robot
+from rejoint.robots.emulated import EmulatedRobot
+from rejoint.runs import opening
+from rejoint.runs import stages as work
+from rejoint.runs.deployment import Deployment, deploy, deployed_of, judge
+from rejoint.system.errors import ContractError, GuardTripError, InputError
+
+ARM = mycobot280()
+NEAR = np.array([[0.17, 0.0, 0.2], [0.18, 0.03, 0.21]])
+FAR = np.array([[0.6, 0.0, 0.2]])
+"""[m] twice the arm's reach"""
+
+
+def job(targets, **changes):
+    return replace(Deployment(controller="integrator", targets=targets, dwell=4.0), **changes)
+
+
+def drive(targets, **changes):
+    return deploy(open_robot("emulated:worn"), make_controller("integrator", ARM), job(targets, **changes))
+
+
+def test_a_target_counts_where_the_encoders_say_so_at_the_end():
+    recording, done = drive(NEAR)
+    assert [visit.reached for visit in done.visits] == [True, True]
+    assert done.missed == ()
+    assert done.gaps == ()
+    assert done.period == pytest.approx(0.025, abs=0.003)
+    assert all(0.0 < visit.error < 0.003 for visit in done.visits)
+    assert all(visit.true_error > 0.003 for visit in done.visits), "the emulator knows that the tool is elsewhere"
+    assert done.visits[0].remark == ""
+    strict = judge(ARM, recording, job(NEAR, within=1e-5))
+    assert strict.missed == (1, 2)
+
+
+def test_a_target_out_of_reach_is_missed_and_says_how_far():
+    _, done = drive(np.vstack([NEAR[:1], FAR]))
+    assert done.missed == (2,)
+    assert "mm off after 4 s" in done.visits[1].remark
+    assert done.visits[1].error > 0.2
+
+
+def test_the_arm_goes_to_rest_first_and_slowly():
+    robot = open_robot("emulated:worn")
+    robot.restart(ARM.rest + 0.4)
+    seen = []
+    deploy(
+        robot, make_controller("integrator", ARM), job(NEAR), on_start=lambda state, sent: seen.append((state, sent))
+    )
+    state, sent = seen[0]
+    np.testing.assert_allclose(sent, ARM.rest[None])
+    assert np.abs(state.position - ARM.rest).max() < 0.2, "it stands there, but for its sag"
+
+
+def test_what_was_done_before_a_trip_is_told(monkeypatch):
+    step, count = EmulatedRobot.step, []
+
+    def hot(self, *arguments):
+        count.append(1)
+        state = step(self, *arguments)
+        return replace(state, temperature=np.full((1, 6), 90.0)) if len(count) == 300 else state
+
+    monkeypatch.setattr(EmulatedRobot, "step", hot)
+    plan = job(np.vstack([NEAR, NEAR]))
+    with pytest.raises(GuardTripError) as caught:
+        deploy(open_robot("emulated:worn"), make_controller("integrator", ARM), plan)
+    done = deployed_of(caught.value, ARM, plan)
+    assert [visit.remark for visit in done.visits] == ["", "ended early", "not tried", "not tried"]
+    assert done.visits[0].reached
+    assert done.missed == (2, 3, 4)
+
+
+def test_a_trip_before_the_first_target_leaves_nothing_to_tell():
+    robot = open_robot("emulated:worn")
+
+    def refuse(*_):
+        raise ContractError("no")
+
+    with pytest.raises(ContractError) as caught:
+        deploy(robot, make_controller("integrator", ARM), job(NEAR), on_start=refuse)
+    assert deployed_of(caught.value, ARM, job(NEAR)) is None
+    assert recording_of(caught.value) is None
+
+
+def test_a_gap_in_the_answers_is_told_where_it_was():
+    recording, _ = drive(NEAR)
+    row = int(np.flatnonzero(recording.target_index[:, 0] == 1)[5])
+    reasons, time = recording.reasons.copy(), recording.time.copy()
+    reasons[row] |= np.uint16(Reason.GAP.value)
+    time[row:] += 1.8
+    done = judge(ARM, replace(recording, reasons=reasons, time=time), job(NEAR))
+    assert done.gaps == (pytest.approx(1.8, abs=0.04),)
+    assert done.visits[0].remark == ""
+    assert done.visits[1].remark == "no answers for 1.8 s"
+
+
+def test_the_period_that_was_measured_is_the_middle_one():
+    recording, _ = drive(NEAR[:1])
+    assert recording.usual_period() == pytest.approx(np.median(np.diff(recording.time[:, 0])))
+
+
+def test_nothing_is_reached_within_no_distance():
+    with pytest.raises(InputError, match="within a positive distance"):
+        job(NEAR, within=0.0)
+
+
+def test_a_stage_that_drives_knows_how_far_the_joints_of_this_arm_stick(tmp_path):
+    run = opening.begin(tmp_path / "run", "emulated:worn", ARM, 0)
+    assert work._limits(run).sticks is None, "no diagnosis, nothing known"
+    recording, _ = drive(NEAR)
+    for name in ("excitation", "targets"):
+        write_log(run.folder.log(name), recording.log(0, name))
+    sticks = work._limits(run).sticks
+    assert sticks.shape == (6,)
+    assert sticks.max() > np.radians(1.0), "worn joints stick"

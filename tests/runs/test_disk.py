@@ -1,0 +1,177 @@
+"""A disk that is full or read-only: known before an arm moves, and no result lost with its file."""
+
+import errno
+import os
+import shutil
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rejoint.arms import mycobot280
+from rejoint.cli import main
+from rejoint.logs.runlog import read_log
+from rejoint.runs import opening
+from rejoint.runs import stages as work
+from rejoint.runs.folder import RunFolder, locked
+from rejoint.system.errors import FileError, UnsavedError, saving
+from rejoint.system.files import require_space, write_json, write_whole
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> RunFolder:
+    return opening.begin(tmp_path / "run", "emulated:worn", mycobot280(), 0).folder
+
+
+@pytest.fixture
+def points(tmp_path: Path) -> Path:
+    path = tmp_path / "points.csv"
+    path.write_text("x,y,z\n170,0,200\n")
+    return path
+
+
+def run_cli(*words: str | Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(sys, "argv", ["rejoint", *map(str, words)])
+    with pytest.raises(SystemExit) as stopped:
+        main()
+    return (stopped.value.code, *capsys.readouterr())
+
+
+def fill(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    """Let the disk be full when a file whose name holds ``name`` is to be kept."""
+    replace = Path.replace
+
+    def full(self: Path, target: Path) -> Path:
+        if name in self.name:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return replace(self, target)
+
+    monkeypatch.setattr(Path, "replace", full)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("deploy", "emulated:worn", "{run}", "--controller", "integrator"),
+        ("compare", "emulated:worn", "{run}", "--controllers", "integrator"),
+        ("diagnose", "emulated:worn", "--run", "{run}"),
+    ],
+)
+def test_an_arm_does_not_move_where_its_log_may_not_fit(
+    words: tuple[str, ...], folder: RunFolder, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    usage = shutil.disk_usage(folder.path)
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: usage._replace(free=12_300_000))
+
+    def move(*_: object, **__: object) -> None:
+        raise AssertionError("the arm was moved")
+
+    monkeypatch.setattr("rejoint.robots.emulated.EmulatedRobot.step", move)
+    filled = [word.replace("{run}", str(folder.path)) for word in words]
+    code, _, err = run_cli(*filled, capsys=capsys, monkeypatch=monkeypatch)
+    assert code == 2
+    assert f"{folder.path}: 12.3 MB free on that disk, 50.0 MB needed; free some space" in err
+
+
+def test_what_a_deployment_needs_is_asked_for(tmp_path: Path) -> None:
+    require_space(tmp_path, 1)
+    with pytest.raises(FileError, match=r"GB free on that disk, 1000000\.0 GB needed"):
+        require_space(tmp_path, 10**15)
+    with pytest.raises(FileError, match="nowhere"):
+        require_space(tmp_path / "nowhere")
+
+
+def test_a_deployment_is_shown_and_kept_on_a_disk_that_filled_meanwhile(
+    folder: RunFolder, points: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    words = ("deploy", "emulated:worn", folder.path, "--controller", "integrator", "--targets", points)
+    with monkeypatch.context() as full:
+        fill(full, ".deploy-")
+        code, out, err = run_cli(*words, capsys=capsys, monkeypatch=full)
+    assert code == 2
+    assert "error mm" in out
+    assert "170.0" in out
+    (line,) = [line for line in err.splitlines() if line.startswith("error: ")]
+    assert "logs/deploy-" in line
+    assert ".parquet: cannot be written (No space left on device); free some space" in line
+    assert "the next command in this folder makes a log of it" in err
+    with locked(folder):  # as it would
+        ((name, path),) = folder.logs().items()
+    log = read_log(path)
+    assert name.endswith("-cut-short")
+    assert log.label == "deploy/integrator/cut-short"
+    assert log.time[-1] - log.time[0] == pytest.approx(4.0, abs=0.1)
+    assert {file.name for file in path.parent.iterdir()} == {path.name}
+
+
+def test_a_comparison_is_shown_on_a_disk_that_filled_meanwhile(
+    folder: RunFolder, points: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fill(monkeypatch, ".comparison.json")
+    words = ("compare", "emulated:worn", folder.path, "--targets", points, "--repetitions", "1")
+    code, out, err = run_cli(*words, "--controllers", "integrator", capsys=capsys, monkeypatch=monkeypatch)
+    assert code == 2
+    assert "Recommended: integrator" in out
+    assert "comparison.json: cannot be written (No space left on device)" in err
+    assert not folder.comparison.exists()
+
+
+def test_an_error_ends_no_run_without_its_log_and_no_log_hides_the_error(
+    folder: RunFolder, points: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = opening.open_run(folder.path)
+    job = work.Deployment(controller="integrator", targets=np.array([[0.17, 0.0, 0.2]]), dwell=1.0)
+    fill(monkeypatch, ".deploy-")
+
+    def interrupt(done: float, *_: object) -> None:
+        if done > 0.5:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt) as caught:
+        work.deploy_stage(run, "emulated:worn", job, on_progress=interrupt)
+    assert "cannot be written (No space left on device)" in caught.value.__notes__[-1]
+    monkeypatch.undo()
+    with locked(folder):
+        ((_, path),) = folder.logs().items()
+    assert read_log(path).time[-1] > 0.4
+
+
+def test_an_unsaved_result_comes_with_the_error(tmp_path: Path) -> None:
+    (tmp_path / "value.json").mkdir()
+    with pytest.raises(UnsavedError, match=r"value\.json: cannot be written") as caught, saving([1, 2]):
+        write_json(tmp_path / "value.json", [1, 2])
+    assert caught.value.result == [1, 2]
+    assert caught.value.exit_code == 2
+
+
+def test_every_error_of_a_write_names_the_file_and_leaves_nothing(tmp_path: Path) -> None:
+    for number in (errno.ENOSPC, errno.EROFS, errno.EIO, errno.EDQUOT):
+
+        def fail(temporary: Path, number: int = number) -> None:
+            temporary.write_bytes(b"half")
+            raise OSError(number, os.strerror(number))
+
+        with pytest.raises(FileError, match=rf"{tmp_path}/file: cannot be written \({os.strerror(number)}\)"):
+            write_whole(tmp_path / "file", fail)
+    assert list(tmp_path.iterdir()) == []
+    (tmp_path / "file").touch()
+    with pytest.raises(FileError, match=r"/file/below: cannot be written"):
+        write_whole(tmp_path / "file" / "below", lambda path: path.touch())
+
+
+def test_a_folder_that_cannot_be_written_is_named_before_anything_is_done(
+    folder: RunFolder, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    opened = Path.open
+
+    def read_only(self: Path, mode: str = "r", *arguments: object, **options: object) -> object:
+        if mode != "r" and self.name == ".lock":
+            raise OSError(errno.EROFS, os.strerror(errno.EROFS), str(self))
+        return opened(self, mode, *arguments, **options)
+
+    monkeypatch.setattr(Path, "open", read_only)
+    for words in (("report", folder.path), ("deploy", "emulated:worn", folder.path), ("train", folder.path)):
+        code, _, err = run_cli(*words, capsys=capsys, monkeypatch=monkeypatch)
+        assert code == 2
+        assert f"error: {folder.path}: nothing can be written there (Read-only file system)" in err

@@ -1,0 +1,90 @@
+"""What the base installation lacks is known, and asked for in one line."""
+
+import ast
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from rejoint.cli import main
+from rejoint.system import extras
+from rejoint.system.errors import MissingExtraError
+
+ROOT = Path(__file__).parents[2]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+
+BASE = {"msgspec", "numba", "numpy", "onnxruntime", "pyarrow", "pymycobot", "serial", "rich", "tomlkit", "typer"}
+NAMED_OTHERWISE = {"serial": "pyserial", "PIL": "pillow", "mcap_protobuf": "mcap-protobuf-support",
+                   "mcap_ros2": "mcap-ros2-support"}  # fmt: skip
+USED_BY_OTHERS = {"serial", "tensorboard"}  # by the vendor's client and by skrl
+ONLY_WITH_OTHERS = {"markupsafe"}  # comes with jinja2, whose absence is told
+
+
+def imported():
+    """Return the modules of others that the package imports anywhere."""
+    found = set()
+    for path in (ROOT / "src" / "rejoint").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Import):
+                found |= {name.name.partition(".")[0] for name in node.names}
+            elif isinstance(node, ast.ImportFrom) and node.module:
+                found.add(node.module.partition(".")[0])
+    return found - set(sys.stdlib_module_names) - {"rejoint"}
+
+
+def declared(requirements):
+    """Return the names of the packages in a list of requirements."""
+    return {requirement.replace("[", "<").split("<")[0].split(">")[0].split("=")[0] for requirement in requirements}
+
+
+def test_every_module_is_of_the_base_or_of_an_extra():
+    known = {module for modules in extras.EXTRAS.values() for module in modules}
+    assert imported() | USED_BY_OTHERS == BASE | known | ONLY_WITH_OTHERS
+    package = lambda module: NAMED_OTHERWISE.get(module, module)  # noqa: E731
+    assert {package(module) for module in BASE} == declared(PROJECT["dependencies"])
+    for extra, modules in extras.EXTRAS.items():
+        assert {package(module) for module in modules} == declared(PROJECT["optional-dependencies"][extra])
+
+
+def without(monkeypatch, *modules):
+    monkeypatch.setattr(extras, "find_spec", lambda name: None if name in modules else object())
+
+
+@pytest.mark.parametrize(
+    ("missing", "needs", "line"),
+    [
+        (("mujoco",), ("mujoco",), "(missing: mujoco); add it with: pip install 'rejoint[train]'"),
+        (("mcap", "PIL"), ("report",), "(missing: PIL); add it with: pip install 'rejoint[report]'"),
+        (extras.EXTRAS["report"], ("train", "report"), "(missing: matplotlib, jinja2, PIL); add it with: pip install"),
+        (
+            (*extras.EXTRAS["train"], "PIL"),
+            ("train", "report"),
+            "(missing: mujoco, scipy, torch and 6 more); add it with: pip install 'rejoint[train,report]'",
+        ),
+    ],
+)
+def test_what_is_missing_and_how_to_get_it(missing, needs, line, monkeypatch):
+    extras.require("rejoint anything", *needs)
+    without(monkeypatch, *missing)
+    with pytest.raises(MissingExtraError) as refused:
+        extras.require("rejoint anything", *needs)
+    assert str(refused.value).startswith("rejoint anything needs more than the base installation ")
+    assert line in str(refused.value)
+
+
+def test_an_import_that_nobody_foresaw_is_a_line_too(monkeypatch, capsys):
+    def broken(*_):
+        raise ModuleNotFoundError("No module named 'mcap.reader'", name="mcap.reader")
+
+    monkeypatch.setattr("rejoint.cli.foreign.read_log", broken)
+    monkeypatch.setattr(sys, "argv", ["rejoint", "export", "a.parquet", "a.csv"])
+    with pytest.raises(ModuleNotFoundError):  # it is installed: something else is wrong, and where it is must be seen
+        main()
+    without(monkeypatch, "mcap")
+    with pytest.raises(SystemExit) as stopped:
+        main()
+    assert stopped.value.code == 2
+    assert capsys.readouterr().err.splitlines() == [
+        "error: this needs more than the base installation (missing: mcap); add it with: pip install 'rejoint[logs]'"
+    ]
