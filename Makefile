@@ -10,7 +10,7 @@ repair: $(READY)
 	$(BIN)/rejoint repair emulated:worn
 
 test: $(READY)
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n 2 --dist loadfile
 
 # The wheel in a fresh environment without extras: it deploys, and names the extra that other commands need.
 wheel-test: $(READY)
