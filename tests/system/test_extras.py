@@ -60,7 +60,7 @@ def without(monkeypatch, *modules):
         (
             (*extras.EXTRAS["train"], "PIL"),
             ("train", "report"),
-            "(missing: mujoco, scipy, torch and 6 more); add it with: pip install 'rejoint[train,report]'",
+            "(missing: mujoco, torch, skrl and 5 more); add it with: pip install 'rejoint[train,report]'",
         ),
     ],
 )

@@ -3,6 +3,7 @@
 from types import SimpleNamespace
 
 import numpy as np
+from scipy.stats import norm
 from scipy.stats import t as student
 
 from rejoint.twin.fit import Weights
@@ -32,7 +33,7 @@ def test_one_newton_step_leaves_a_cluster_out_of_a_linear_fit_exactly():
     curvatures = np.array([s.T @ s for s in slopes])
     scores = np.array([s.T @ (s @ x - y) for s, y in zip(slopes, answers, strict=True)])
     spread = (count - 1) / count * np.array(without).T @ np.array(without)
-    expected = (spread + np.linalg.inv(curvatures.sum(axis=0))) * (student.ppf(0.975, count - 1) / 1.96) ** 2
+    expected = (spread + np.linalg.inv(curvatures.sum(axis=0))) * (student.ppf(0.975, count - 1) / norm.ppf(0.975)) ** 2
     np.testing.assert_allclose(jackknife(prior, curvatures, scores[:, None]), expected, rtol=1e-5)
 
 

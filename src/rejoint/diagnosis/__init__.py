@@ -8,9 +8,9 @@ from rejoint.diagnosis.healthy import HealthyReference, healthy_reference, load_
 from rejoint.diagnosis.measurement import JointMetrics, Measurement, measure
 from rejoint.diagnosis.open_loop import OpenLoop, TargetError, draw_targets, open_loop_errors
 from rejoint.diagnosis.record import EXCITATION_LABEL, TARGETS_LABEL, DiagnosisLogs, record
-from rejoint.diagnosis.regression import Estimate
 from rejoint.diagnosis.segments import ExcitationLog, Segment, attach_segments
 from rejoint.diagnosis.verdict import Finding
+from rejoint.system.statistics import Estimate
 
 __all__ = [
     "EXCITATION_LABEL", "FULL", "SHORT", "TARGETS_LABEL", "Diagnosis", "DiagnosisLogs", "Estimate", "Evidence",

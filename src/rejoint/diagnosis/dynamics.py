@@ -16,8 +16,9 @@ from rejoint.arms import Array
 from rejoint.arms.size import length_size, torque_size
 from rejoint.diagnosis.metrics import nuisance, sweep_fit
 from rejoint.diagnosis.modulation import Averages, window_averages
-from rejoint.diagnosis.regression import Estimate, Fit, fit_trimmed, mean_of
+from rejoint.diagnosis.regression import Fit, fit_trimmed, mean_of
 from rejoint.diagnosis.segments import ExcitationLog
+from rejoint.system.statistics import Estimate
 
 DELAYS = np.arange(0.005, 0.0801, 0.005)
 """[s] delays that are tried: from an idle wire to two periods of a slow one."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from rejoint.diagnosis.regression import Estimate
+from rejoint.system.statistics import Estimate
 
 
 @dataclass(frozen=True, kw_only=True)

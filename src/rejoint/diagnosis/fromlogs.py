@@ -18,12 +18,13 @@ from rejoint.diagnosis.healthy import HealthyReference
 from rejoint.diagnosis.logmetrics import COARSEST, MANY_LOGS, measure_joint
 from rejoint.diagnosis.measurement import Measurement
 from rejoint.diagnosis.postures import Postures, joined, resting_postures
-from rejoint.diagnosis.regression import Estimate, mean_of
+from rejoint.diagnosis.regression import mean_of
 from rejoint.diagnosis.spans import join_logs
 from rejoint.diagnosis.verdict import Finding, find
 from rejoint.logs.exclusions import Exclusions, find_exclusions, table_height
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
+from rejoint.system.statistics import Estimate
 
 SHORTEST = 20.0
 """[s] of free motion below which a diagnosis is refused (chosen, as for an identification)"""

@@ -22,11 +22,11 @@ from rejoint.arms import Arm
 from rejoint.diagnosis.measurement import JointMetrics, measure
 from rejoint.diagnosis.open_loop import open_loop_errors
 from rejoint.diagnosis.record import DiagnosisLogs, record
-from rejoint.diagnosis.regression import Estimate
 from rejoint.robots import SIMULATOR, open_robot
 from rejoint.system.errors import InputError
 from rejoint.system.extras import installed
 from rejoint.system.files import read_json
+from rejoint.system.statistics import Estimate
 
 TOLERANCE = 0.3
 """Relative spread allowed between healthy arms of a kind, on top of what was seen (chosen: vendors publish none)."""

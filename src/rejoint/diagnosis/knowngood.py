@@ -13,8 +13,8 @@ from rejoint.arms import Arm
 from rejoint.diagnosis.diagnosis import Diagnosis
 from rejoint.diagnosis.healthy import OVERSHOOT_ALLOWED, TOLERANCE, HealthyReference
 from rejoint.diagnosis.measurement import JointMetrics
-from rejoint.diagnosis.regression import Estimate
 from rejoint.system.errors import InputError
+from rejoint.system.statistics import Estimate
 
 POSITIVE = ("stiffness_nm_per_rad", "coulomb_nm", "damping_ratio", "hysteresis_rad", "lag_s")
 """Quantities of a joint that are above zero in any arm"""

@@ -17,9 +17,10 @@ from rejoint.arms.size import torque_size
 from rejoint.diagnosis import metrics
 from rejoint.diagnosis.measurement import JointMetrics, friction_torque, scaled
 from rejoint.diagnosis.modulation import Averages, window_averages
-from rejoint.diagnosis.regression import Estimate, Fit, fit_trimmed, reciprocal
+from rejoint.diagnosis.regression import Fit, fit_trimmed, reciprocal
 from rejoint.diagnosis.segments import ExcitationLog
 from rejoint.diagnosis.spans import FREE, STEP, STILL, log_of
+from rejoint.system.statistics import Estimate
 
 _WINDOW = 0.3
 """[s] of a window (chosen: of the half seconds that a hobby arm needs for a reversal)"""

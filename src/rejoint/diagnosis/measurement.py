@@ -10,9 +10,10 @@ import numpy as np
 from rejoint.arms import Arm, link_inertia
 from rejoint.diagnosis import metrics
 from rejoint.diagnosis.dynamics import Law, arm_delay, fit_dynamics, torque_given
-from rejoint.diagnosis.regression import Estimate, Fit, product, reciprocal
+from rejoint.diagnosis.regression import Fit, product, reciprocal
 from rejoint.diagnosis.segments import ExcitationLog
 from rejoint.logs.runlog import RunLog
+from rejoint.system.statistics import Estimate
 
 GRAVITY_SHARE = 0.35
 """Relative half width up to which the stiffness from gravity is taken (chosen: wider than what inertia gives)."""

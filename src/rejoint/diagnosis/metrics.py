@@ -21,8 +21,9 @@ from numpy.typing import NDArray
 from rejoint.arms import Array
 from rejoint.arms.size import torque_size
 from rejoint.diagnosis.modulation import Averages, window_averages
-from rejoint.diagnosis.regression import Estimate, Fit, fit_line, fit_trimmed, mean_of
+from rejoint.diagnosis.regression import Fit, fit_line, fit_trimmed, mean_of
 from rejoint.diagnosis.segments import ExcitationLog
+from rejoint.system.statistics import Estimate
 
 SETTLED_LAST = 0.4
 """[s] of a hold or a step that counts as settled (chosen: the last sixteen readings at 25 ms)."""

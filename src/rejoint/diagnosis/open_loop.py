@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, tcp_position
-from rejoint.diagnosis.regression import Estimate, mean_of
+from rejoint.diagnosis.regression import mean_of
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
+from rejoint.system.statistics import Estimate
 
 TARGETS = 10
 """Park et al. 2024, section IV-A"""

@@ -14,26 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Array
-
-_Z = 1.959964
-"""97.5 % quantile of the normal distribution"""
+from rejoint.system.statistics import Estimate, student95
 
 _LAD_ROUNDS = 12
 """Reweightings until least absolute deviations stand still to a percent of an interval (measured)."""
-
-
-@dataclass(frozen=True)
-class Estimate:
-    """A measured number with its 95 % interval; a bound that the data leave open is None."""
-
-    value: float
-    low: float | None
-    high: float | None
-
-    def __post_init__(self) -> None:
-        for name in ("value", "low", "high"):  # NumPy scalars are not plain data
-            number = getattr(self, name)
-            object.__setattr__(self, name, None if number is None else float(number))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -49,22 +33,9 @@ class Fit:
 
     def estimate(self, index: int) -> Estimate:
         """Coefficient ``index`` with its interval."""
-        half = t_quantile(self.freedom) * float(np.sqrt(self.covariance[index, index]))
+        half = student95(self.freedom) * float(np.sqrt(self.covariance[index, index]))
         value = float(self.coefficients[index])
         return Estimate(value, value - half, value + half)
-
-
-def t_quantile(freedom: int) -> float:
-    """97.5 % quantile of Student's t: exact for 1 and 2 degrees, else Abramowitz and Stegun 26.7.5 (within 1 %)."""
-    if freedom < 1:
-        return float("inf")
-    if freedom <= 2:
-        return (12.7062, 4.3027)[freedom - 1]
-    z, v = _Z, float(freedom)
-    first = (z**3 + z) / 4
-    second = (5 * z**5 + 16 * z**3 + 3 * z) / 96
-    third = (3 * z**7 + 19 * z**5 + 17 * z**3 - 15 * z) / 384
-    return float(z + first / v + second / v**2 + third / v**3)
 
 
 def fit_clustered(design: Array, response: Array, cluster: NDArray[np.intp]) -> Fit:
@@ -114,7 +85,7 @@ def mean_of(values: Array) -> Estimate:
     value = float(values.mean())
     if len(values) < 2:
         return Estimate(value, None, None)
-    half = t_quantile(len(values) - 1) * float(values.std(ddof=1)) / len(values) ** 0.5
+    half = student95(len(values) - 1) * float(values.std(ddof=1)) / len(values) ** 0.5
     return Estimate(value, value - half, value + half)
 
 

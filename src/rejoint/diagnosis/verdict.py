@@ -17,7 +17,8 @@ from rejoint.arms.size import length_size
 from rejoint.diagnosis.healthy import OVERSHOOT_ALLOWED, HealthyReference
 from rejoint.diagnosis.measurement import JointMetrics, Measurement
 from rejoint.diagnosis.postures import Postures
-from rejoint.diagnosis.regression import Estimate, mean_of
+from rejoint.diagnosis.regression import mean_of
+from rejoint.system.statistics import Estimate
 
 BAD_MM = 3.0
 """Error at the tool from which a finding is called bad: what the whole of a healthy myCobot shows (3.09 mm, Park et

@@ -11,7 +11,7 @@ from importlib.util import find_spec
 from rejoint.system.errors import MissingExtraError
 
 EXTRAS: dict[str, tuple[str, ...]] = {
-    "train": ("mujoco", "scipy", "torch", "skrl", "gymnasium", "onnx", "tensorboard", "cmaes"),
+    "train": ("mujoco", "torch", "skrl", "gymnasium", "onnx", "tensorboard", "cmaes"),
     "report": ("matplotlib", "jinja2", "PIL"),
     "logs": ("mcap", "mcap_protobuf", "mcap_ros2"),
 }

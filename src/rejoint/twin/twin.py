@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array
 from rejoint.system.errors import ContractError, InputError
+from rejoint.system.statistics import NORMAL95
 from rejoint.twin.parameters import (
     JOINT_PARAMETERS,
     PARAMETERS,
@@ -29,9 +30,6 @@ LEAST_SPREAD = 0.05
 
 SCALE_KNOWN = 2.0
 """A joint's common scale is known when the data say as much about it as the prior: twice the prior alone (chosen)"""
-
-Z95 = 1.96
-"""Normal quantile of a two-sided 95 % interval"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -116,7 +114,7 @@ class Twin:
         """Lower and upper ends of the 95 % intervals, within the bounds."""
         mean, sigma = pack(self.parameters), np.sqrt(np.diag(self.covariance))
         n = len(self.joint_names)
-        low, high = np.maximum(mean - Z95 * sigma, self.lower), np.minimum(mean + Z95 * sigma, self.upper)
+        low, high = np.maximum(mean - NORMAL95 * sigma, self.lower), np.minimum(mean + NORMAL95 * sigma, self.upper)
         return unpack(low, n), unpack(high, n)
 
     @property

@@ -20,9 +20,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import stdtrit
 
 from rejoint.arms import Array
+from rejoint.system.statistics import NORMAL95, student95
 from rejoint.twin.fit import SCALES, STIFFNESS, Fit, Problem, influence, loss
 from rejoint.twin.parameters import JOINT_PARAMETERS, Prior
 
@@ -36,8 +36,6 @@ REACH = 2.0
 """Standard deviations to either side from which the loss's own curvature is taken (chosen: the ends of an interval)"""
 LEAST_SHARE = 0.01
 """Least share of the curvature that is left of a direction along which the loss does not grow (chosen)"""
-NORMAL95 = 1.96
-"""Normal quantile of a two-sided 95 % interval"""
 SCALE_STEP = float(np.log(SCALES[-2]))
 """Step of the ladder `rejoint.twin.fit.SCALES`, taken as half a 95 % interval: fits to disjoint halves of a real arm's
 motions stop as far apart, and only 4 of 5 intervals agree without it (measured)"""
@@ -89,13 +87,13 @@ def jackknife(prior: Prior, curvatures: Array, scores: Array) -> Array:
     """Covariance (k, k) of a posterior from what each of g clusters and its n joints say: (g, k, k) and (g, n, k).
 
     Spread of the estimates without each cluster, plus the inverse curvature: each alone is too small where the
-    twin's structure is not the arm's. Scaled so that 1.96 standard deviations are Student's 95 % quantile.
+    twin's structure is not the arm's. Scaled so that intervals of a normal distribution are as wide as Student's.
     """
     count, precision = len(scores), np.diag(prior.sigma**-2)
     whole = curvatures.sum(axis=0)
     without = np.linalg.solve(whole - curvatures + precision, scores.sum(axis=1)[..., None])[..., 0]
     inverse = np.linalg.inv(whole + precision)
-    factor = (float(stdtrit(max(count - 1, 1), 0.975)) / NORMAL95) ** 2
+    factor = (student95(max(count - 1, 1)) / NORMAL95) ** 2
     return np.asarray(factor * (count - 1) / count * without.T @ without + factor * inverse @ whole @ inverse
                       + inverse @ precision @ inverse)  # fmt: skip
 

@@ -8,7 +8,9 @@ from hypothesis import strategies as st
 from rejoint.arms import mycobot280
 from rejoint.runs.comparison.metrics import crossing, oscillation, settled, stay_time
 from rejoint.runs.comparison.result import Protocol
-from rejoint.runs.comparison.statistics import (
+from rejoint.runs.comparison.targets import draw_targets, read_targets
+from rejoint.system.errors import FileError, InputError
+from rejoint.system.statistics import (
     FEWEST_CLUSTERS,
     above_zero,
     bootstrap_mean,
@@ -18,8 +20,6 @@ from rejoint.runs.comparison.statistics import (
     spread,
     wilson,
 )
-from rejoint.runs.comparison.targets import draw_targets, read_targets
-from rejoint.system.errors import FileError, InputError
 
 ARM = mycobot280()
 SINCE = np.linspace(0.0, 8.0, 321)

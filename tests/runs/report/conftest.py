@@ -13,11 +13,11 @@ from rejoint.diagnosis.diagnosis import Diagnosis
 from rejoint.diagnosis.healthy import load_healthy
 from rejoint.diagnosis.measurement import Measurement
 from rejoint.diagnosis.open_loop import OpenLoop, TargetError
-from rejoint.diagnosis.regression import Estimate
 from rejoint.diagnosis.verdict import Finding
 from rejoint.logs.runlog import write_log
 from rejoint.runs.folder import RunFolder, RunInfo
 from rejoint.system.files import write_json
+from rejoint.system.statistics import Estimate
 from rejoint.twin.file import write_twin
 from rejoint.twin.parameters import nominal_parameters, prior
 from rejoint.twin.prediction import PredictionError

@@ -7,7 +7,6 @@ import dataclasses
 import numpy as np
 
 from rejoint.arms import solve_position
-from rejoint.diagnosis.regression import Estimate
 from rejoint.logs.runlog import RunLog
 from rejoint.runs.comparison.result import (
     Comparison,
@@ -19,7 +18,7 @@ from rejoint.runs.comparison.result import (
     Protocol,
     Stay,
 )
-from rejoint.runs.comparison.statistics import cluster, clustered_share, spread
+from rejoint.system.statistics import Estimate, cluster, clustered_share, spread
 
 SETS, REPETITIONS, TARGETS = 2, 3, 10
 

@@ -14,7 +14,7 @@ from test_report_page import Page
 from rejoint.cli.options import controller_names, period_seconds
 from rejoint.runs.comparison import Comparison, recommend
 from rejoint.runs.comparison.recommend import NO_INTERVAL
-from rejoint.runs.comparison.result import Ended, Estimate
+from rejoint.runs.comparison.result import Ended
 from rejoint.runs.folder import RunFolder, RunInfo
 from rejoint.runs.report.contents import read_contents
 from rejoint.runs.report.numerals import interval
@@ -22,6 +22,7 @@ from rejoint.runs.report.page import write_report
 from rejoint.runs.report.sections.details import commands
 from rejoint.runs.report.tables import comparison_table, comparison_view
 from rejoint.system.files import read_json, write_json
+from rejoint.system.statistics import Estimate
 
 
 def options(line):

@@ -14,13 +14,13 @@ from rejoint.research.evaluation.outcome import Outcome
 from rejoint.research.evaluation.paired import NEVER_RATIO
 from rejoint.research.evaluation.result import Evaluation
 from rejoint.research.evaluation.tables import HEADERS, pair_cells, pair_headers, row_cells
-from rejoint.runs.comparison.result import Estimate
 from rejoint.runs.report.embed import inline_svg
 from rejoint.runs.report.figures import HALF, canvas
 from rejoint.runs.report.page import render
 from rejoint.runs.report.palette import LOOKS
 from rejoint.runs.report.view import Cell, Page, Part, Picture, Row, Section, Table
 from rejoint.system.files import write_whole
+from rejoint.system.statistics import Estimate
 
 SHOWN_FAILURES = 200
 """Failures listed on the page; all are in ``evaluation.json`` (chosen: a page that still opens at once)"""

@@ -9,8 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from rejoint.arms import Array
-from rejoint.runs.comparison.result import Estimate
-from rejoint.runs.comparison.statistics import CONFIDENCE, FEWEST_CLUSTERS, paired_difference
+from rejoint.system.statistics import CONFIDENCE, FEWEST_CLUSTERS, Estimate, paired_difference
 
 NEVER_RATIO = 100.0
 """Ratio where only one of two ever stays: no time within a hold is as many times another (chosen)"""

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 from rejoint.research.evaluation.failures import Failure
 from rejoint.research.evaluation.family import Family
-from rejoint.runs.comparison.result import Estimate, Protocol
+from rejoint.runs.comparison.result import Protocol
+from rejoint.system.statistics import Estimate
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -14,8 +14,8 @@ from rejoint.research.evaluation.outcome import Outcome
 from rejoint.research.evaluation.paired import difference, time_ratio
 from rejoint.research.evaluation.result import Evaluation, Pair, Row, Within
 from rejoint.research.evaluation.trials import TrialSettings
-from rejoint.runs.comparison.result import Estimate, Protocol
-from rejoint.runs.comparison.statistics import Labels, bootstrap_mean, clustered_share
+from rejoint.runs.comparison.result import Protocol
+from rejoint.system.statistics import Estimate, Labels, bootstrap_mean, clustered_share
 
 Outcomes = Mapping[tuple[str, str], Outcome]
 """By variant and contestant"""

@@ -19,13 +19,13 @@ from rejoint.research.reproduction.figures import Ways, ways
 from rejoint.research.reproduction.trainings import WORN
 from rejoint.robots import open_robot
 from rejoint.runs.comparison.compare import Settings, Trial, compare
-from rejoint.runs.comparison.result import Comparison, ControllerRow, Estimate
-from rejoint.runs.comparison.statistics import Labels, cluster, clustered_share
+from rejoint.runs.comparison.result import Comparison, ControllerRow
 from rejoint.runs.comparison.targets import draw_targets
 from rejoint.runs.report.motion import bounds, encoder_path
 from rejoint.runs.report.palette import look_of
 from rejoint.runs.report.sections.training import read_curves
 from rejoint.system.files import read_json, write_json
+from rejoint.system.statistics import Estimate, Labels, cluster, clustered_share
 
 CLASSICAL = ("default", "pid-sum", "pid-literal")
 POLICIES = tuple(f"policy-{i}" for i in range(len(WORN)))

@@ -14,10 +14,10 @@ from rejoint.research.reproduction.figures import postures
 from rejoint.robots import open_robot
 from rejoint.runs.comparison.protocols import measure_holds, schedule
 from rejoint.runs.comparison.result import Protocol
-from rejoint.runs.comparison.statistics import cluster, spread
 from rejoint.runs.comparison.targets import draw_targets
 from rejoint.runs.report.figures import Series, error_per_target
 from rejoint.runs.report.palette import BLUE, RED
+from rejoint.system.statistics import cluster, spread
 
 DWELL = 5.0
 """[s] per target (chosen: an arm that is told once has come to rest by then)"""

@@ -17,8 +17,8 @@ import numpy as np
 from rejoint.arms import Array
 from rejoint.control.catalogue import CONTROLLERS
 from rejoint.runs.comparison.failure import failure
-from rejoint.runs.comparison.result import Comparison, ControllerRow, Estimate
-from rejoint.runs.comparison.statistics import FEWEST_CLUSTERS, above_zero, cluster, paired_difference
+from rejoint.runs.comparison.result import Comparison, ControllerRow
+from rejoint.system.statistics import FEWEST_CLUSTERS, Estimate, above_zero, cluster, paired_difference
 
 NO_INTERVAL = "too few trials for an interval"
 """What stands where an interval would"""

@@ -12,29 +12,9 @@ import numpy as np
 
 from rejoint.arms import Array
 from rejoint.system.errors import InputError
+from rejoint.system.statistics import Estimate, Spread
 
 Values = tuple[float | None, ...]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Estimate:
-    """A mean or a share with its 95 % interval; both ends are None where too few results give one."""
-
-    value: float
-    low: float | None
-    high: float | None
-
-
-@dataclass(frozen=True, kw_only=True)
-class Spread:
-    """A mean with its interval, and how single values scatter around it."""
-
-    mean: Estimate
-    std: float | None
-    """standard deviation; None for a single value"""
-    p95: float
-    """95th percentile"""
-    count: int
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -20,7 +20,7 @@ from rejoint.runs.comparison.result import (
     Stay,
     Values,
 )
-from rejoint.runs.comparison.statistics import Labels, cluster, clustered_share, spread
+from rejoint.system.statistics import Labels, cluster, clustered_share, spread
 
 
 class Tally:

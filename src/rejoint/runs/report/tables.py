@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from rejoint.runs.comparison.result import Comparison, ControllerRow, Spread, Stay
-from rejoint.runs.comparison.statistics import FEWEST_CLUSTERS
+from rejoint.runs.comparison.result import Comparison, ControllerRow, Stay
 from rejoint.runs.report.numerals import NEVER, UNKNOWN, interval, number, spread
 from rejoint.runs.report.palette import LOOKS, look_of
 from rejoint.runs.report.view import Cell, Row, Table
 from rejoint.runs.report.words import CONTROLLERS, plural
+from rejoint.system.statistics import FEWEST_CLUSTERS, Spread
 
 MM, PERCENT = 1e3, 1e2
 

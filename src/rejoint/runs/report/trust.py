@@ -7,10 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from rejoint.arms import Array
-from rejoint.runs.comparison.result import Estimate
-from rejoint.runs.comparison.statistics import above_zero, bootstrap_mean
 from rejoint.runs.report.numerals import interval, number
 from rejoint.runs.report.words import listed, plural
+from rejoint.system.statistics import Estimate, above_zero, bootstrap_mean
 from rejoint.twin.judgement import NO_TWIN, Error, Judgement
 
 MM = 1e3

@@ -7,7 +7,7 @@ import numpy as np
 from rejoint.arms import Array
 from rejoint.runs.comparison.failure import failure
 from rejoint.runs.comparison.recommend import NO_INTERVAL
-from rejoint.runs.comparison.result import Comparison, ControllerRow, Spread
+from rejoint.runs.comparison.result import Comparison, ControllerRow
 from rejoint.runs.report.figures import Series, error_per_target, intervals
 from rejoint.runs.report.gallery import Gallery
 from rejoint.runs.report.numerals import number
@@ -15,6 +15,7 @@ from rejoint.runs.report.palette import look_of
 from rejoint.runs.report.tables import MM, comparison_view
 from rejoint.runs.report.view import Part, Picture, Section
 from rejoint.runs.report.words import plural, short
+from rejoint.system.statistics import Spread
 
 KEY, SHORT, HEADING = "comparison", "Comparison", "Every controller on this arm"
 

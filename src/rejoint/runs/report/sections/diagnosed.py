@@ -6,7 +6,6 @@ import numpy as np
 
 from rejoint.diagnosis.diagnosis import Diagnosis
 from rejoint.diagnosis.open_loop import OpenLoop
-from rejoint.diagnosis.regression import Estimate
 from rejoint.diagnosis.verdict import Finding
 from rejoint.runs.report.figures import Series, error_per_target
 from rejoint.runs.report.gallery import Gallery
@@ -15,6 +14,7 @@ from rejoint.runs.report.palette import BROWN, GREEN, GREY
 from rejoint.runs.report.sections.joints import joint_pictures, joint_table
 from rejoint.runs.report.tables import PAPER_ARM
 from rejoint.runs.report.view import Cell, Part, Picture, Row, Section, Table
+from rejoint.system.statistics import Estimate
 
 KEY, SHORT, HEADING = "diagnosis", "Diagnosis", "What is wrong, joint by joint"
 

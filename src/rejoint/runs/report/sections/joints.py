@@ -9,13 +9,13 @@ import numpy as np
 
 from rejoint.arms import Array
 from rejoint.diagnosis.measurement import JointMetrics
-from rejoint.diagnosis.regression import Estimate
 from rejoint.runs.report import palette
 from rejoint.runs.report.figures import Series, by_joint
 from rejoint.runs.report.gallery import Gallery
 from rejoint.runs.report.numerals import UNKNOWN, interval, number
 from rejoint.runs.report.view import Cell, Picture, Row, Table
 from rejoint.runs.report.words import joint_label, sentence
+from rejoint.system.statistics import Estimate
 
 DEG = float(np.degrees(1.0))
 

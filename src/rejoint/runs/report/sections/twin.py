@@ -14,6 +14,7 @@ from rejoint.runs.report.numerals import interval, number
 from rejoint.runs.report.prediction import correlations
 from rejoint.runs.report.view import Cell, Part, Picture, Row, Section, Table
 from rejoint.runs.report.words import joint_label, listed, plural, sentence
+from rejoint.system.statistics import NORMAL95
 from rejoint.twin.parameters import (
     ARM_PARAMETERS,
     JOINT_PARAMETERS,
@@ -23,7 +24,7 @@ from rejoint.twin.parameters import (
     TwinParameters,
     unpack,
 )
-from rejoint.twin.twin import Z95, Twin
+from rejoint.twin.twin import Twin
 
 KEY, SHORT, HEADING = "twin", "Digital twin", "The digital twin"
 
@@ -103,8 +104,8 @@ def _picture(p: Parameter, twin: Twin, belief: Prior, gallery: Gallery) -> Pictu
     )
     before = Series(
         label="before any data", look=palette.GREY, value=np.full(n, np.nan),
-        low=of(unpack(np.maximum(belief.mean - Z95 * belief.sigma, belief.lower), n)),
-        high=of(unpack(np.minimum(belief.mean + Z95 * belief.sigma, belief.upper), n)),
+        low=of(unpack(np.maximum(belief.mean - NORMAL95 * belief.sigma, belief.lower), n)),
+        high=of(unpack(np.minimum(belief.mean + NORMAL95 * belief.sigma, belief.upper), n)),
     )  # fmt: skip
     values = ", ".join(f"{joint} {number(v, 2)}" for joint, v in zip(joints, measured.value, strict=True))
     return gallery.show(

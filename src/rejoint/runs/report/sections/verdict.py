@@ -7,8 +7,7 @@ from collections.abc import Sequence
 from rejoint.diagnosis.diagnosis import ringing_most
 from rejoint.runs.comparison.failure import failure
 from rejoint.runs.comparison.recommend import NO_INTERVAL, Recommendation, difference
-from rejoint.runs.comparison.result import Comparison, ControllerRow, Spread
-from rejoint.runs.comparison.statistics import above_zero
+from rejoint.runs.comparison.result import Comparison, ControllerRow
 from rejoint.runs.folder import LOGS
 from rejoint.runs.report.contents import Contents
 from rejoint.runs.report.numerals import UNKNOWN, interval, number
@@ -16,6 +15,7 @@ from rejoint.runs.report.sections.diagnosed import error_range, mean_error
 from rejoint.runs.report.trust import answer
 from rejoint.runs.report.view import KeyNumber, Page, Section, Told
 from rejoint.runs.report.words import listed, plural, sentence
+from rejoint.system.statistics import Spread, above_zero
 
 MM, PERCENT = 1e3, 1e2
 BEFORE = "default"

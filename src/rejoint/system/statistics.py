@@ -1,4 +1,4 @@
-"""Intervals for few and dependent trials.
+"""Numbers with their intervals: the one type for them, quantiles, and intervals for few and dependent trials.
 
 Errors at targets of one set resemble each other, and repetitions of a set even more, so single
 errors must not be counted as independent. Means get a bootstrap that resamples whole clusters
@@ -10,22 +10,74 @@ bootstrap, there is no interval.
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+from statistics import NormalDist
+
 import numpy as np
 from numpy.typing import NDArray
 
-from rejoint.arms import Array
-from rejoint.runs.comparison.result import Estimate, Spread
-
+Array = NDArray[np.float64]
 Labels = NDArray[np.intp]
 
 CONFIDENCE = 0.95
+NORMAL95 = NormalDist().inv_cdf((1.0 + CONFIDENCE) / 2.0)
+"""Half width of the interval of a normal distribution, in standard deviations"""
 RESAMPLES = 4000
 """Bootstrap resamples (chosen: ends of the interval repeat within 2 % of its width)."""
 FEWEST_CLUSTERS = 5
 """Fewer clusters than these are split into the next smaller unit, and of fewer there is no interval: all resamples lie
 between the least and the greatest of n clusters, which hold the median with a chance of 1 - 2^(1 - n), 94 % for 5."""
 
-_QUANTILE = 1.959963984540054  # of the normal distribution at (1 + CONFIDENCE) / 2
+
+@dataclass(frozen=True)
+class Estimate:
+    """A number with its 95 % interval; an end that the data leave open is None."""
+
+    value: float
+    low: float | None
+    high: float | None
+
+    def __post_init__(self) -> None:
+        for name in ("value", "low", "high"):  # NumPy scalars are not plain data
+            number = getattr(self, name)
+            object.__setattr__(self, name, None if number is None else float(number))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Spread:
+    """A mean with its interval, and how single values scatter around it."""
+
+    mean: Estimate
+    std: float | None
+    """standard deviation; None for a single value"""
+    p95: float
+    """95th percentile"""
+    count: int
+
+
+@lru_cache
+def student95(freedom: int) -> float:
+    """Half width of the interval of Student's t with ``freedom`` degrees, in standard deviations; infinite below 1.
+
+    By bisection of its distribution, which is a finite sum (Abramowitz and Stegun 1964, 26.7.3 and 26.7.4).
+    """
+    if freedom < 1:
+        return math.inf
+    odd = freedom % 2
+    k = np.arange(1, (freedom - odd) // 2)  # terms after the first
+    factors = np.concatenate([[1.0], np.cumprod(2 * k / (2 * k + 1) if odd else (2 * k - 1) / (2 * k))])
+
+    def share(angle: float) -> float:
+        powers = math.cos(angle) ** (odd + 2.0 * np.arange(len(factors)))
+        inside = math.sin(angle) * float(factors @ powers) if freedom > 1 else 0.0
+        return 2.0 / math.pi * (angle + inside) if odd else inside
+
+    low, high = 0.0, math.pi / 2
+    while low < (middle := 0.5 * (low + high)) < high:
+        low, high = (middle, high) if share(middle) < CONFIDENCE else (low, middle)
+    return math.tan(high) * math.sqrt(freedom)
 
 
 def cluster(shape: tuple[int, int, int]) -> tuple[str, Labels]:
@@ -84,9 +136,9 @@ def wilson(hits: float, trials: float) -> Estimate:
     """Share ``hits / trials`` with the interval of Wilson; ``trials`` need not be whole."""
     if not 0 <= hits <= trials or trials <= 0:
         raise ValueError(f"a share needs 0 <= hits <= trials and trials > 0, got {hits} of {trials}")
-    share, z2 = hits / trials, _QUANTILE**2
+    share, z2 = hits / trials, NORMAL95**2
     centre = (share + z2 / (2 * trials)) / (1 + z2 / trials)
-    half = _QUANTILE * np.sqrt(share * (1 - share) / trials + z2 / (4 * trials**2)) / (1 + z2 / trials)
+    half = NORMAL95 * np.sqrt(share * (1 - share) / trials + z2 / (4 * trials**2)) / (1 + z2 / trials)
     low = 0.0 if hits == 0 else max(0.0, float(centre - half))
     high = 1.0 if hits == trials else min(1.0, float(centre + half))
     return Estimate(value=share, low=low, high=high)
