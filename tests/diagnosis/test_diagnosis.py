@@ -21,7 +21,7 @@ from rejoint.diagnosis.excitation import SHORT
 from rejoint.lab.plant.wear import Wear, load_wear
 from rejoint.logs.runlog import read_log, write_log
 from rejoint.robots.emulated import EmulatedRobot
-from rejoint.system.errors import InputError
+from rejoint.system.errors import InputError, NotReadyError
 from rejoint.system.files import read_json, write_json
 
 ARM = mycobot280()
@@ -256,6 +256,14 @@ def test_one_arm_in_one_call(tmp_path):
 def test_a_batch_is_not_one_arm():
     with pytest.raises(InputError, match="one arm"):
         diagnose(EmulatedRobot(ARM, [HEALTHY] * 2), None, seed=0)
+
+
+def test_a_diagnosis_begins_with_a_look(monkeypatch):
+    robot, read = EmulatedRobot(ARM, [HEALTHY]), EmulatedRobot.read
+    monkeypatch.setattr(robot, "read", lambda: dataclasses.replace(read(robot), temperature=np.full((1, 6), 62.0)))
+    with pytest.raises(NotReadyError, match="joint1 is at 62 deg C"):
+        record(robot, seed=0)
+    assert robot.read().time == 0.0, "nothing was moved"
 
 
 def test_estimates_are_plain_numbers():

@@ -11,6 +11,7 @@ from rejoint.control.default import DefaultController
 from rejoint.control.loop import Schedule, move, play, run
 from rejoint.control.recording import Cycle, OnCycle
 from rejoint.control.robot import Robot
+from rejoint.control.start import begin
 from rejoint.diagnosis.excitation import FULL, Plan, plan_excitation
 from rejoint.diagnosis.open_loop import DWELL, TARGETS, draw_targets
 from rejoint.diagnosis.segments import attach_segments
@@ -39,12 +40,13 @@ def record(
 ) -> tuple[DiagnosisLogs, ...]:  # fmt: skip
     """Drive every arm of ``robot`` through the diagnosis; returns the logs of each.
 
+    The arm is looked at first and brought slowly to its rest posture: NotReadyError before it moves if that is unwise.
     GuardTripError or RobotError if the motion had to be ended. ``seed`` draws the targets and the
     excitation; the arms of a batch get the same ones. ``on_cycle`` sees every cycle of both.
     """
     arm = robot.arm
     extra = {"seed": str(seed)}
-    move(robot, arm.rest)
+    begin(robot)
     targets = np.tile(draw_targets(arm, seed), (robot.count, 1, 1))
     open_loop = run(
         robot, DefaultController(arm), targets, Schedule(dwell=DWELL),
@@ -68,12 +70,12 @@ def record(
 def _progress(
     what: str, duration: float, on_progress: OnProgress | None, on_cycle: OnCycle | None, robot: Robot
 ) -> OnCycle:
-    begin = float(robot.read().time[0])
+    since = float(robot.read().time[0])
 
     def report(cycle: Cycle) -> None:
         if on_cycle is not None:
             on_cycle(cycle)
         if on_progress is not None:
-            on_progress(what, min((float(cycle.time[0]) - begin) / duration, 1.0))
+            on_progress(what, min((float(cycle.time[0]) - since) / duration, 1.0))
 
     return report
