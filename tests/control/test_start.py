@@ -7,7 +7,7 @@ import pytest
 
 from rejoint.arms import gravity_torque, mycobot280
 from rejoint.control.robot import JointState
-from rejoint.control.start import STANCE, begin, check_ready, check_stance
+from rejoint.control.start import STANCE, Stance, begin, check_ready
 from rejoint.lab.plant.wear import load_wear
 from rejoint.robots import open_robot
 from rejoint.system.errors import NotReadyError
@@ -74,21 +74,20 @@ def test_the_first_motion_is_slow():
 @pytest.mark.parametrize("wear", [*(f"worn?seed={seed}" for seed in range(4)), "healthy", "play-in-loop", "worn"])
 def test_worn_arms_stand_where_a_rough_twin_expects_them(wear):
     robot = open_robot(f"emulated:{wear}")
-    recording = begin(robot)
     found = load_wear(wear, ARM)
     for error in (0.8, 1.0, 1.25):
-        check_stance(ARM, robot.read(), recording.command[-1], error * found.position_gain, np.zeros(6))
+        begin(robot, stance=Stance(stiffness=error * found.position_gain, offset=np.zeros(6)))
 
 
 def test_an_arm_that_stands_elsewhere_is_not_the_one_of_the_twin():
-    stiffness = np.full(6, 8.0)
+    stance = Stance(stiffness=np.full(6, 8.0), offset=np.zeros(6))
     command = ARM.rest[None]
-    settled = command - gravity_torque(ARM, command) / stiffness
+    settled = command - gravity_torque(ARM, command) / stance.stiffness
     state = Standing(settled[0]).read()
-    check_stance(ARM, state, command, stiffness, np.zeros(6))
+    stance.check(ARM, state, command)
     wrong = replace(state, position=state.position + np.eye(6)[2] * (STANCE + 0.1))
     with pytest.raises(NotReadyError, match=r"joint3 stands .* from where the twin of this run expects it"):
-        check_stance(ARM, wrong, command, stiffness, np.zeros(6))
+        stance.check(ARM, wrong, command)
 
 
 def test_virtual_time_is_not_waited_for():

@@ -9,13 +9,14 @@ from rejoint.arms import mycobot280
 from rejoint.control.catalogue import make_controller
 from rejoint.control.guard import Reason
 from rejoint.control.recording import recording_of
+from rejoint.control.start import Stance
 from rejoint.logs.runlog import write_log
 from rejoint.robots import open_robot
 from rejoint.robots.emulated import EmulatedRobot
 from rejoint.runs import opening
 from rejoint.runs import stages as work
 from rejoint.runs.deployment import Deployment, deploy, deployed_of, judge
-from rejoint.system.errors import ContractError, GuardTripError, InputError
+from rejoint.system.errors import GuardTripError, InputError, NotReadyError
 
 ARM = mycobot280()
 NEAR = np.array([[0.17, 0.0, 0.2], [0.18, 0.03, 0.21]])
@@ -54,13 +55,10 @@ def test_a_target_out_of_reach_is_missed_and_says_how_far():
 def test_the_arm_goes_to_rest_first_and_slowly():
     robot = open_robot("emulated:worn")
     robot.restart(ARM.rest + 0.4)
-    seen = []
-    deploy(
-        robot, make_controller("integrator", ARM), job(NEAR), on_start=lambda state, sent: seen.append((state, sent))
-    )
-    state, sent = seen[0]
-    np.testing.assert_allclose(sent, ARM.rest[None])
-    assert np.abs(state.position - ARM.rest).max() < 0.2, "it stands there, but for its sag"
+    recording, _ = deploy(robot, make_controller("integrator", ARM), job(NEAR))
+    assert recording.time[0, 0] > 0.4 / 0.5, "at half a radian per second"
+    np.testing.assert_allclose(recording.command[0, 0], ARM.rest, atol=np.radians(4.0), err_msg="one step from there")
+    assert np.abs(recording.position[0, 0] - ARM.rest).max() < 0.2, "it stands there, but for its sag"
 
 
 def test_what_was_done_before_a_trip_is_told(monkeypatch):
@@ -81,14 +79,10 @@ def test_what_was_done_before_a_trip_is_told(monkeypatch):
     assert done.missed == (2, 3, 4)
 
 
-def test_a_trip_before_the_first_target_leaves_nothing_to_tell():
-    robot = open_robot("emulated:worn")
-
-    def refuse(*_):
-        raise ContractError("no")
-
-    with pytest.raises(ContractError) as caught:
-        deploy(robot, make_controller("integrator", ARM), job(NEAR), on_start=refuse)
+def test_an_arm_that_does_not_stand_as_its_twin_says_is_sent_to_no_target():
+    stance = Stance(stiffness=np.full(6, 0.5), offset=np.zeros(6))
+    with pytest.raises(NotReadyError, match="from where the twin of this run expects it") as caught:
+        deploy(open_robot("emulated:worn"), make_controller("integrator", ARM), job(NEAR), stance=stance)
     assert deployed_of(caught.value, ARM, job(NEAR)) is None
     assert recording_of(caught.value) is None
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from rejoint.arms import Arm, Array, gravity_torque
@@ -27,10 +29,38 @@ STANCE = np.radians(15.0)
 late, leave on worn arms, is two thirds of it)"""
 
 
-def begin(robot: Robot, limits: GuardLimits | None = None) -> Recording:
-    """Look at the robot, then bring it slowly to its rest posture; NotReadyError before it moves if that is unwise."""
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Stance:
+    """Where a twin expects arms that have come to rest: each servo gives way by the weight that it carries."""
+
+    stiffness: Array
+    """(n,) [N m/rad] of the servos"""
+    offset: Array
+    """(n,) [rad] where a servo brings its joint without load, minus the command"""
+
+    def check(self, arm: Arm, state: JointState, command: Array) -> None:
+        """Raise NotReadyError unless the arms of ``state`` stand there, under the ``command`` (B, n) [rad] in force."""
+        expected = command + self.offset - gravity_torque(arm, state.position) / self.stiffness
+        away = np.abs(state.position - expected)
+        b, j = np.unravel_index(np.argmax(away), away.shape)
+        if away[b, j] > STANCE:
+            raise NotReadyError(
+                f"{arm.joint_names[j]} stands {np.degrees(away[b, j]):.0f} deg from where the twin of this run expects "
+                f"it, {np.degrees(STANCE):.0f} at most were expected: another arm or load, or something in its way? If "
+                "it is the same arm and free, run `rejoint diagnose` and `rejoint identify` again"
+            )
+
+
+def begin(robot: Robot, limits: GuardLimits | None = None, stance: Stance | None = None) -> Recording:
+    """Look at the robot, bring it slowly to its rest posture, and look whether it stands as its ``stance`` says.
+
+    NotReadyError where it had better not be driven: before it moves, or at rest where the twin expects it elsewhere.
+    """
     check_ready(robot)
-    return move(robot, robot.arm.rest, limits=limits)
+    motion = move(robot, robot.arm.rest, limits=limits)
+    if stance is not None:
+        stance.check(robot.arm, robot.read(), motion.command[-1])
+    return motion
 
 
 def check_ready(robot: Robot) -> None:
@@ -43,23 +73,6 @@ def check_ready(robot: Robot) -> None:
     for problem in (_moving(robot.arm, first, state), _outside(robot.arm, state), _unwell(robot.arm, state)):
         if problem:
             raise NotReadyError(f"{robot.address}: {problem}; nothing was moved")
-
-
-def check_stance(arm: Arm, state: JointState, command: Array, stiffness: Array, offset: Array) -> None:
-    """Raise NotReadyError unless the arms stand where a twin expects them.
-
-    A servo of ``stiffness`` (n,) [N m/rad] and ``offset`` (n,) [rad] that was sent ``command`` (B, n) [rad] and has
-    come to rest gives way by the weight that it carries; ``state`` is what was measured then.
-    """
-    expected = command + offset - gravity_torque(arm, state.position) / stiffness
-    away = np.abs(state.position - expected)
-    b, j = np.unravel_index(np.argmax(away), away.shape)
-    if away[b, j] > STANCE:
-        raise NotReadyError(
-            f"{arm.joint_names[j]} stands {np.degrees(away[b, j]):.0f} deg from where the twin of this run expects it, "
-            f"{np.degrees(STANCE):.0f} at most were expected: another arm or load, or something in its way? If it "
-            "is the same arm and free, run `rejoint diagnose` and `rejoint identify` again"
-        )
 
 
 def _moving(arm: Arm, first: JointState, state: JointState) -> str:

@@ -6,7 +6,6 @@ every joint followed, counts; everything else is named.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,8 +18,8 @@ from rejoint.control.guard import GuardLimits, Reason, Reasons, reason_names
 from rejoint.control.loop import Schedule, run
 from rejoint.control.progress import GAP
 from rejoint.control.recording import OnCycle, Recording, recording_of
-from rejoint.control.robot import JointState, Robot
-from rejoint.control.start import begin
+from rejoint.control.robot import Robot
+from rejoint.control.start import Stance, begin
 from rejoint.runs.comparison.result import Protocol
 from rejoint.system.errors import InputError
 
@@ -80,23 +79,18 @@ class Deployed:
         return tuple(number for number, visit in enumerate(self.visits, start=1) if not visit.reached)
 
 
-OnStart = Callable[[JointState, Array], object]
-"""Called with the joint state and the last command (1, n) [rad] at rest, before the first target; may refuse."""
-
-
 def deploy(
     robot: Robot, controller: Controller, job: Deployment, *, limits: GuardLimits | None = None,
-    on_start: OnStart | None = None, on_cycle: OnCycle | None = None,
+    stance: Stance | None = None, on_cycle: OnCycle | None = None,
 ) -> tuple[Recording, Deployed]:  # fmt: skip
     """Bring one arm to its rest posture, slowly, and then to the targets of ``job``.
 
     Raises what `run` raises, with what was done until then on the error, see `deployed_of`; ContractError where the
-    measured control period does not suit a policy; NotReadyError where the arm had better not be moved.
+    measured control period does not suit a policy; NotReadyError where the arm had better not be driven, as where it
+    does not stand at rest as its ``stance`` says.
     """
-    start = begin(robot, limits)
+    start = begin(robot, limits, stance)
     check_controller_period(controller, start.usual_period())
-    if on_start is not None:
-        on_start(robot.read(), start.command[-1])
     schedule = Schedule(dwell=job.dwell, sent=start.command[-1])
     recording = run(robot, controller, job.targets[None], schedule, limits=limits, on_cycle=on_cycle)
     return recording, judge(robot.arm, recording, job)

@@ -24,8 +24,8 @@ from rejoint.control.following import sticking
 from rejoint.control.guard import GuardLimits
 from rejoint.control.policy import PolicyController
 from rejoint.control.recording import Cycle, recording_of
-from rejoint.control.robot import JointState, Robot
-from rejoint.control.start import check_stance
+from rejoint.control.robot import Robot
+from rejoint.control.start import Stance
 from rejoint.logs.journal import Journal
 from rejoint.logs.runlog import RunLog, read_log, write_log
 from rejoint.robots import default_period, open_robot
@@ -226,6 +226,7 @@ def compare_stage(
                 on_trial=keep,
                 ledger=ledger,
                 limits=_limits(run),
+                stance=_stance(run),
             )
     except BaseException as error:
         if ledger.done:
@@ -267,15 +268,11 @@ def deploy_stage(
     Where something ends it early, ``on_end`` is told what was done until then, and what was recorded is kept, also
     where it is ``kill -9``. UnsavedError with the result where the log cannot be written.
     """
-    twin, limits = _twin(run), _limits(run)
+    limits, stance = _limits(run), _stance(run)
     controller = _factories(run, (job.controller,), period or default_period(robot))[job.controller](run.arm)
     require_space(run.folder.path)
     label, total = f"deploy/{job.controller}", len(job.targets)
     rows = int(total * job.dwell / min(period or default_period(robot)))
-
-    def expected(state: JointState, sent: Array) -> None:
-        if twin is not None:
-            check_stance(run.arm, state, sent, twin.parameters.stiffness, twin.parameters.offset)
 
     with noted(), closing(open_robot(robot, arm=run.arm, seed=run.info.seed, period=period)) as connection:
         journal = _journal(run, "deploy", connection, label, rows)
@@ -286,7 +283,7 @@ def deploy_stage(
             on_progress(target + min(share, 1.0), total, f"target {target + 1} of {total}")
 
         try:
-            recording, found = deploy(connection, controller, job, limits=limits, on_start=expected, on_cycle=watch)
+            recording, found = deploy(connection, controller, job, limits=limits, stance=stance, on_cycle=watch)
         except BaseException as error:
             partial, done = recording_of(error), deployed_of(error, run.arm, job)
             if partial is not None and len(partial.time):
@@ -339,6 +336,12 @@ def _twin(run: Run) -> Twin | None:
     from rejoint.twin.file import read_twin
 
     return read_twin(run.folder.twin, run.arm)
+
+
+def _stance(run: Run) -> Stance | None:
+    """Return where the arm of a run is expected to stand at rest; None without a twin."""
+    twin = _twin(run)
+    return None if twin is None else Stance(stiffness=twin.parameters.stiffness, offset=twin.parameters.offset)
 
 
 def _factories(run: Run, names: tuple[str, ...], period: Period) -> Mapping[str, Callable[[Arm], Controller]]:

@@ -95,7 +95,7 @@ class PowerLostError(ConnectionLostError):
 
 
 class NotReadyError(RobotError):
-    """The robot is in no state to be driven; nothing was moved."""
+    """The robot is in no state to be driven: nothing was moved, or it was only brought to rest."""
 
 
 class GuardTripError(RejointError):

@@ -4,15 +4,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_compare import ARM, PROTOCOL, SaggingRobot, factories
+from test_compare import ARM, PROTOCOL, STIFFNESS, SaggingRobot, factories
 
 from rejoint.control.integrator import IntegratorController
 from rejoint.control.loop import Schedule, run
 from rejoint.control.recording import recording_of
+from rejoint.control.start import Stance
 from rejoint.runs.comparison import Comparison, Settings, compare, draw_targets, recommend
 from rejoint.runs.comparison.elimination import MISSES, Elimination
 from rejoint.runs.comparison.failure import failure
-from rejoint.system.errors import GuardTripError
+from rejoint.system.errors import GuardTripError, NotReadyError
 from rejoint.system.files import read_json, write_json
 
 TARGETS = draw_targets(ARM, sets=2, count=5, seed=1)
@@ -183,3 +184,18 @@ def test_a_run_can_be_given_up_arm_by_arm():
     assert (recording.tripped == 0).all()
     assert robot.time.tolist() == pytest.approx(ends), "an arm that is done is not stepped"
     assert len(asked) == len(recording.time)
+
+
+def test_an_arm_that_does_not_stand_as_its_twin_says_is_not_compared_on():
+    def on(stiffness, trials):
+        return compare(
+            lambda *_: SaggingRobot(1, 0), factories("integrator"), TARGETS[:1, :1],
+            Settings(batched=False, protocol=PROTOCOL), on_trial=trials.append,
+            stance=Stance(stiffness=np.full(6, stiffness), offset=np.zeros(6)),
+        )  # fmt: skip
+
+    on(STIFFNESS, tried := [])
+    assert len(tried) == 2, "a crossing and a hold"
+    with pytest.raises(NotReadyError, match="from where the twin of this run expects it"):
+        on(0.5, tried := [])
+    assert tried == []

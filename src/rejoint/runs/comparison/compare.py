@@ -20,7 +20,7 @@ from rejoint.control.guard import GuardLimits
 from rejoint.control.loop import move, run
 from rejoint.control.recording import Cycle, Recording
 from rejoint.control.robot import Robot
-from rejoint.control.start import begin
+from rejoint.control.start import Stance, begin
 from rejoint.logs.runlog import RunLog
 from rejoint.runs.comparison.driven import Driven, Places, measure
 from rejoint.runs.comparison.elimination import Elimination, Watched
@@ -98,12 +98,14 @@ def compare(
     on_trial: OnTrial | None = None,
     ledger: Ledger | None = None,
     limits: GuardLimits | None = None,
+    stance: Stance | None = None,
 ) -> Comparison:
     """Compare ``controllers`` by name on ``targets`` (S, K, 3) [m].
 
     Trials of a batch that the guard ends count as failures; on a single arm the trip ends the
     comparison, as does an error of the robot. A command that is not a number costs its controller the trial in both.
     What is done already by the ``ledger`` is not driven again. ``limits`` are the guard's, by default those of the arm.
+    A single arm that does not stand at rest as its ``stance`` says is not driven: NotReadyError.
     """
     targets = np.asarray(targets, dtype=float)
     if targets.ndim != 3 or targets.shape[2] != 3 or 0 in targets.shape or not np.isfinite(targets).all():
@@ -114,7 +116,7 @@ def compare(
     session = _Session(
         open_robot=open_robot, controllers=dict(controllers), targets=targets, settings=settings, shape=shape,
         tallies={name: Tally(shape, settings.protocol) for name in controllers},
-        ledger=ledger or Ledger.nowhere(), limits=limits,
+        ledger=ledger or Ledger.nowhere(), limits=limits, stance=stance,
         progress=_Progress(on_progress, len(controllers) * len(KINDS) * int(np.prod(shape))), on_trial=on_trial,
     )  # fmt: skip
     robot = session.run_batched() if settings.batched else session.run_interleaved()
@@ -133,6 +135,7 @@ class _Session:
     tallies: dict[str, Tally]
     ledger: Ledger
     limits: GuardLimits | None
+    stance: Stance | None
     progress: _Progress
     on_trial: OnTrial | None
     left_out: list[str] = field(default_factory=list)
@@ -245,7 +248,7 @@ class _OneByOne:
     def _start(self) -> Array:
         """Bring the arm to its rest posture; returns the command there (1, n) [rad]."""
         if self._sent is None:
-            motion = begin(self._robot, self._session.limits)
+            motion = begin(self._robot, self._session.limits, self._session.stance)
             self._check_period(motion.usual_period())
         else:
             motion = move(self._robot, self._robot.arm.rest, sent=self._sent, limits=self._session.limits)
