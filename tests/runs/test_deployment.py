@@ -7,6 +7,7 @@ import pytest
 
 from rejoint.arms import mycobot280
 from rejoint.control.catalogue import make_controller
+from rejoint.control.default import DefaultController
 from rejoint.control.guard import Reason
 from rejoint.control.recording import recording_of
 from rejoint.control.start import Stance
@@ -16,7 +17,9 @@ from rejoint.robots.emulated import EmulatedRobot
 from rejoint.runs import opening
 from rejoint.runs import stages as work
 from rejoint.runs.deployment import Deployment, deploy, deployed_of, judge
-from rejoint.system.errors import GuardTripError, InputError, NotReadyError
+from rejoint.system.errors import ContractError, GuardTripError, InputError, NotReadyError
+from rejoint.training.presets import DEFAULT
+from rejoint.training.train import policy_contract
 
 ARM = mycobot280()
 NEAR = np.array([[0.17, 0.0, 0.2], [0.18, 0.03, 0.21]])
@@ -85,6 +88,21 @@ def test_an_arm_that_does_not_stand_as_its_twin_says_is_sent_to_no_target():
         deploy(open_robot("emulated:worn"), make_controller("integrator", ARM), job(NEAR), stance=stance)
     assert deployed_of(caught.value, ARM, job(NEAR)) is None
     assert recording_of(caught.value) is None
+
+
+def test_a_policy_is_refused_by_the_period_that_was_measured():
+    robot, policy = open_robot("emulated:worn"), DefaultController(ARM)
+    trained = policy_contract(ARM, None, DEFAULT, 0)
+    policy.contract = replace(trained, min_period=0.040, max_period=0.060)
+    with pytest.raises(
+        ContractError, match="control period is 25 ms, the policy was trained for 40 to 60 ms"
+    ) as caught:
+        deploy(robot, policy, job(NEAR))
+    assert deployed_of(caught.value, ARM, job(NEAR)) is None
+    assert robot.read().time == pytest.approx(1.0, abs=0.1), "it was brought to rest, and no farther"
+    policy.contract = replace(trained, min_period=0.020, max_period=0.030)
+    _, done = deploy(open_robot("emulated:worn"), policy, job(NEAR[:1]))
+    assert done.visits[0].error is not None
 
 
 def test_a_gap_in_the_answers_is_told_where_it_was():

@@ -13,8 +13,10 @@ from rejoint.control.start import Stance
 from rejoint.runs.comparison import Comparison, Settings, compare, draw_targets, recommend
 from rejoint.runs.comparison.elimination import MISSES, Elimination
 from rejoint.runs.comparison.failure import failure
-from rejoint.system.errors import GuardTripError, NotReadyError
+from rejoint.system.errors import ContractError, GuardTripError, NotReadyError
 from rejoint.system.files import read_json, write_json
+from rejoint.training.presets import DEFAULT
+from rejoint.training.train import policy_contract
 
 TARGETS = draw_targets(ARM, sets=2, count=5, seed=1)
 
@@ -199,3 +201,40 @@ def test_an_arm_that_does_not_stand_as_its_twin_says_is_not_compared_on():
     with pytest.raises(NotReadyError, match="from where the twin of this run expects it"):
         on(0.5, tried := [])
     assert tried == []
+
+
+def trained_for(low, high):
+    """An integrator that says it is a policy which met control periods from ``low`` to ``high`` [s]."""
+
+    def make(arm):
+        controller = IntegratorController(arm)
+        controller.contract = replace(policy_contract(arm, None, DEFAULT, 0), min_period=low, max_period=high)
+        return controller
+
+    return make
+
+
+def test_a_policy_whose_period_does_not_suit_is_left_out_or_refused():
+    def on(controllers, **settings):
+        return compare(
+            lambda *_: SaggingRobot(1, 0), controllers, TARGETS[:1, :1],
+            Settings(batched=False, protocol=PROTOCOL, **settings), on_trial=trials.append,
+        )  # fmt: skip
+
+    trials, slow, quick = [], trained_for(0.040, 0.060), trained_for(0.020, 0.030)
+    found = on(factories("integrator") | {"policy": slow}, leave_out=True)
+    assert [row.controller for row in found.rows] == ["integrator"]
+    assert {trial.controller for trial in trials} == {"integrator"}
+    (said,) = found.left_out
+    assert said.startswith(
+        "policy did not take part: the robot's control period is 25 ms, the policy was trained for 40"
+    )
+    assert on(factories("integrator") | {"policy": quick}, leave_out=True).left_out == ()
+    trials.clear()
+    for controllers, settings in (
+        (factories("integrator") | {"policy": slow}, {}),
+        ({"policy": slow}, {"leave_out": True}),
+    ):
+        with pytest.raises(ContractError, match="trained for 40 to 60 ms"):
+            on(controllers, **settings)
+    assert trials == [], "asked for by name, or the only one: refused"
