@@ -1,7 +1,6 @@
 """Faults against reactions, row by row as in docs/safety.md: the driver and the loop on an emulated arm, over TCP.
 
-The vendor's client is slow to give up: what takes its whole patience is tried once here, and at length by
-``python -m benchmarks faults``.
+The vendor's client is slow to give up: what takes its whole patience is tried once here.
 """
 
 import signal
@@ -9,6 +8,7 @@ import subprocess
 import sys
 import time
 from types import SimpleNamespace
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -24,6 +24,7 @@ from rejoint.robots import (
     open_robot,
     vendor,  # noqa: F401 - imports the client without the deprecation that it raises
 )
+from rejoint.robots.mycobot import DriverSettings, MyCobotRobot
 from rejoint.runs import opening
 from rejoint.system.errors import ConnectionLostError, GuardTripError, RobotError
 
@@ -103,12 +104,68 @@ def test_a_link_that_stays_away_ends_the_run_and_keeps_the_log(monkeypatch):
         ("voltage@0.8", "servo fault", "reports a servo fault"),
     ],
 )
-def test_what_servos_suffer_from_holds_the_arm_within_a_few_periods(fault, reason, says):
+def test_what_servos_suffer_from_holds_the_arm(fault, reason, says):
     _, error = drive(fault, dwell=3.0)
     assert isinstance(error, GuardTripError)
     assert reason in error.reason
     assert says in str(error)
     assert "was stopped" in error.__notes__[-1]
+
+
+class TimedLink:
+    """A link in virtual time to servos that follow at once, and suffer from ``onset`` [s] on."""
+
+    address = "test:timed"
+    COST: ClassVar = {"send_angles": 0.008, "get_angles": 0.012, "get_servo_temps": 0.012, "get_servo_status": 0.012}
+
+    def __init__(self, what, onset):
+        self.what, self.onset, self.now = what, onset, 0.0
+        self.degrees = np.degrees(ARM.rest).tolist()
+        self.sent = []
+
+    def insist(self, question):
+        return question()
+
+    def pause(self, duration):
+        self.now += max(duration, 0.0)
+
+    def ask(self, method, *arguments):
+        suffers = self.now >= self.onset
+        self.now += self.COST.get(method, 0.0)
+        if method == "send_angles":
+            self.sent.append(self.now)
+            self.degrees = arguments[0]
+        return {
+            "get_angles": self.degrees,
+            "get_servo_temps": [80.0 if suffers and self.what == "temperature" else 30.0] * 6,
+            "get_servo_status": [int(suffers and self.what == "servo fault")] * 6,
+        }.get(method, 1)
+
+
+def trip_in_virtual_time(monkeypatch, what, onset, period):
+    """Drive until the guard trips; returns the commands sent after ``onset`` [s], and the time to the stop."""
+    link = TimedLink(what, onset)
+    clock = SimpleNamespace(monotonic=lambda: link.now)
+    monkeypatch.setattr("rejoint.robots.mycobot.time", clock)
+    monkeypatch.setattr("rejoint.robots.health.time", clock)
+    monkeypatch.setattr("rejoint.robots.mycobot.pause", link.pause)
+    robot = MyCobotRobot(link, ARM, DriverSettings(period=(period, period)))
+    with pytest.raises(GuardTripError, match=what):
+        run(robot, IntegratorController(ARM), TARGETS, Schedule(dwell=10.0))
+    return sum(at > onset for at in link.sent), link.now - onset
+
+
+@pytest.mark.parametrize("what", ["temperature", "servo fault"])
+def test_two_more_commands_at_most_are_sent_after_servos_began_to_suffer(monkeypatch, what):
+    found = [trip_in_virtual_time(monkeypatch, what, onset, 0.050) for onset in 0.5 + np.arange(0.0, 0.2, 0.0037)]
+    assert max(commands for commands, _ in found) == 2, "faults and temperatures are asked for in turn, one a period"
+    assert max(late for _, late in found) < 3 * 0.050
+
+
+@pytest.mark.parametrize("what", ["temperature", "servo fault"])
+def test_a_period_without_time_for_it_has_servos_asked_within_two_seconds(monkeypatch, what):
+    found = [trip_in_virtual_time(monkeypatch, what, onset, 0.025) for onset in 0.5 + np.arange(0.0, 2.1, 0.17)]
+    assert 1.0 < max(late for _, late in found) < 2.0 + 3 * 0.025
 
 
 def test_an_impossible_jump_is_no_reading():
