@@ -16,6 +16,7 @@ from rejoint.control.robot import Robot
 from rejoint.lab.emulator import Timing, build_firmware, serve_pty, serve_tcp
 from rejoint.robots import link as link_module
 from rejoint.robots import open_robot
+from rejoint.robots.address import TcpAddress
 from rejoint.system.errors import (
     AddressError,
     ConnectionLostError,
@@ -25,6 +26,7 @@ from rejoint.system.errors import (
     RobotError,
     StaleReplyError,
 )
+from rejoint.system.stopping import shielded
 
 ARM = mycobot280()
 READ, SEND, TEMPERATURES, STATUS, STOP = 0x20, 0x22, 0xE5, 0xE4, 0x29
@@ -378,3 +380,39 @@ def test_a_wrong_byte_is_no_alarm_and_an_alarm_that_stays_is_one(start):
     hot = frame(TEMPERATURES, bytes([33, 33, 71, 33, 33, 33]))
     robot, _ = start(only(TEMPERATURES, ALWAYS, hot))
     assert robot.read().temperature[0, 2] == 71.0
+
+
+class SilentLink(link_module.VendorLink):
+    """Connections that can be made, at the cost of the client's own sleep, and answer nothing, all in virtual time."""
+
+    def __init__(self, monkeypatch):
+        super().__init__(TcpAddress(text="tcp://nowhere:9000", host="nowhere", port=9000))
+        self.now, self._client = 0.0, object()
+        monkeypatch.setattr(link_module, "time", SimpleNamespace(monotonic=lambda: self.now))
+        monkeypatch.setattr(link_module, "pause", self.wait)
+
+    def wait(self, duration):
+        self.now += duration
+
+    def _connect(self):
+        self.wait(1.5)
+
+    def _once(self, method, _arguments):
+        self.wait(0.9)
+        raise NoReplyError(method)
+
+    def _drain(self, quiet):
+        self.wait(quiet)
+        return False
+
+
+def test_silence_is_borne_for_the_patience_and_one_last_attempt(monkeypatch):
+    link = SilentLink(monkeypatch)
+    with pytest.raises(ConnectionLostError, match="connecting again failed"):
+        link.ask("get_angles")
+    attempt = link_module.PROBE_PATIENCE + 1.5 + 0.9
+    assert link_module.PATIENCE <= link.now <= link_module.PATIENCE + attempt
+    began = link.now
+    with shielded(), pytest.raises(ConnectionLostError):
+        link.ask("stop")
+    assert link_module.LAST_PATIENCE <= link.now - began <= link_module.LAST_PATIENCE + 0.9 + attempt

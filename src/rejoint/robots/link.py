@@ -118,8 +118,13 @@ class VendorLink:
             with contextlib.suppress(*_BROKEN):
                 client.close()
 
-    def _persist(self, question: Callable[[], T], recover: Callable[[RobotError, float], None]) -> T:
-        """Ask up to `ATTEMPTS` times, each failure but the last followed by ``recover(error, deadline)``."""
+    def _persist(
+        self, question: Callable[[], T], recover: Callable[[RobotError, float], None], until: float | None = None
+    ) -> T:
+        """Ask up to `ATTEMPTS` times, each failure but the last followed by ``recover(error, deadline)``.
+
+        The deadline is ``until`` [s], or where there is none yet, the patience from now on.
+        """
         attempt, began = 0, time.monotonic()
         while True:
             attempt += 1
@@ -129,7 +134,7 @@ class VendorLink:
                 raise
             except RobotError as error:
                 check()
-                deadline = began + (LAST_PATIENCE if ending() else PATIENCE)
+                deadline = began + (LAST_PATIENCE if ending() else PATIENCE) if until is None else until
                 if attempt >= ATTEMPTS or time.monotonic() > deadline:
                     raise
                 recover(error, deadline)
@@ -209,7 +214,7 @@ class VendorLink:
         while True:
             try:
                 self._connect()
-                self._prepare(power_on=False)
+                self._prepare(power_on=False, until=deadline)
                 return
             except PowerLostError:
                 raise
@@ -232,14 +237,15 @@ class VendorLink:
                 "and the address right? `rejoint emulate` starts an arm to try"
             ) from error
 
-    def _prepare(self, *, power_on: bool) -> None:
-        if self._confirm("is_power_on") != 1 and self._confirm("is_power_on") != 1:  # one wrong byte is no news
+    def _prepare(self, *, power_on: bool, until: float | None = None) -> None:
+        is_on = self._confirm("is_power_on", until)
+        if is_on != 1 and self._confirm("is_power_on", until) != 1:  # one wrong byte is no news
             if not power_on:
                 raise PowerLostError(f"{self.address}: the arm lost its power; support it, then start again")
             self._confirm("power_on")
             self._await_power()
         for _ in range(ATTEMPTS + 1):
-            if self._confirm("get_fresh_mode") == 1:
+            if self._confirm("get_fresh_mode", until) == 1:
                 return
             with contextlib.suppress(NoReplyError, StaleReplyError, ImpossibleReplyError):
                 self._once("set_fresh_mode", (1,))
@@ -248,15 +254,15 @@ class VendorLink:
             pause(RELAY_BUSY)
         raise NoReplyError(f"{self.address}: the arm does not take up fresh mode; update its firmware to 7.3")
 
-    def _confirm(self, method: str) -> object:
-        """Ask during the preparation of a connection, which must not be made anew by itself."""
+    def _confirm(self, method: str, until: float | None = None) -> object:
+        """Ask during the preparation of a connection, which must not be made anew by itself; ``until`` as above."""
 
         def recover(error: RobotError, deadline: float) -> None:
             if isinstance(error, ConnectionLostError):
                 raise error
             self._resynchronise(deadline)
 
-        return self._persist(lambda: self._once(method, ()), recover)
+        return self._persist(lambda: self._once(method, ()), recover, until)
 
     def _await_power(self) -> None:
         deadline = time.monotonic() + POWER_UP
