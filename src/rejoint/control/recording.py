@@ -83,12 +83,13 @@ class Recording:
         periods = np.diff(self.time[self.active[:, b], b])
         return float(np.median(periods)) if len(periods) else float("nan")
 
-    def longest_gap(self, b: int = 0) -> float:
-        """Longest pause [s] in the answers of arm ``b`` after which it went on as from a start; 0 without any."""
+    def gaps(self, b: int = 0) -> Array:
+        """Lengths (T,) [s] of the pauses in the answers of arm ``b`` after which it went on as from a start, else 0."""
         rows = np.flatnonzero(self.active[:, b])
         marked = (self.reasons[rows, b] & np.uint16(Reason.GAP.value)) != 0
-        pauses = np.diff(self.time[rows, b], prepend=self.time[rows[:1], b])[marked]
-        return float(pauses.max(initial=0.0))
+        gaps = np.zeros(len(self.time))
+        gaps[rows] = np.where(marked, np.diff(self.time[rows, b], prepend=self.time[rows[:1], b]), 0.0)
+        return gaps
 
     def log(self, b: int, label: str, extra: Mapping[str, str] | None = None) -> RunLog:
         """Return the run log of arm ``b``: the rows with news, on a clock that increases."""

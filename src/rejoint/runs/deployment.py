@@ -1,7 +1,8 @@
 """Driving an arm to targets, and saying of each whether it was reached, and if not, why.
 
-An arm that was driven is judged by what it answered: a target that was reached by its encoders, without gaps and while
-every joint followed, counts; everything else is named.
+A target counts as reached where the encoders say so at the end of its time. Pauses in the answers on the way are told
+beside it; where it was missed, so are the limits of the guard that kept the arm back. The target at which a run was
+ended early does not count, and those after it were not tried.
 """
 
 from __future__ import annotations
@@ -16,7 +17,6 @@ from rejoint.control.contract import check_controller_period
 from rejoint.control.controller import Controller
 from rejoint.control.guard import GuardLimits, Reason, Reasons, reason_names
 from rejoint.control.loop import Schedule, run
-from rejoint.control.progress import GAP
 from rejoint.control.recording import OnCycle, Recording, recording_of
 from rejoint.control.robot import Robot
 from rejoint.control.start import Stance, begin
@@ -109,7 +109,7 @@ def judge(arm: Arm, recording: Recording, job: Deployment, *, ended: BaseExcepti
     rows = np.flatnonzero(recording.active[:, 0])
     error = np.linalg.norm(recording.target[:, 0] - tcp_position(arm, recording.position[:, 0]), axis=-1)
     true_error = np.linalg.norm(recording.target[:, 0] - recording.true_tcp[:, 0], axis=-1)
-    gap = _gaps(recording, rows)
+    gap = recording.gaps()
     visits = []
     for k, target in enumerate(job.targets):
         own = rows[recording.target_index[rows, 0] == k]
@@ -149,11 +149,3 @@ def _held_back(reasons: Reasons) -> str:
         if reason != Reason.GAP and np.mean((reasons & np.uint16(reason.value)) != 0) > _OFTEN
     ]
     return f", held back by its limits of {' and '.join(often)}" if often else ""
-
-
-def _gaps(recording: Recording, rows: Rows) -> Array:
-    """Length (T,) [s] of the pause in the answers before each row; 0 where there was none."""
-    gap = np.zeros(len(recording.time))
-    marked = (recording.reasons[rows, 0] & np.uint16(Reason.GAP.value)) != 0
-    gap[rows] = np.where(marked, np.diff(recording.time[rows, 0], prepend=recording.time[rows[0], 0]), 0.0)
-    return np.where(gap > 0.0, np.maximum(gap, GAP), 0.0)

@@ -240,7 +240,7 @@ class _OneByOne:
             controller = self._left.watch(name, session.controllers[name](robot.arm), robot.arm, kind)
             driven, recording = session._drive(robot, controller, name, kind, places, start)
             self._sent = recording.command[-1]
-            if recording.longest_gap() < LONG_GAP or repeat == REPEATS:
+            if recording.gaps().max(initial=0.0) < LONG_GAP or repeat == REPEATS:
                 break
             start = self._start()
         return driven
