@@ -211,7 +211,7 @@ def check_period(contract: PolicyContract, period: float) -> None:
 
 
 def check_controller_period(controller: object, period: float) -> None:
-    """Refuse (ContractError) a policy whose training met no control ``period`` [s] like that measured; NaN: unknown."""
+    """Refuse (ContractError) a policy whose training met no control ``period`` [s] like this; NaN: unknown."""
     contract = getattr(controller, "contract", None)
     if isinstance(contract, PolicyContract) and np.isfinite(period):
         check_period(contract, period)

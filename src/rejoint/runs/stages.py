@@ -18,11 +18,10 @@ import numpy as np
 from rejoint import __version__
 from rejoint.arms import Arm, Array
 from rejoint.control.catalogue import BASELINES, make_controller
-from rejoint.control.contract import check_period
+from rejoint.control.contract import check_controller_period
 from rejoint.control.controller import Controller
 from rejoint.control.following import sticking
 from rejoint.control.guard import GuardLimits
-from rejoint.control.policy import PolicyController
 from rejoint.control.recording import Cycle, recording_of
 from rejoint.control.robot import Robot
 from rejoint.control.start import Stance
@@ -358,7 +357,5 @@ def _factories(run: Run, names: tuple[str, ...], period: Period) -> Mapping[str,
         return lambda arm: make_controller(name, arm, policy=policy, **known)
 
     for name in names:
-        controller = factory(name)(run.arm)
-        if isinstance(controller, PolicyController):
-            check_period(controller.contract, sum(period) / 2)
+        check_controller_period(factory(name)(run.arm), sum(period) / 2)
     return {name: factory(name) for name in names}
