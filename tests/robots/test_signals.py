@@ -109,6 +109,15 @@ def test_what_nobody_looked_at_is_raised_at_the_end():
     stopping.check()  # and is over then
 
 
+def test_the_interruption_that_was_raised_is_kept_with_its_notes():
+    with pytest.raises(Interrupted) as caught, stopping.noted():
+        os.kill(os.getpid(), signal.SIGTERM)
+    caught.value.add_note("the arm was stopped")
+    assert stopping.interruption() is caught.value
+    stopping.install()
+    assert stopping.interruption().exit_code == 130, "what was raised before is over"
+
+
 def test_what_brings_an_arm_to_rest_is_not_interrupted():
     with stopping.noted():
         with stopping.shielded():

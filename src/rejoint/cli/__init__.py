@@ -10,8 +10,6 @@ from __future__ import annotations
 import signal
 import sys
 from collections.abc import Callable
-from functools import wraps
-from typing import ParamSpec
 
 import msgspec
 import typer
@@ -21,24 +19,6 @@ from rejoint.cli import chain, evaluation, foreign, offline, reproducing, servin
 from rejoint.system.errors import RejointError
 from rejoint.system.extras import explain
 from rejoint.system.stopping import Interrupted, install, interruption
-
-Given = ParamSpec("Given")
-
-
-class Carried(Exception):  # noqa: N818 - no error of ours: somebody asked for the end
-    """Carries an interruption through the framework, which would turn it into a bare exit code."""
-
-
-def _carried(command: Callable[Given, None]) -> Callable[Given, None]:
-    @wraps(command)
-    def carrying(*arguments: Given.args, **options: Given.kwargs) -> None:
-        try:
-            command(*arguments, **options)
-        except Interrupted as error:
-            raise Carried from error
-
-    return carrying
-
 
 app = typer.Typer(
     name="rejoint",
@@ -54,8 +34,7 @@ COMMANDS: tuple[Callable[..., None], ...] = (
     evaluation.tune,
 )  # fmt: skip
 for command in COMMANDS:
-    named = app.command(command.__name__.rstrip("_"), context_settings={"help_option_names": ["-h", "--help"]})
-    named(_carried(command))
+    app.command(command.__name__.rstrip("_"), context_settings={"help_option_names": ["-h", "--help"]})(command)
 
 
 def main() -> None:
@@ -63,13 +42,12 @@ def main() -> None:
     json = "--json" in sys.argv
     install()
     try:
-        result = app(standalone_mode=False)  # Ctrl-C that nobody of ours has raised becomes an exit code
+        result = app(standalone_mode=False)  # makes an exit code of every interruption, whichever signal it was
         code = result if isinstance(result, int) else 0
         if code == 128 + signal.SIGINT:
             code = _interrupted(interruption(), json=json)
-    except (Carried, Interrupted) as error:
-        cause = error.__cause__ if isinstance(error, Carried) else error
-        code = _interrupted(cause, json=json) if isinstance(cause, Interrupted) else 1
+    except Interrupted as error:  # before the framework had begun, or after its end
+        code = _interrupted(error, json=json)
     except RejointError as error:
         code = _fail(str(error), type(error).__name__, error.exit_code, json=json)
         _say_notes(error)

@@ -39,7 +39,7 @@ class _Note:
     """What was asked for, and by how many contexts exceptions are kept back."""
 
     signum = 0
-    raised = 0
+    raised: Interrupted | None = None
     noted = 0
     shielded = 0
 
@@ -49,14 +49,10 @@ _note = _Note()
 
 def install() -> None:
     """Let this module handle all of `SIGNALS`, except those that whoever started the process ignores, as `nohup`."""
+    _note.raised = None
     for signum in SIGNALS:
         if signal.getsignal(signum) != signal.SIG_IGN:
             signal.signal(signum, _handle)
-
-
-def ask(signum: int = signal.SIGINT) -> None:
-    """Note the wish for an end, as a signal does; from any thread."""
-    _note.signum = _note.signum or signum
 
 
 def ending() -> bool:
@@ -67,13 +63,13 @@ def ending() -> bool:
 def check() -> None:
     """Raise `Interrupted` if an end was asked for, unless inside `shielded`."""
     if _note.signum and not _note.shielded:
-        _note.raised, _note.signum = _note.signum, 0
-        raise Interrupted(_note.raised)
+        _note.raised, _note.signum = Interrupted(_note.signum), 0
+        raise _note.raised
 
 
 def interruption() -> Interrupted:
-    """Return the interruption that was raised last, for frameworks that keep only that there was one."""
-    return Interrupted(_note.raised or signal.SIGINT)
+    """Return the interruption that was raised last since `install`, for frameworks that turn it into an exit code."""
+    return _note.raised or Interrupted(signal.SIGINT)
 
 
 def pause(duration: float) -> None:
@@ -119,7 +115,7 @@ def shielded() -> Iterator[None]:
 
 
 def _handle(signum: int, frame: FrameType | None) -> None:  # noqa: ARG001 - as `signal` calls it
-    ask(signum)
+    _note.signum = _note.signum or signum
     if not _note.noted:
         check()
 
