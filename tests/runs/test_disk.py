@@ -15,8 +15,8 @@ from rejoint.logs.runlog import read_log
 from rejoint.runs import opening
 from rejoint.runs import stages as work
 from rejoint.runs.folder import RunFolder, locked
-from rejoint.system.errors import FileError, UnsavedError, saving
-from rejoint.system.files import require_space, write_json, write_whole
+from rejoint.system.errors import FileError, UnsavedError
+from rejoint.system.files import require_space, saving, write_json, write_whole
 
 
 @pytest.fixture

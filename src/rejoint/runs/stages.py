@@ -36,8 +36,8 @@ from rejoint.runs.comparison.targets import draw_targets, read_targets
 from rejoint.runs.deployment import Deployed, Deployment, deploy, deployed_of
 from rejoint.runs.folder import LOGS, RunFolder
 from rejoint.runs.opening import Run, alone, begin, forget
-from rejoint.system.errors import FileError, InputError, saving
-from rejoint.system.files import digest, read_json, require_space, set_aside, write_json
+from rejoint.system.errors import FileError, InputError
+from rejoint.system.files import digest, read_json, require_space, saving, set_aside, write_json
 from rejoint.system.stopping import noted
 
 if TYPE_CHECKING:  # these need the simulator, which a Raspberry Pi does not have

@@ -7,8 +7,6 @@ be used (a wrong address, a damaged file, a policy for another arm), 3 for a tri
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import ClassVar
 
@@ -53,15 +51,6 @@ class UnsavedError(FileError):
         super().__init__(error.path, error.problem, error.remedy)
         for note in getattr(error, "__notes__", ()):
             self.add_note(note)
-
-
-@contextmanager
-def saving(result: object) -> Iterator[None]:
-    """Hand on ``result`` with the error if it cannot be written: UnsavedError in place of FileError."""
-    try:
-        yield
-    except FileError as error:
-        raise UnsavedError(error, result) from error
 
 
 class ContractError(RejointError):

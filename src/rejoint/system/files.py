@@ -8,14 +8,15 @@ import re
 import shutil
 import stat
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from datetime import datetime
 from pathlib import Path
 from typing import TypeVar
 
 import msgspec
 
-from rejoint.system.errors import FileError, first_line
+from rejoint.system.errors import FileError, UnsavedError, first_line
 
 T = TypeVar("T")
 
@@ -131,6 +132,15 @@ def read_json(path: Path, kind: type[T]) -> T:
         raise FileError(path, "no such file", "run the stage that writes it first") from error
     except (OSError, msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
         raise FileError(path, f"damaged ({first_line(error)})", remedy) from error
+
+
+@contextmanager
+def saving(result: object) -> Iterator[None]:
+    """Hand on ``result`` with the error if it cannot be written: UnsavedError in place of FileError."""
+    try:
+        yield
+    except FileError as error:
+        raise UnsavedError(error, result) from error
 
 
 def set_aside(path: Path) -> None:
