@@ -25,7 +25,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Array, clearances, heights
-from rejoint.control.following import Following
 from rejoint.control.law import plain
 from rejoint.control.limits import RAMP, TRIPS, GuardLimits, Reason, Reasons, reason_names
 from rejoint.control.robot import JointState, Mask
@@ -96,14 +95,10 @@ def guard(
 
 
 def warm_up(limits: GuardLimits) -> None:
-    """Have everything ready that a first step needs: compiled loops are compiled or read from disk when first used.
-
-    A control cycle that waited for them would be long, and a long one allows a long step.
-    """
+    """Guard a command once that is not sent: compiled loops are compiled or read from disk when first used."""
     rest = limits.arm.rest[None]
     state = JointState(time=np.zeros(1), position=rest, age=np.zeros(1))
     guard(limits, rest, rest, 0.0 * rest, state, 0.0)
-    Following(limits.arm, state, rest).check(state, rest, np.ones(1, dtype=bool))
 
 
 def _check_shapes(

@@ -15,10 +15,11 @@ import numpy as np
 
 from rejoint.arms import Array, tcp_position
 from rejoint.control.controller import Controller, Situation
+from rejoint.control.following import Following
 from rejoint.control.guard import TRIPS, Guarded, GuardLimits, Reason, Reasons, guard, warm_up
 from rejoint.control.progress import Progress, own
 from rejoint.control.recording import Cycle, OnCycle, Recorder, Recording, attach
-from rejoint.control.robot import Mask, Robot
+from rejoint.control.robot import JointState, Mask, Robot
 from rejoint.control.trips import trip_error
 from rejoint.system.errors import InputError, RejointError, first_line
 from rejoint.system.stopping import check, noted, shielded
@@ -76,9 +77,17 @@ def run(
     loop = _Loop(
         robot=robot, controller=controller, schedule=schedule, limits=limits, recorder=recorder, on_cycle=on_cycle
     )
-    warm_up(limits)
+    _warm_up(limits)
     with noted():
         return _drive(loop, targets)
+
+
+def _warm_up(limits: GuardLimits) -> None:
+    """Have everything ready that the first cycle needs: one that waited would be long, and would allow a long step."""
+    warm_up(limits)
+    rest = limits.arm.rest[None]
+    state = JointState(time=np.zeros(1), position=rest, age=np.zeros(1))
+    Following(limits.arm, state, rest).check(state, rest, np.ones(1, dtype=bool))
 
 
 def _drive(loop: _Loop, targets: Array) -> Recording:
