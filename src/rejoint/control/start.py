@@ -11,6 +11,7 @@ from rejoint.control.guard import GuardLimits
 from rejoint.control.loop import move
 from rejoint.control.recording import Recording
 from rejoint.control.robot import JointState, Robot
+from rejoint.control.trips import say_faulty, say_hot
 from rejoint.system.errors import NotReadyError
 from rejoint.system.stopping import pause
 
@@ -98,17 +99,10 @@ def _outside(arm: Arm, state: JointState) -> str:
 
 def _unwell(arm: Arm, state: JointState) -> str:
     if state.fault is not None and state.fault.any():
-        faulty = ", ".join(np.array(arm.joint_names)[state.fault.any(axis=0)])
-        return f"{faulty} reports a servo fault; free the arm and clear the fault"
+        return say_faulty(arm.joint_names, state.fault.any(axis=0))
     if state.temperature is None:
         return ""
     if not ((state.temperature > COLDEST) & (state.temperature < HOTTEST)).all():
         return f"temperatures of {np.round(state.temperature).tolist()} deg C are not believed; check the servo bus"
-    warmest = GuardLimits.max_temperature - WARMTH
-    hot = int(np.argmax(state.temperature.max(axis=0)))
-    if state.temperature[:, hot].max() <= warmest:
-        return ""
-    return (
-        f"{arm.joint_names[hot]} is at {state.temperature[:, hot].max():.0f} deg C, expected at most {warmest:.0f} at "
-        "the start; let it cool"
-    )
+    hottest, limit = state.temperature.max(axis=0), GuardLimits.max_temperature - WARMTH
+    return f"{say_hot(arm.joint_names, hottest, limit)} before the start" if (hottest > limit).any() else ""

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
+from rejoint.arms import Array
 from rejoint.control.limits import GuardLimits, Reason, reason_names
 from rejoint.control.progress import Progress
 from rejoint.system.errors import GuardTripError
@@ -19,13 +21,9 @@ def trip_error(b: int, progress: Progress, limits: GuardLimits) -> GuardTripErro
             f"the joint state is {state.age[b]:.2f} s old, limit {limits.max_age:.2f} s; check the connection"
         )
     if Reason.TEMPERATURE in flags and state.temperature is not None:
-        hot = int(np.argmax(state.temperature[b]))
-        details.append(
-            f"{names[hot]} is at {state.temperature[b, hot]:.0f} deg C, limit {limits.max_temperature:.0f}; let it cool"
-        )
+        details.append(say_hot(names, state.temperature[b], limits.max_temperature))
     if Reason.SERVO_FAULT in flags and state.fault is not None:
-        faulty = ", ".join(np.array(names)[state.fault[b]])
-        details.append(f"{faulty} reports a servo fault; free the arm and clear the fault")
+        details.append(say_faulty(names, state.fault[b]))
     if Reason.OUT_OF_RANGE in flags:
         degrees = np.round(np.degrees(state.position[b]), 1).tolist()
         details.append(f"measured {degrees} deg lies far outside the joint limits; check the arm's zero")
@@ -35,3 +33,15 @@ def trip_error(b: int, progress: Progress, limits: GuardLimits) -> GuardTripErro
         details.append("a command or a measured position is not a number; check the controller and the connection")
     where = f"arm {b} at {progress.state.time[b] - progress.set_at[b]:.2f} s into target {int(progress.index[b]) + 1}"
     return GuardTripError(", ".join(reason_names(int(flags))), f"{where}: {'; '.join(details)}")
+
+
+def say_hot(names: tuple[str, ...], temperature: Array, limit: float) -> str:
+    """Name the hottest of the joints at ``temperature`` (n,) [deg C], of which one is above the ``limit``."""
+    hot = int(np.argmax(temperature))
+    return f"{names[hot]} is at {temperature[hot]:.0f} deg C, limit {limit:.0f}; let it cool"
+
+
+def say_faulty(names: tuple[str, ...], fault: NDArray[np.bool_]) -> str:
+    """Name the joints whose servos report a ``fault`` (n,)."""
+    faulty = ", ".join(np.array(names)[fault])
+    return f"{faulty} reports a servo fault; free the arm and clear the fault"
