@@ -35,7 +35,8 @@ SPACE = 50 * MEGABYTE
 """Least free space before an arm moves (chosen: a whole run folder takes 5 MB, an hour of an arm's motion 25 MB)"""
 
 MODEL_MOST = 64 * MEGABYTE
-"""Largest policy or arm description of another program that is read (chosen: a policy takes 0.1 MB)"""
+"""Largest URDF or MJCF file of an arm that is read (chosen: a thousand times what arms take, whose meshes are files of
+their own)"""
 
 UNFINISHED = ".partial"
 """How the name of a file ends that is being written, or whose writer was killed"""
