@@ -6,7 +6,6 @@ None is imported.
 """
 
 import dataclasses
-import os
 from functools import lru_cache
 from importlib.util import find_spec
 from pathlib import Path
@@ -15,6 +14,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from real_so101 import MODEL, NO_MODEL
 from rejoint.arms import (
     Arm,
     Box,
@@ -179,16 +179,9 @@ def test_base_and_tip_are_found_where_there_is_one_choice() -> None:
     np.testing.assert_allclose(tcp_pose(loaded.arm, q), tcp_pose(arm_of("ur5e-urdf"), q), atol=1e-15)
 
 
-def so101_file() -> Path:
-    default = Path(__file__).parents[2].parent / "shared" / "data" / "so101"
-    path = Path(os.environ.get("REJOINT_SO101", default)) / "so101.xml"
-    if not path.exists():
-        pytest.skip("the SO-101's own MJCF is not here; REJOINT_SO101 can name its folder")
-    return path
-
-
+@pytest.mark.skipif(not MODEL.exists(), reason=NO_MODEL)
 def test_the_catalogues_so101_is_its_makers() -> None:
-    ours, theirs = so101(), read_arm(str(so101_file()), base="base", tip="gripperframe").arm
+    ours, theirs = so101(), read_arm(str(MODEL), base="base", tip="gripperframe").arm
     assert ours.joint_names == theirs.joint_names
     q = np.random.default_rng(6).uniform(ours.lower, ours.upper, (200, 5))
     np.testing.assert_allclose(tcp_pose(ours, q), tcp_pose(theirs, q), atol=1e-12)
@@ -198,8 +191,9 @@ def test_the_catalogues_so101_is_its_makers() -> None:
     np.testing.assert_allclose(ours.inertia, theirs.inertia, atol=1e-10)
 
 
+@pytest.mark.skipif(not MODEL.exists(), reason=NO_MODEL)
 def test_the_gripper_is_frozen_with_its_mass() -> None:
-    model = mujoco.MjModel.from_xml_path(str(so101_file()))
+    model = mujoco.MjModel.from_xml_path(str(MODEL))
     arm = so101()
     assert arm.mass.sum() == pytest.approx(model.body_subtreemass[2])
     data = mujoco.MjData(model)

@@ -1,21 +1,16 @@
-"""The diagnosis of a real SO-101 from its logs, which are no part of this project (see tests/twin)."""
-
-import os
-from pathlib import Path
+"""The diagnosis of a real SO-101 from its logs, which are no part of this project (see tests/real_so101.py)."""
 
 import pytest
 
+from real_so101 import FOLDER, NO_RECORDINGS, recorded
 from rejoint.arms import so101
 from rejoint.diagnosis import diagnose_logs, load_healthy
 from rejoint.logs import import_logs
 from rejoint.logs.exclusions import find_exclusions, table_height
 
 ARM = so101()
-FOLDER = Path(os.environ.get("REJOINT_SO101", Path(__file__).parents[2].parent / "shared" / "data" / "so101"))
 
-pytestmark = pytest.mark.skipif(
-    not (FOLDER / "multisine").is_dir(), reason=f"no logs of a real SO-101 in {FOLDER}; set REJOINT_SO101"
-)
+pytestmark = pytest.mark.skipif(not recorded(), reason=NO_RECORDINGS)
 
 
 @pytest.fixture(scope="module")

@@ -1,13 +1,11 @@
-"""Motions of an SO-101 whose every number is known, and where the recorded logs of a real one lie."""
+"""Motions of an SO-101 whose every number is known."""
 
 import csv
 import json
-import os
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import pytest
 
 from rejoint.arms import so101
 from rejoint.logs.runlog import Array
@@ -63,12 +61,3 @@ def write_table(path: Path, found: Sample, titles: dict[str, str] | None = None,
         writer.writerow([(titles or {}).get(title, title) for title in columns])
         writer.writerows(np.stack(list(columns.values()), axis=1).tolist())
     return path
-
-
-def recorded() -> Path:
-    """Find the logs of the real arm, or skip the test."""
-    beside = Path(__file__).parents[2].parent / "shared" / "data" / "so101"
-    folder = Path(os.environ.get("REJOINT_SO101", beside))
-    if not (folder / "multisine").is_dir():
-        pytest.skip(f"no recorded SO-101 logs at {folder}; set REJOINT_SO101 to their folder")
-    return folder

@@ -6,24 +6,25 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from log_samples import ARM, recorded, sample, write_sage
+from log_samples import ARM, sample, write_sage
 
+from real_so101 import FOLDER, NO_RECORDINGS, recorded
 from rejoint.logs import ImportOptions, detect, import_logs
 from rejoint.logs.runlog import read_log
 from rejoint.system.errors import FileError, InputError
 
 
+@pytest.mark.skipif(not recorded(), reason=NO_RECORDINGS)
 def test_recorded_logs_arrive_bit_for_bit(tmp_path: Path):
-    folder = recorded()
     steps = []
-    imported = import_logs(folder, ARM, out=tmp_path / "logs", on_progress=lambda *step: steps.append(step))
-    assert len(imported.logs) == len(list(folder.glob("*/state_motor.csv"))) == 44
+    imported = import_logs(FOLDER, ARM, out=tmp_path / "logs", on_progress=lambda *step: steps.append(step))
+    assert len(imported.logs) == len(list(FOLDER.glob("*/state_motor.csv"))) == 44
     assert [step[:2] for step in steps] == [(k, 44) for k in range(1, 45)]
     assert sum(len(log) for log in imported.logs) == 198040
     for motion in ("multisine", "hold_under_gravity"):
         log = read_log(tmp_path / "logs" / f"{motion}.parquet")
         for file, values in (("state_motor", log.position), ("control", log.command)):
-            with (folder / motion / f"{file}.csv").open(newline="") as lines:
+            with (FOLDER / motion / f"{file}.csv").open(newline="") as lines:
                 rows = list(csv.DictReader(lines))
             assert values.tolist() == [json.loads(row["positions"])[:5] for row in rows]
             assert log.time.tolist() == [float(row["timestamp"]) / 1e6 for row in rows]

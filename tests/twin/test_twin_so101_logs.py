@@ -1,15 +1,12 @@
 """A real arm's logs: a few of the 44 motions of the SO-101 that ship with NVIDIA's SAGE.
 
-They are no part of this project: REJOINT_SO101 names their folder (output/real/so101/custom of
-github.com/isaac-sim2real/sage), or it lies in shared/data/so101 beside the checkout.
+They are no part of this project: tests/real_so101.py says where they are looked for.
 """
-
-import os
-from pathlib import Path
 
 import numpy as np
 import pytest
 
+from real_so101 import FOLDER, NO_RECORDINGS, recorded
 from rejoint.arms import so101
 from rejoint.logs import import_logs
 from rejoint.logs.exclusions import find_exclusions, table_height
@@ -18,11 +15,8 @@ from rejoint.twin.judgement import NO_TWIN
 from rejoint.twin.repeatability import repeatability
 
 ARM = so101()
-FOLDER = Path(os.environ.get("REJOINT_SO101", Path(__file__).parents[2].parent / "shared" / "data" / "so101"))
 
-pytestmark = pytest.mark.skipif(
-    not (FOLDER / "multisine").is_dir(), reason=f"no logs of a real SO-101 in {FOLDER}; set REJOINT_SO101"
-)
+pytestmark = pytest.mark.skipif(not recorded(), reason=NO_RECORDINGS)
 
 FITTED_TO = ("multisine", "oscillation_low_freq", "diagonal_sweep", "coupled_joints")
 HELD_OUT = ("ramp_motion", "figure_eight", "square_pattern", "symmetric_motion", "circular_motion")
