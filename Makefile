@@ -10,7 +10,8 @@ repair: $(READY)
 	$(BIN)/rejoint repair emulated:worn
 
 test: $(READY)
-	$(BIN)/python -m pytest -n 2 --dist loadfile
+	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not realtime"
+	$(BIN)/python -m pytest -m realtime
 
 # The wheel in a fresh environment without extras: it deploys, and names the extra that other commands need.
 wheel-test: $(READY)

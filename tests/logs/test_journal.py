@@ -18,6 +18,8 @@ from rejoint.logs.runlog import RunLog, read_log
 from rejoint.runs.folder import RunFolder, locked
 from rejoint.system.errors import FileError
 
+pytestmark = pytest.mark.realtime
+
 JOINTS = ("a", "b")
 RNG = np.random.default_rng(7)
 ROWS = [(0.025 * k, *RNG.normal(size=(2, 2)), np.full(3, np.nan), RNG.normal(size=3)) for k in range(60)]

@@ -28,6 +28,8 @@ from rejoint.robots.mycobot import DriverSettings, MyCobotRobot
 from rejoint.runs import opening
 from rejoint.system.errors import ConnectionLostError, GuardTripError, RobotError
 
+pytestmark = pytest.mark.realtime
+
 ARM = mycobot280()
 TARGETS = np.array([[[0.20, 0.05, 0.20], [0.18, -0.05, 0.22]]])
 TIMING = Timing(state=0.004, acknowledgement=0.003)

@@ -28,6 +28,8 @@ from rejoint.system.errors import (
 )
 from rejoint.system.stopping import shielded
 
+pytestmark = pytest.mark.realtime
+
 ARM = mycobot280()
 READ, SEND, TEMPERATURES, STATUS, STOP = 0x20, 0x22, 0xE5, 0xE4, 0x29
 POWER_ON, IS_POWER_ON, SET_FRESH, IS_FRESH, ERROR = 0x10, 0x12, 0x16, 0x17, 0x07

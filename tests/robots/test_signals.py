@@ -21,6 +21,8 @@ from rejoint.robots import open_robot
 from rejoint.system import stopping
 from rejoint.system.stopping import Interrupted
 
+pytestmark = pytest.mark.realtime
+
 ARM = mycobot280()
 PERIOD, STOP = 0.02, 0x29
 HEARD = (

@@ -22,6 +22,8 @@ from rejoint.lab.emulator.frames import Decoder, encode
 from rejoint.robots import open_robot
 from rejoint.robots.vendor import MyCobot280Socket
 
+pytestmark = pytest.mark.realtime
+
 PATIENCE = 0.5
 
 

@@ -24,7 +24,7 @@ QUICK = Timing(state=0.001, acknowledgement=0.001)
 REST = [20.0, 0.0, -85.0, -5.0, 0.0, 0.0]
 GET_ANGLES = bytes.fromhex("FE FE 02 20 FA")
 ANGLES = bytes.fromhex("FE FE 0E 20 07D0 0000 DECC FE0C 0000 0000 FA")
-pytestmark = pytest.mark.filterwarnings("ignore:.*getdefaultlocale.*:DeprecationWarning")
+pytestmark = [pytest.mark.realtime, pytest.mark.filterwarnings("ignore:.*getdefaultlocale.*:DeprecationWarning")]
 
 
 def place(server):

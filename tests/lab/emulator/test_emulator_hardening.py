@@ -21,6 +21,8 @@ from rejoint.lab.emulator.frames import MAX_PAYLOAD, Decoder, Frame, encode
 from rejoint.lab.emulator.motion import MAX_QUEUE
 from rejoint.lab.emulator.values import pack_angles
 
+pytestmark = pytest.mark.realtime
+
 ARM = mycobot280()
 AT_ONCE = Timing(state=0.0, acknowledgement=0.0)
 

@@ -17,6 +17,8 @@ from rejoint.arms import mycobot280, tcp_position
 from rejoint.lab.emulator import Firmware, Timing, TruthLog, emulate, serve_pty, serve_tcp
 from rejoint.system.errors import FileError, InputError, ProfileError
 
+pytestmark = pytest.mark.realtime
+
 QUICK = Timing(state=0.001, acknowledgement=0.001)
 GET_ANGLES = bytes.fromhex("FE FE 02 20 FA")
 ANGLES = bytes.fromhex("FE FE 0E 20 07D0 0000 DECC FE0C 0000 0000 FA")

@@ -12,7 +12,7 @@ from rejoint.robots.vendor import MyCobot280, MyCobot280Socket
 ARM = mycobot280()
 QUICK = Timing(state=0.002, acknowledgement=0.001, pace=4.0)
 REST = [20.0, 0.0, -85.0, -5.0, 0.0, 0.0]
-pytestmark = pytest.mark.filterwarnings("ignore:.*getdefaultlocale.*:DeprecationWarning")
+pytestmark = [pytest.mark.realtime, pytest.mark.filterwarnings("ignore:.*getdefaultlocale.*:DeprecationWarning")]
 
 
 @pytest.fixture(scope="module", params=["tcp", "pty"])

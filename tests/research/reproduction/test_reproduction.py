@@ -225,7 +225,7 @@ def test_a_folder_holds_one_seed(bench):
 
 def test_a_training_that_cannot_go_on_says_why_and_stops_the_others(tmp_path):
     bench = Bench(folder=tmp_path, arm=ARM, seed=0, scale=QUICK, threads=1)
-    taken = bench.training(WORN[0]).training
+    taken = bench.training(WORN[0]).outputs.folder
     taken.parent.mkdir(parents=True)
     taken.write_bytes(b"a file where a folder should be")
     with pytest.raises(RejointError, match="training: cannot be written"):
