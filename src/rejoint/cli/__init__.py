@@ -45,7 +45,7 @@ def main() -> None:
         result = app(standalone_mode=False)  # makes an exit code of every interruption, whichever signal it was
         code = result if isinstance(result, int) else 0
         if code == 128 + signal.SIGINT:
-            code = _interrupted(interruption(), json=json)
+            code = _interrupted(interruption() or Interrupted(signal.SIGINT), json=json)
     except Interrupted as error:  # before the framework had begun, or after its end
         code = _interrupted(error, json=json)
     except RejointError as error:
@@ -69,6 +69,11 @@ def main() -> None:
             2,
             json=json,
         )
+    except Exception:
+        asked = interruption()
+        if asked is None:
+            raise
+        code = _interrupted(asked, json=json)  # compiled code swallowed it and failed for want of what it asked for
     sys.exit(code)
 
 

@@ -3,21 +3,26 @@
 An exception raised by a handler lands wherever the program happens to be: inside the vendor's client, say, whose bare
 ``except`` swallows it while the arm goes on. So while an arm is driven (`noted`) a signal changes nothing but a note;
 the control loop, the link and every wait look at it (`check`, `pause`) and raise `Interrupted` where it is safe. At all
-other times the handler raises it at once, as Python does for Ctrl-C.
+other times the handler raises it at once, as Python does for Ctrl-C; where that is in the middle of a callback from
+compiled code, which swallows exceptions, the signal is sent once more.
 """
 
 from __future__ import annotations
 
+import os
 import signal
+import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 
 SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 """What asks a program to end; nobody can ask SIGKILL to wait."""
 
+_AGAIN = 0.1
+"""[s] after which a signal is sent again whose exception was swallowed (chosen: the callback is over by then)"""
 _SLICE = 0.005
 """[s] between two looks at the note during a wait (chosen: a tenth of the usual control period)"""
 
@@ -42,6 +47,7 @@ class _Note:
     raised: Interrupted | None = None
     noted = 0
     shielded = 0
+    hook: Callable[[sys.UnraisableHookArgs], object] = staticmethod(sys.__unraisablehook__)
 
 
 _note = _Note()
@@ -53,6 +59,8 @@ def install() -> None:
     for signum in SIGNALS:
         if signal.getsignal(signum) != signal.SIG_IGN:
             signal.signal(signum, _handle)
+    if sys.unraisablehook is not _unraisable:
+        _note.hook, sys.unraisablehook = sys.unraisablehook, _unraisable
 
 
 def ending() -> bool:
@@ -67,9 +75,9 @@ def check() -> None:
         raise _note.raised
 
 
-def interruption() -> Interrupted:
-    """Return the interruption that was raised last since `install`, for frameworks that turn it into an exit code."""
-    return _note.raised or Interrupted(signal.SIGINT)
+def interruption() -> Interrupted | None:
+    """Return the interruption that was raised last since `install`, for what turns it into something else."""
+    return _note.raised
 
 
 def pause(duration: float) -> None:
@@ -118,6 +126,16 @@ def _handle(signum: int, frame: FrameType | None) -> None:  # noqa: ARG001 - as 
     _note.signum = _note.signum or signum
     if not _note.noted:
         check()
+
+
+def _unraisable(unraisable: sys.UnraisableHookArgs) -> None:
+    """Send a signal again whose exception nobody saw; leave any other exception to who showed them before."""
+    if isinstance(unraisable.exc_value, Interrupted):
+        again = threading.Timer(_AGAIN, os.kill, (os.getpid(), unraisable.exc_value.signum))
+        again.daemon = True
+        again.start()
+    else:
+        _note.hook(unraisable)
 
 
 def _set_handlers() -> dict[int, signal.Handlers]:

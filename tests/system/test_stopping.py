@@ -1,0 +1,49 @@
+"""Signals end the program also where the exception of their handler is swallowed."""
+
+import subprocess
+import sys
+
+import pytest
+
+PRELUDE = """
+import ctypes, os, signal, sys, time
+from rejoint.system import stopping
+
+@ctypes.CFUNCTYPE(None)
+def callback():
+    os.kill(os.getpid(), signal.SIGTERM)
+    for _ in range(1000):  # the handler runs between two instructions, in here
+        pass
+"""
+
+
+def run(code):
+    return subprocess.run(
+        [sys.executable, "-c", PRELUDE + code], capture_output=True, text=True, check=False, timeout=60
+    )
+
+
+def test_a_signal_in_a_callback_of_compiled_code_is_sent_again():
+    ended = run(
+        "stopping.install()\n"
+        "try:\n    callback()\n    print('swallowed', flush=True)\n    time.sleep(30)\n"
+        "except stopping.Interrupted as error: print(error, flush=True)\n"
+    )
+    assert ended.stdout.splitlines() == ["swallowed", "interrupted by SIGTERM"], ended.stderr
+
+
+@pytest.mark.parametrize("fails", [True, False])
+def test_the_command_line_ends_as_interrupted_whatever_the_compiled_code_makes_of_it(fails):
+    after = "raise RuntimeError('no compiled object yet')" if fails else "time.sleep(30)"
+    ended = run(
+        f"def app(**_):\n    callback()\n    {after}\n"
+        "import rejoint.cli as cli\ncli.app = app\nsys.argv = ['rejoint']\ncli.main()\n"
+    )
+    assert ended.returncode == 143
+    assert ended.stderr.startswith("error: interrupted by SIGTERM"), ended.stderr
+
+
+def test_other_exceptions_that_nobody_sees_are_shown_as_before():
+    ended = run("stopping.install()\n@ctypes.CFUNCTYPE(None)\ndef broken():\n    raise ValueError('seen')\nbroken()\n")
+    assert ended.returncode == 0
+    assert "ValueError: seen" in ended.stderr
