@@ -15,6 +15,7 @@ from rejoint.arms import mycobot280, solve_position, tcp_position
 from rejoint.control.robot import Robot
 from rejoint.lab.emulator import Timing, build_firmware, serve_pty, serve_tcp
 from rejoint.robots import link as link_module
+from rejoint.robots import mycobot as mycobot_module
 from rejoint.robots import open_robot
 from rejoint.system.errors import (
     AddressError,
@@ -171,7 +172,7 @@ def test_an_arm_without_power_is_switched_on(start):
 
 def test_fresh_mode_works_through_a_server_that_swallows_its_acknowledgement(start, monkeypatch):
     """The vendor's server drops an answer that equals its request, as that of set_fresh_mode(1) does."""
-    monkeypatch.setattr(link_module, "RELAY_BUSY", 0.05)
+    monkeypatch.setattr(mycobot_module, "RELAY_BUSY", 0.05)
     robot, fake = start(only(SET_FRESH, ALWAYS, b""))
     assert fake.fresh
     assert robot.read().age[0] == 0.0
