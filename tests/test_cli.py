@@ -18,6 +18,7 @@ from rejoint.cli.console import Terminal
 from rejoint.cli.options import controller_names, period_seconds
 from rejoint.control.robot import JointState
 from rejoint.logs.runlog import read_log
+from rejoint.robots import Place
 from rejoint.robots.emulated import EmulatedRobot
 from rejoint.runs import opening
 from rejoint.runs import stages as work
@@ -194,7 +195,7 @@ def test_a_period_that_the_policy_never_met_is_refused(
 def test_the_robot_s_own_period_is_checked_too(
     finished: RunFolder, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(work, "default_period", lambda address: (0.3, 0.5) if address.startswith("tcp") else None)
+    monkeypatch.setattr(Place, "default_period", (0.3, 0.5))
     for words in (("deploy", "tcp://127.0.0.1:1"), ("compare", "tcp://127.0.0.1:1", "--controllers", "policy")):
         code, _, err = run_cli(*words[:2], str(finished.path), *words[2:], capsys=capsys, monkeypatch=monkeypatch)
         assert code == 2

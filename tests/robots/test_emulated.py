@@ -4,7 +4,7 @@ import pytest
 from rejoint.arms import mycobot280, so101, tcp_position
 from rejoint.control.robot import Robot
 from rejoint.lab.plant.wear import load_wear
-from rejoint.robots import default_arm, open_robot
+from rejoint.robots import open_robot, place_of
 from rejoint.robots.emulated import EmulatedRobot
 from rejoint.system.errors import InputError, ProfileError
 
@@ -108,9 +108,9 @@ def test_a_start_is_where_the_arm_is():
 
 
 def test_an_address_knows_its_arm():
-    assert open_robot("emulated:worn").arm.name == default_arm("emulated:worn") == "mycobot280"
-    assert open_robot("emulated:so101").arm.name == default_arm("emulated:so101?seed=3") == "so101"
-    assert default_arm("tcp://10.0.0.1:9000") == "mycobot280"
+    assert open_robot("emulated:worn").arm.name == place_of("emulated:worn").default_arm == "mycobot280"
+    assert open_robot("emulated:so101").arm.name == place_of("emulated:so101?seed=3").default_arm == "so101"
+    assert place_of("tcp://10.0.0.1:9000").default_arm == "mycobot280"
     scaled = open_robot("emulated:worn", arm=so101(), count=2)
     assert (scaled.arm.name, scaled.read().position.shape) == ("so101", (2, 5))
     with pytest.raises(ProfileError, match="give --arm so101"):

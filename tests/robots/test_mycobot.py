@@ -15,8 +15,11 @@ from rejoint.arms import mycobot280, solve_position, tcp_position
 from rejoint.control.robot import Robot
 from rejoint.lab.emulator import Timing, build_firmware, serve_pty, serve_tcp
 from rejoint.robots import link as link_module
+from rejoint.robots import mycobot as mycobot_module
 from rejoint.robots import open_robot
 from rejoint.robots.address import TcpAddress
+from rejoint.robots.bus import Clock
+from rejoint.robots.mycobot import MyCobotBus
 from rejoint.system.errors import (
     AddressError,
     ConnectionLostError,
@@ -175,7 +178,7 @@ def test_an_arm_without_power_is_switched_on(start):
 
 def test_fresh_mode_works_through_a_server_that_swallows_its_acknowledgement(start, monkeypatch):
     """The vendor's server drops an answer that equals its request, as that of set_fresh_mode(1) does."""
-    monkeypatch.setattr(link_module, "RELAY_BUSY", 0.05)
+    monkeypatch.setattr(mycobot_module, "RELAY_BUSY", 0.05)
     robot, fake = start(only(SET_FRESH, ALWAYS, b""))
     assert fake.fresh
     assert robot.read().age[0] == 0.0
@@ -384,37 +387,49 @@ def test_a_wrong_byte_is_no_alarm_and_an_alarm_that_stays_is_one(start):
     assert robot.read().temperature[0, 2] == 71.0
 
 
-class SilentLink(link_module.VendorLink):
-    """Connections that can be made, at the cost of the client's own sleep, and answer nothing, all in virtual time."""
+class VirtualClock(Clock):
+    def __init__(self):
+        self.time = 0.0
 
-    def __init__(self, monkeypatch):
-        super().__init__(TcpAddress(text="tcp://nowhere:9000", host="nowhere", port=9000))
-        self.now, self._client = 0.0, object()
-        monkeypatch.setattr(link_module, "time", SimpleNamespace(monotonic=lambda: self.now))
-        monkeypatch.setattr(link_module, "pause", self.wait)
+    def now(self):
+        return self.time
 
     def wait(self, duration):
-        self.now += duration
+        self.time += max(duration, 0.0)
 
-    def _connect(self):
-        self.wait(1.5)
 
-    def _once(self, method, _arguments):
-        self.wait(0.9)
+class SilentBus(MyCobotBus):
+    """Connections that can be made, at the cost of the client's own sleep, and answer nothing, all in virtual time."""
+
+    def __init__(self):
+        super().__init__(TcpAddress(text="tcp://nowhere:9000", host="nowhere", port=9000), ARM)
+        self.clock, self.silent = VirtualClock(), False
+
+    def open(self):
+        self.clock.wait(1.5)
+
+    def _call(self, method, *_arguments):
+        if not self.silent:
+            return 1
+        self.clock.wait(0.9)
         raise NoReplyError(method)
 
     def _drain(self, quiet):
-        self.wait(quiet)
+        self.clock.wait(quiet)
         return False
 
 
-def test_silence_is_borne_for_the_patience_and_one_last_attempt(monkeypatch):
-    link = SilentLink(monkeypatch)
+def test_silence_is_borne_for_the_patience_and_one_last_attempt():
+    bus = SilentBus()
+    link = link_module.Link(bus, "tcp://nowhere:9000")
+    link.open()
+    bus.silent, began = True, bus.clock.now()
     with pytest.raises(ConnectionLostError, match="connecting again failed"):
-        link.ask("get_angles")
-    attempt = link_module.PROBE_PATIENCE + 1.5 + 0.9
-    assert link_module.PATIENCE <= link.now <= link_module.PATIENCE + attempt
-    began = link.now
+        link.ask(bus.read)
+    attempt = mycobot_module.PROBE_PATIENCE + 1.5 + 0.9
+    assert link_module.PATIENCE <= bus.clock.now() - began <= link_module.PATIENCE + attempt
+    began = bus.clock.now()
+    link._connected = True
     with shielded(), pytest.raises(ConnectionLostError):
-        link.ask("stop")
-    assert link_module.LAST_PATIENCE <= link.now - began <= link_module.LAST_PATIENCE + 0.9 + attempt
+        link.ask(bus.stop)
+    assert link_module.LAST_PATIENCE <= bus.clock.now() - began <= link_module.LAST_PATIENCE + 0.9 + attempt

@@ -6,8 +6,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rejoint.arms import mycobot280
-from rejoint.robots.mycobot import DriverSettings, wire_angles
-from rejoint.robots.plausibility import Continuity, read_angles
+from rejoint.robots import BusRobot
+from rejoint.robots.address import TcpAddress
+from rejoint.robots.mycobot import MyCobotBus, read_angles, wire_angles
+from rejoint.robots.plausibility import Continuity, judge
 from rejoint.robots.vendor import HIGHEST_DEG, LOWEST_DEG
 from rejoint.system.errors import ImpossibleReplyError, InputError, StaleReplyError
 
@@ -28,12 +30,12 @@ def test_the_clients_truncation_becomes_rounding(position):
 )  # fmt: skip
 def test_impossible_angles(reply):
     with pytest.raises(ImpossibleReplyError):
-        read_angles(reply, ARM)
+        judge(read_angles(reply), ARM)
 
 
 def test_unreadable_servos_are_named():
     with pytest.raises(ImpossibleReplyError, match="joint3, joint6"):
-        read_angles([0.0, 0.0, -180.08, 0.0, 0.0, 180.08], ARM)
+        judge(read_angles([0.0, 0.0, -180.08, 0.0, 0.0, 180.08]), ARM)
 
 
 def test_a_jump_depends_on_the_time_between_answers():
@@ -88,7 +90,8 @@ def test_one_encoder_step_makes_answers_fresh_again():
     assert continuity.accept(1.0, np.full(6, 0.1015), np.full(6, 0.5)) == 0.0
 
 
-@pytest.mark.parametrize("settings", [{"period": (0.0, 0.1)}, {"period": (0.1, 2.0)}, {"speed_percent": 0}])
-def test_settings_that_make_no_sense_are_refused(settings):
-    with pytest.raises(InputError):
-        DriverSettings(**settings)
+@pytest.mark.parametrize("period", [(0.0, 0.1), (0.1, 2.0), (0.2, 0.1)])
+def test_periods_that_make_no_sense_are_refused(period):
+    bus = MyCobotBus(TcpAddress(text="tcp://nowhere:1", host="nowhere", port=1), ARM)
+    with pytest.raises(InputError, match="control period"):
+        BusRobot(bus, ARM, address="tcp://nowhere:1", period=period)

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from rejoint.control.robot import Robot
-from rejoint.robots import default_period, open_robot
-from rejoint.robots.address import EmulatedAddress, SerialAddress, TcpAddress, parse_address
+from rejoint.robots import open_robot, place_of
+from rejoint.robots.address import SerialAddress, TcpAddress
 from rejoint.system.errors import AddressError, InputError, MissingExtraError
 
 KNOWN = [
-    ("emulated:worn", EmulatedAddress(profile="worn")),
-    ("emulated:worn?seed=7", EmulatedAddress(profile="worn?seed=7")),
+    ("emulated:worn", "worn"),
+    ("emulated:worn?seed=7", "worn?seed=7"),
     ("tcp://10.0.0.7:9001", TcpAddress(text="tcp://10.0.0.7:9001", host="10.0.0.7", port=9001)),
     ("tcp://robot.local", TcpAddress(text="tcp://robot.local", host="robot.local", port=9000)),
     ("serial:///dev/ttyAMA0", SerialAddress(text="serial:///dev/ttyAMA0", device="/dev/ttyAMA0", baud=1_000_000)),
@@ -18,9 +18,11 @@ KNOWN = [
 ]
 
 
-@pytest.mark.parametrize(("text", "address"), KNOWN)
-def test_known_addresses(text, address):
-    assert parse_address(text) == address
+@pytest.mark.parametrize(("text", "detail"), KNOWN)
+def test_known_addresses(text, detail):
+    place = place_of(text)
+    assert (place.text, str(place), place.detail) == (text, text, detail)
+    assert place.virtual == text.startswith("emulated:")
 
 
 @pytest.mark.parametrize(
@@ -65,5 +67,6 @@ def test_a_missing_extra_is_named(monkeypatch):
 
 
 def test_periods_that_nobody_asked_for():
-    assert default_period("tcp://127.0.0.1:9000") == default_period("serial:///dev/ttyAMA0") == (0.05, 0.05)
-    assert default_period("emulated:worn") == (0.02, 0.03)
+    for text, period in (("tcp://127.0.0.1:9000", 0.05), ("serial:///dev/ttyAMA0", 0.05)):
+        assert place_of(text).default_period == (period, period)
+    assert place_of("emulated:worn").default_period == (0.02, 0.03)

@@ -12,6 +12,7 @@ from rejoint.cli import options as opt
 from rejoint.cli import show
 from rejoint.cli.console import Terminal
 from rejoint.diagnosis.diagnosis import Diagnosis
+from rejoint.robots import place_of
 from rejoint.runs import opening
 from rejoint.runs import stages as work
 from rejoint.runs.comparison.recommend import Recommendation, recommend
@@ -43,10 +44,10 @@ def repair(
     """
     require("rejoint repair", "train", "report")
     terminal = Terminal(json=json)
-    emulated = robot.startswith("emulated:")
+    virtual = place_of(robot).virtual
     trials = work.Trials(
         controllers=opt.controller_names(controllers), file=targets,
-        sets=sets or (3 if emulated else 1), repetitions=repetitions or (2 if emulated else 1),
+        sets=sets or (3 if virtual else 1), repetitions=repetitions or (2 if virtual else 1),
     )  # fmt: skip
     chosen = opt.choose_arm(terminal, arm, base, tip, robot)
     path, resumed = (run, run.exists()) if run else opening.newest_or_new(robot, chosen, seed)

@@ -11,7 +11,7 @@ import typer
 from rejoint.arms import Arm
 from rejoint.arms.loading import read_arm
 from rejoint.cli.console import Terminal
-from rejoint.robots import DEFAULT_ARM, default_arm
+from rejoint.robots import DEFAULT_ARM, place_of
 from rejoint.runs import opening
 from rejoint.runs.folder import LOGS
 from rejoint.system.errors import InputError
@@ -50,7 +50,7 @@ def choose_arm(
     terminal: Terminal, source: str | None, base: str | None, tip: str | None, robot: str | None = None
 ) -> Arm:
     """Load an arm, by default the one that ``robot`` is, and tell what its description left open."""
-    loaded = read_arm(source or (DEFAULT_ARM if robot is None else default_arm(robot)), base=base, tip=tip)
+    loaded = read_arm(source or (DEFAULT_ARM if robot is None else place_of(robot).default_arm), base=base, tip=tip)
     for note in loaded.notes:
         terminal.say(f"arm {loaded.arm.name}: {note}")
     return loaded.arm

@@ -35,6 +35,8 @@ class JointState:
     load: Array | None = None
     """(B, n) torque that each servo says it gives, as a share of its largest, -1 to 1, positive with the joint; None
     where the robot does not report it"""
+    voltage: Array | None = None
+    """(B, n) [V] supply that each servo measures, None where the robot does not report it"""
 
 
 @runtime_checkable

@@ -1,8 +1,11 @@
 """A myCobot 280, real or emulated, through the vendor's client.
 
-One control cycle is: send the command, wait, read the joints so that the answer arrives one period
-after the last one. The wire takes about 8 ms for the one and 12 ms for the other; the vendor names
-50 ms as the shortest cycle of control and feedback, which is the default.
+The wire takes about 8 ms for a command and 12 ms for a reading.
+
+pymycobot reports failures as -1, as None, as struct.error from a cut frame, or as whatever the operating system raised.
+Over TCP it never resynchronises: once an answer came late, every later call returns the previous call's answer. So no
+question is asked while bytes lie there that nobody asked for, and after a failure or a late answer both sides are
+brought into step again. The client's `async` mode is never used: over TCP it leaves answers behind that nobody reads.
 
 This driver never uses the emulator's codec: the vendor's client is the independent judge of what
 the emulator sends.
@@ -10,143 +13,214 @@ the emulator sends.
 
 from __future__ import annotations
 
-import time
-from dataclasses import dataclass
+import contextlib
+import select
+import socket
+import struct
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
 from rejoint.arms import Arm, Array
-from rejoint.control.robot import JointState, Mask
-from rejoint.robots.health import Health
-from rejoint.robots.link import VendorLink
-from rejoint.robots.plausibility import Continuity, read_angles
-from rejoint.robots.vendor import HIGHEST_DEG, LOWEST_DEG
-from rejoint.system.errors import InputError, RobotError
-from rejoint.system.stopping import pause
-
-DEFAULT_PERIOD = (0.050, 0.050)
-"""[s] shortest cycle of control and feedback that the vendor names (its FAQ)"""
+from rejoint.robots.address import SerialAddress, TcpAddress
+from rejoint.robots.bus import Bus, Reading, Vitals
+from rejoint.robots.link import ATTEMPTS, BROKEN, persist
+from rejoint.robots.vendor import HIGHEST_DEG, LOWEST_DEG, make_client, silenced
+from rejoint.system.errors import (
+    ConnectionLostError,
+    ImpossibleReplyError,
+    InputError,
+    NoReplyError,
+    PowerLostError,
+    RobotError,
+    StaleReplyError,
+)
 
 SENT = 3
 """Times that a command is sent before its refusal is believed: one wrong byte on the wire looks the same (chosen)"""
+SPEED_PERCENT = 100
+"""of the firmware's own speed limit (chosen: ours are the guard's)"""
+UNREADABLE_DEG = 180.08
+"""[deg] what a joint shows whose servo cannot be read (elephantrobotics/pymycobot, issue 43)"""
+PROBE_PATIENCE = 2.0
+"""[s] for a TCP connection to be accepted; a robot in the same network needs milliseconds (chosen)"""
+LATE = 0.3
+"""[s] the client's own TCP timeout: a call that took longer was sent more than once"""
+QUIET = 0.03
+"""[s] of silence after which no answer is on its way any more (chosen: twice what an answer takes)"""
+RELAY_BUSY = 0.6
+"""[s] during which the vendor's server may still wait for a robot's answer (its own limit is 0.5 s)"""
+POWER_UP = 3.0
+"""[s] to wait for the servos after power_on (chosen)"""
+_CUT_FRAME = (struct.error, IndexError, KeyError, TypeError, ValueError, UnicodeError)
+_JOINTS = len(LOWEST_DEG)
 
 
-@dataclass(frozen=True, kw_only=True)
-class DriverSettings:
-    """How the robot is driven."""
+class MyCobotBus(Bus):
+    """The wire of a myCobot 280, by ``pymycobot``, which sends each question up to three times by itself.
 
-    period: tuple[float, float] = DEFAULT_PERIOD
-    """[s] every cycle's length is drawn uniformly from this interval; never shorter than the wire allows"""
-    speed_percent: int = 100
-    """of the firmware's own speed limit"""
-    health_interval: float = 1.0
-    """[s] at most between questions for servo faults and for temperatures, which take turns (chosen); where the period
-    leaves time for it, one is asked in every cycle"""
-    seed: int = 0
+    To connect takes 1.5 s, which the client sleeps. The arm is powered on if it is off when it is first opened (it then
+    holds where it is) and put into fresh mode, in which the newest command wins.
+    """
 
-    def __post_init__(self) -> None:
-        low, high = self.period
-        if not 0.0 < low <= high <= 1.0:
-            raise InputError(f"the control period needs 0 < low <= high <= 1 s, got {self.period}")
-        if not 1 <= self.speed_percent <= 100:
-            raise InputError(f"the speed must be 1..100 percent, got {self.speed_percent}")
+    name = "myCobot 280"
+    advice = f"{Bus.advice} `rejoint emulate` starts an arm to try"
 
+    def __init__(self, address: TcpAddress | SerialAddress, arm: Arm) -> None:
+        if arm.joints != _JOINTS:
+            raise InputError(f"a myCobot 280 has {_JOINTS} joints, arm {arm.name} has {arm.joints}")
+        self.address = address
+        self._client: Any = None
+        self._was_ready = False
 
-class MyCobotRobot:
-    """One arm behind an opened `VendorLink`; its clock is `time.monotonic`."""
+    def open(self) -> None:
+        """Make a client."""
+        if isinstance(self.address, TcpAddress):
+            with socket.create_connection((self.address.host, self.address.port), PROBE_PATIENCE):
+                pass  # the client itself would wait for minutes
+        self._client = make_client(self.address)
 
-    def __init__(self, link: VendorLink, arm: Arm, settings: DriverSettings | None = None) -> None:
-        if arm.joints != len(LOWEST_DEG):
-            raise InputError(f"a myCobot 280 has {len(LOWEST_DEG)} joints, arm {arm.name} has {arm.joints}")
-        self._link = link
-        self._arm = arm
-        self._settings = settings or DriverSettings()
-        self._rng = np.random.default_rng(self._settings.seed)
-        self._continuity = Continuity(arm)
-        self._command: Array | None = None
-        self._state: JointState | None = None
-        self._health = Health(link, arm.joints, self._settings.health_interval)
-        self._read_cost: float | None = None
+    def prepare(self, until: float | None = None) -> None:
+        """See that the arm has power, switch it on if this is the first time, and put it into fresh mode."""
+        if (
+            self._confirm("is_power_on", until) != 1 and self._confirm("is_power_on", until) != 1
+        ):  # one wrong byte is no news
+            if self._was_ready:
+                raise PowerLostError(f"{self.address}: the arm lost its power; support it, then start again")
+            self._confirm("power_on")
+            self._await_power()
+        for _ in range(ATTEMPTS + 1):
+            if self._confirm("get_fresh_mode", until) == 1:
+                self._was_ready = True
+                return
+            with contextlib.suppress(NoReplyError, StaleReplyError, ImpossibleReplyError):
+                self._call("set_fresh_mode", 1)
+                continue
+            # The vendor's server swallows acknowledgements that equal their order, as this one does.
+            self.clock.wait(RELAY_BUSY)
+        raise NoReplyError(f"{self.address}: the arm does not take up fresh mode; update its firmware to 7.3")
 
-    @property
-    def arm(self) -> Arm:
-        """The arm's kinematics, limits and masses."""
-        return self._arm
+    def read(self) -> Reading:
+        """Ask for the joint positions."""
+        return Reading(position=read_angles(self._call("get_angles")))
 
-    @property
-    def address(self) -> str:
-        """Where the robot is."""
-        return str(self._link.address)
+    def vitals(self) -> tuple[Callable[[], Vitals], ...]:
+        """Temperatures and faults, which older firmware does not report."""
+        return self._temperatures, self._faults
 
-    @property
-    def count(self) -> int:
-        """One arm."""
-        return 1
-
-    def read(self) -> JointState:
-        """Ask for the joint positions; an impossible answer is asked for once more.
-
-        Raises NoReplyError, StaleReplyError, ImpossibleReplyError or ConnectionLostError.
-        """
-        if self._state is None:
-            self._health.find()
-        return self._link.insist(self._read_once)
-
-    def step(self, command: Array, active: Mask | None = None) -> JointState:
-        """Send ``command`` (1, n) [rad], let the period pass, read.
-
-        The command is clipped to the limits of the client, which refuses anything beyond them. An arm
-        that is not ``active`` (1,) is left alone, and its last state repeated.
-        """
-        if command.shape != (1, self._arm.joints) or not np.isfinite(command).all():
-            raise InputError(f"expected finite joint positions of shape (1, {self._arm.joints}), got {command!r}")
-        last = self._state if self._state is not None else self.read()
-        if active is not None and not active[0]:
-            return last
-        period = self._rng.uniform(*self._settings.period)
-        due = max(float(last.time[0]), time.monotonic() - period / 2) + period  # even a late command gets half of it
-        self._send(command[0])
-        ask_at = due - (self._read_cost or 0.0)
-        self._health.poll(ask_at - time.monotonic())
-        pause(ask_at - time.monotonic())
-        return self.read()
-
-    def true_tcp(self) -> Array:
-        """(1, 3) NaN: nobody knows where a real tool is."""
-        return np.full((1, 3), np.nan)
-
-    def stop(self) -> None:
-        """Stop by the vendor's order; the arm holds where its reference is. The power stays on."""
-        self._link.ask("stop")
-        self._command = None
-
-    def close(self) -> None:
-        """Drop the connection; the arm keeps holding."""
-        self._link.close()
-
-    def _send(self, command: Array) -> None:
-        self._command = command.copy()
+    def send(self, goal: Array) -> None:
+        """Send joint positions, clipped to the limits of the client, which refuses anything beyond them."""
         for _ in range(SENT):
-            answer = self._link.ask("send_angles", wire_angles(command), self._settings.speed_percent)
+            answer = self._call("send_angles", wire_angles(goal), SPEED_PERCENT)
             if answer == 1:
                 return
-        error = self._link.ask("get_error_information")
+        error = self._call("get_error_information")
         raise RobotError(f"{self.address}: the arm refused a command (answer {answer}, error code {error})")
 
-    def _read_once(self) -> JointState:
-        began = time.monotonic()
-        reply = self._link.ask("get_angles")
-        now = time.monotonic()
-        position = read_angles(reply, self._arm)
-        self._continuity.check(now, position)
-        age = self._continuity.accept(now, position, self._command)
-        cost = min(now - began, self._settings.period[0])  # without the time of a reconnection
-        self._read_cost = cost if self._read_cost is None else 0.8 * self._read_cost + 0.2 * cost
-        self._state = JointState(
-            time=np.array([now]), position=position[None], age=np.array([age]),
-            temperature=self._health.temperature, fault=self._health.fault,
-        )  # fmt: skip
-        return self._state
+    def stop(self) -> None:
+        """Stop by the vendor's order; the arm holds where its reference is."""
+        self._call("stop")
+
+    def resynchronise(self, deadline: float) -> None:
+        """Wait until no late answer can be taken for another one; ConnectionLostError if that cannot be had.
+
+        Answers come in the order of the questions. So once a question of another kind has been answered at once, and
+        nothing comes after it, nothing of what was asked before is on its way any more.
+        """
+        if not isinstance(self.address, TcpAddress):
+            return
+        while self.clock.now() < deadline:
+            self._drain(QUIET)
+            with contextlib.suppress(NoReplyError, ImpossibleReplyError, StaleReplyError):
+                if self._call("get_fresh_mode") in (0, 1) and not self._drain(QUIET):
+                    return
+        raise ConnectionLostError(f"{self.address}: answers are out of step")
+
+    def close(self) -> None:
+        """Drop the client."""
+        client, self._client = self._client, None
+        if client is not None:
+            client.close()
+
+    def _temperatures(self) -> Vitals:
+        return Vitals(temperature=_numbers(self._call("get_servo_temps"), "temperatures"))
+
+    def _faults(self) -> Vitals:
+        """Whether each servo reports a fault: 0, or a list of set bits (or a bit mask)."""
+        reply = self._call("get_servo_status")
+        if not isinstance(reply, list) or len(reply) != _JOINTS:
+            raise ImpossibleReplyError(f"expected the status of {_JOINTS} servos, got {reply!r}")
+        return Vitals(fault=np.array([bool(status) for status in reply]))
+
+    def _call(self, method: str, *arguments: object) -> object:
+        """Call a method of the client, and name what goes wrong; an answer that came late is none."""
+        self._refuse_surplus()
+        began = self.clock.now()
+        try:
+            with silenced() if method == "get_servo_status" else contextlib.nullcontext():
+                answer: object = getattr(self._client, method)(*arguments)
+        except BROKEN as error:
+            raise ConnectionLostError(f"{self.address}: the connection broke during {method} ({error})") from error
+        except _CUT_FRAME as error:
+            raise ImpossibleReplyError(f"{self.address}: garbled answer to {method} ({error})") from error
+        took = self.clock.now() - began
+        if answer is None or (isinstance(answer, int) and answer == -1):
+            raise NoReplyError(f"{self.address}: no usable answer to {method} within {took:.1f} s")
+        if isinstance(self.address, TcpAddress) and took > LATE:
+            raise StaleReplyError(
+                f"{self.address}: the answer to {method} took {took:.2f} s, more than {LATE} s; "
+                "later answers would be those of earlier questions"
+            )
+        return answer
+
+    def _refuse_surplus(self) -> None:
+        """Refuse to ask while bytes lie there that nobody asked for: they would be taken for the next answer."""
+        if self._drain(0.0):
+            raise StaleReplyError(f"{self.address}: answers arrive that nobody asked for")
+
+    def _drain(self, quiet: float) -> bool:
+        """Throw away what lies on a TCP connection until nothing has come for ``quiet`` [s]; tells if there was any.
+
+        On a serial port the client throws it away itself.
+        """
+        found = False
+        if not isinstance(self.address, TcpAddress):
+            return found
+        try:
+            while select.select([self._client.sock], [], [], quiet)[0]:
+                found = True
+                if not self._client.sock.recv(4096):
+                    raise ConnectionLostError(f"{self.address}: the other side closed the connection")
+                if quiet == 0.0:
+                    break
+        except BROKEN as error:
+            raise ConnectionLostError(f"{self.address}: the connection broke ({error})") from error
+        return found
+
+    def _confirm(self, method: str, until: float | None = None) -> object:
+        """Ask during the preparation of a connection, which must not be made anew by itself."""
+
+        def recover(error: RobotError, deadline: float) -> None:
+            if isinstance(error, ConnectionLostError):
+                raise error
+            self.resynchronise(deadline)
+
+        return persist(lambda: self._call(method), recover, self.clock, until)
+
+    def _await_power(self) -> None:
+        deadline = self.clock.now() + POWER_UP
+        while self._confirm("is_power_on") != 1:
+            if self.clock.now() > deadline:
+                raise NoReplyError(f"{self.address}: the servos do not power on; check supply and emergency stop")
+            self.clock.wait(0.1)
+
+
+def read_angles(reply: object) -> Array:
+    """Joint positions (n,) [rad] from the client's answer in degrees, NaN where a servo cannot be read."""
+    degrees = _numbers(reply, "joint angles")
+    degrees[np.abs(np.abs(degrees) - UNREADABLE_DEG) < 0.005] = np.nan
+    return np.radians(degrees)
 
 
 def wire_angles(position: Array) -> list[float]:
@@ -157,3 +231,11 @@ def wire_angles(position: Array) -> list[float]:
     hundredths = np.round(np.degrees(position) * 100.0)
     degrees = (hundredths + 0.25 * np.sign(hundredths)) / 100.0
     return [float(value) for value in np.clip(degrees, LOWEST_DEG, HIGHEST_DEG)]
+
+
+def _numbers(reply: object, what: str) -> Array:
+    """One number per joint; ImpossibleReplyError otherwise."""
+    numbers = reply if isinstance(reply, list) else []
+    if len(numbers) != _JOINTS or not all(type(value) in (int, float) for value in numbers):
+        raise ImpossibleReplyError(f"expected {_JOINTS} {what}, got {reply!r}")
+    return np.array(numbers, dtype=float)

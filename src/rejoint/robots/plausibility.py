@@ -1,4 +1,4 @@
-"""What a myCobot can possibly answer: the judge between the wire and everything that computes with it."""
+"""What an arm can possibly answer: the judge between the wire and everything that computes with it."""
 
 from __future__ import annotations
 
@@ -7,12 +7,10 @@ import numpy as np
 from rejoint.arms import Arm, Array
 from rejoint.system.errors import ImpossibleReplyError, StaleReplyError
 
-UNREADABLE_DEG = 180.08
-"""[deg] what a joint shows whose servo cannot be read (elephantrobotics/pymycobot, issue 43)"""
 RANGE_MARGIN = np.radians(5.0)
 """[rad] a joint can be beyond its limit by sag and by the stops (chosen)"""
 MAX_SPEED_FACTOR = 2.0
-"""Times the arm's speed limit: 300 deg/s, just above the no-load speed of the servos (chosen)."""
+"""Times the arm's speed limit: for a myCobot 300 deg/s, just above the no-load speed of its servos (chosen)"""
 JUMP_SLACK = np.radians(5.0)
 """[rad] covers that answers are sampled up to 30 ms away from their arrival (chosen)"""
 DOUBT = 1.0
@@ -27,27 +25,16 @@ REPEAT_LIMIT = 1.5
 """[s] of identical answers under a changed command that nothing explains (chosen)"""
 
 
-def read_angles(reply: object, arm: Arm) -> Array:
-    """Joint positions (n,) [rad] from the client's answer in degrees; ImpossibleReplyError otherwise."""
-    if not isinstance(reply, list) or len(reply) != arm.joints or not all(_is_number(value) for value in reply):
-        raise ImpossibleReplyError(f"expected {arm.joints} joint angles, got {reply!r}")
-    degrees = np.array(reply, dtype=float)
-    unreadable = np.abs(np.abs(degrees) - UNREADABLE_DEG) < 0.005
+def judge(position: Array, arm: Arm) -> None:
+    """ImpossibleReplyError unless these are joint positions (n,) [rad] that ``arm`` can have, NaN for none."""
+    if np.shape(position) != (arm.joints,):
+        raise ImpossibleReplyError(f"expected {arm.joints} joint angles, got {position!r}")
+    unreadable = np.isnan(position)
     if unreadable.any():
         names = ", ".join(name for name, bad in zip(arm.joint_names, unreadable, strict=True) if bad)
-        raise ImpossibleReplyError(f"the servos of {names} cannot be read (they show {UNREADABLE_DEG} deg)")
-    position = np.radians(degrees)
-    beyond = (position < arm.lower - RANGE_MARGIN) | (position > arm.upper + RANGE_MARGIN)
-    if not np.isfinite(degrees).all() or beyond.any():
-        raise ImpossibleReplyError(f"joint angles {reply} deg are outside the arm's range")
-    return position
-
-
-def read_bytes(reply: object, count: int) -> Array:
-    """One number per joint, such as temperatures; ImpossibleReplyError otherwise."""
-    if not isinstance(reply, list) or len(reply) != count or not all(_is_number(value) for value in reply):
-        raise ImpossibleReplyError(f"expected {count} numbers, got {reply!r}")
-    return np.array(reply, dtype=float)
+        raise ImpossibleReplyError(f"the servos of {names} cannot be read")
+    if ((position < arm.lower - RANGE_MARGIN) | (position > arm.upper + RANGE_MARGIN)).any():
+        raise ImpossibleReplyError(f"joint angles {np.degrees(position).tolist()} deg are outside the arm's range")
 
 
 class Continuity:
@@ -107,7 +94,3 @@ class Continuity:
                 f"{np.degrees(COMMAND_TRAVEL):.0f} deg: the answers are old, or the arm is blocked or switched off"
             )
         return age if age > REPEAT_GRACE else 0.0
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)

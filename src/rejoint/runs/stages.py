@@ -27,7 +27,7 @@ from rejoint.control.robot import Robot
 from rejoint.control.start import Stance
 from rejoint.logs.journal import Journal
 from rejoint.logs.runlog import RunLog, read_log, write_log
-from rejoint.robots import default_period, open_robot
+from rejoint.robots import open_robot, place_of
 from rejoint.runs.comparison.compare import Settings, Trial, compare
 from rejoint.runs.comparison.ledger import Ledger
 from rejoint.runs.comparison.recommend import Recommendation, recommend
@@ -196,15 +196,17 @@ def compare_stage(
         else read_targets(trials.file, run.arm)[None]
     )
 
+    place = place_of(robot)
+
     def connect(count: int, seed: int) -> Robot:
-        return open_robot(robot, arm=run.arm, seed=seed, count=count, period=period, threads=2)
+        return place.open(arm=run.arm, seed=seed, count=count, period=period, threads=2)
 
     require_space(run.folder.path)
     settings = Settings(
-        repetitions=trials.repetitions, seed=run.info.seed, batched=robot.startswith("emulated:"),
+        repetitions=trials.repetitions, seed=run.info.seed, batched=place.virtual,
         protocol=trials.protocol, leave_out=not trials.controllers,
     )  # fmt: skip
-    factories = _factories(run, trials.controllers, period or default_period(robot))
+    factories = _factories(run, trials.controllers, period or place.default_period)
     ledger = Ledger.begin(run.folder.trials, _comparison_name(run, robot, targets, settings, tuple(factories), period))
     earlier = [] if ledger.done else list(run.folder.trial_logs())
 
@@ -267,13 +269,14 @@ def deploy_stage(
     Where something ends it early, ``on_end`` is told what was done until then, and what was recorded is kept, also
     where it is ``kill -9``. UnsavedError with the result where the log cannot be written.
     """
-    limits, stance = _limits(run), _stance(run)
-    controller = _factories(run, (job.controller,), period or default_period(robot))[job.controller](run.arm)
+    limits, stance, place = _limits(run), _stance(run), place_of(robot)
+    cycle_time = period or place.default_period
+    controller = _factories(run, (job.controller,), cycle_time)[job.controller](run.arm)
     require_space(run.folder.path)
     label, total = f"deploy/{job.controller}", len(job.targets)
-    rows = int(total * job.dwell / min(period or default_period(robot)))
+    rows = int(total * job.dwell / min(cycle_time))
 
-    with noted(), closing(open_robot(robot, arm=run.arm, seed=run.info.seed, period=period)) as connection:
+    with noted(), closing(place.open(arm=run.arm, seed=run.info.seed, period=period)) as connection:
         journal = _journal(run, "deploy", connection, label, rows)
 
         def watch(cycle: Cycle) -> None:

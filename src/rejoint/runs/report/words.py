@@ -4,6 +4,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from contextlib import suppress
+
+from rejoint.robots import place_of
+from rejoint.system.errors import AddressError
 
 CONTROLLERS = {
     "default": "target sent once, as the arm does by itself",
@@ -47,6 +51,9 @@ def sentence(text: str) -> str:
 def once(robot: str) -> str:
     """Return the options with which `rejoint compare` is done in minutes on a real arm: its defaults take hours there.
 
-    Empty for an emulated arm, whose time costs nothing.
+    Empty for an arm in virtual time, which costs nothing. What is no address, such as ROBOT, stands for a real arm.
     """
-    return "" if robot.startswith("emulated:") else " --sets 1 --repetitions 1"
+    with suppress(AddressError):
+        if place_of(robot).virtual:
+            return ""
+    return " --sets 1 --repetitions 1"

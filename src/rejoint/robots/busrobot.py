@@ -1,0 +1,149 @@
+"""One arm behind its bus: the control period, and what of its answers is believed, the same for every family.
+
+One control cycle is: send the command, wait, read the joints so that the answer arrives one period after the last one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TypeVar
+
+import numpy as np
+
+from rejoint.arms import Arm, Array
+from rejoint.control.robot import JointState, Mask, Robot
+from rejoint.robots.bus import Bus, Reading
+from rejoint.robots.family import DEFAULT_ARM, Family, Opening, Place
+from rejoint.robots.health import Health, believed
+from rejoint.robots.link import Link
+from rejoint.robots.plausibility import Continuity, judge
+from rejoint.system.errors import InputError
+
+_SMOOTHING = 0.2  # share of the newest cost of a reading in its running mean
+
+T = TypeVar("T")
+
+
+class BusRobot:
+    """One arm behind a bus that is opened by `open`; its clock is that of the bus.
+
+    Every cycle's length is drawn uniformly from ``period`` [s]; it is never shorter than the wire allows.
+    """
+
+    def __init__(
+        self, bus: Bus, arm: Arm, *, address: str, period: tuple[float, float] = (0.050, 0.050), seed: int = 0
+    ) -> None:
+        low, high = period
+        if not 0.0 < low <= high <= 1.0:
+            raise InputError(f"the control period needs 0 < low <= high <= 1 s, got {period}")
+        self._bus, self._arm, self._period, self._clock = bus, arm, period, bus.clock
+        self._link = Link(bus, address)
+        self._rng = np.random.default_rng(seed)
+        self._continuity = Continuity(arm)
+        self._health = Health(self._link, bus)
+        self._command: Array | None = None
+        self._state: JointState | None = None
+        self._read_cost: float | None = None
+
+    @property
+    def arm(self) -> Arm:
+        """The arm's kinematics, limits and masses."""
+        return self._arm
+
+    @property
+    def address(self) -> str:
+        """Where the robot is."""
+        return self._link.address
+
+    @property
+    def count(self) -> int:
+        """One arm."""
+        return 1
+
+    def open(self) -> None:
+        """Connect and get the arm ready; nothing moves. AddressError if nothing usable answers."""
+        self._link.open()
+
+    def read(self) -> JointState:
+        """Ask for the joint positions; an impossible answer is asked for again.
+
+        Raises NoReplyError, StaleReplyError, ImpossibleReplyError or ConnectionLostError.
+        """
+        if self._state is None:
+            self._health.find()
+        now, reading = self._link.ask(self._read_once)
+        self._health.take(reading)
+        self._state = JointState(
+            time=np.array([now]), position=np.array(reading.position, float)[None],
+            age=np.array([self._continuity.accept(now, reading.position, self._command)]),
+            temperature=self._health.temperature, fault=self._health.fault,
+            load=None if reading.load is None else np.array(reading.load, float)[None],
+            voltage=None if reading.voltage is None else np.array(reading.voltage, float)[None],
+        )  # fmt: skip
+        return self._state
+
+    def step(self, command: Array, active: Mask | None = None) -> JointState:
+        """Send ``command`` (1, n) [rad], let the period pass, read.
+
+        An arm that is not ``active`` (1,) is left alone, and its last state repeated.
+        """
+        if command.shape != (1, self._arm.joints) or not np.isfinite(command).all():
+            raise InputError(f"expected finite joint positions of shape (1, {self._arm.joints}), got {command!r}")
+        last = self._state if self._state is not None else self.read()
+        if active is not None and not active[0]:
+            return last
+        period = self._rng.uniform(*self._period)
+        due = max(float(last.time[0]), self._clock.now() - period / 2) + period  # even a late command gets half of it
+        goal = self._command = command[0].copy()
+        self._link.ask(lambda: self._bus.send(goal))
+        ask_at = due - (self._read_cost or 0.0)
+        self._health.poll(ask_at - self._clock.now())
+        self._clock.wait(ask_at - self._clock.now())
+        return self.read()
+
+    def true_tcp(self) -> Array:
+        """(1, 3) NaN: nobody knows where a real tool is."""
+        return np.full((1, 3), np.nan)
+
+    def stop(self) -> None:
+        """Make the arm hold where it is. The power stays on."""
+        self._link.ask(self._bus.stop)
+        self._command = None
+
+    def close(self) -> None:
+        """Drop the connection; the arm keeps holding."""
+        self._link.close()
+
+    def _read_once(self) -> tuple[float, Reading]:
+        """Read, and judge what was read; returns when it arrived [s] as well."""
+        began = self._clock.now()
+        reading = believed(self._bus.read)
+        now = self._clock.now()
+        judge(reading.position, self._arm)
+        self._continuity.check(now, reading.position)
+        cost = min(now - began, self._period[0])
+        self._read_cost = cost if self._read_cost is None else (1 - _SMOOTHING) * self._read_cost + _SMOOTHING * cost
+        return now, reading
+
+
+def bus_family(
+    bus: Callable[[T, Arm], Bus],
+    *,
+    scheme: str,
+    form: str,
+    parse: Callable[[str], T],
+    default_arm: str = DEFAULT_ARM,
+    default_period: tuple[float, float] = (0.050, 0.050),
+) -> Family[T]:
+    """Family of arms behind a ``bus``, which is made from what ``parse`` read from the address, and the arm."""
+
+    def connect(place: Place[T], opening: Opening) -> Robot:
+        robot = BusRobot(
+            bus(place.detail, opening.arm), opening.arm, address=place.text, period=opening.period, seed=opening.seed
+        )
+        robot.open()
+        return robot
+
+    return Family(
+        scheme=scheme, form=form, parse=parse, connect=connect, default_arm=default_arm, default_period=default_period
+    )

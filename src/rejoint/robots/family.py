@@ -1,0 +1,111 @@
+"""Robot families: what an address of each looks like, and how the robot there is opened."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Generic, TypeVar
+
+from rejoint.arms import Arm, load_arm
+from rejoint.control.robot import Robot
+from rejoint.system.errors import InputError
+from rejoint.system.extras import require
+
+T = TypeVar("T")
+
+DEFAULT_ARM = "mycobot280"
+"""Arm of families that do not say: that of the paper"""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Opening:
+    """What a robot is opened with."""
+
+    arm: Arm
+    seed: int
+    """of everything random"""
+    count: int
+    """number of arms side by side; 1 where the family is not virtual"""
+    period: tuple[float, float]
+    """[s] interval from which the length of every control cycle is drawn"""
+    threads: int
+    """that a simulation may use"""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Family(Generic[T]):
+    """Robots that are addressed and opened in one way; T is what `parse` makes of an address."""
+
+    scheme: str
+    """what stands before the colon of an address; the name of the entry point as well"""
+    form: str
+    """of an address, as it is shown to users: ``tcp://HOST:PORT``"""
+    parse: Callable[[str], T]
+    """reads a whole address; ValueError says what is wrong with it"""
+    connect: Callable[[Place[T], Opening], Robot]
+    """opens the robot; AddressError if nothing usable is there"""
+    default_arm: str | Callable[[T], str] = DEFAULT_ARM
+    """a name of the catalogue or the path of a description: the arm where none is asked for"""
+    default_period: tuple[float, float]
+    """[s] shortest and longest control period where none is asked for"""
+    virtual: bool = False
+    """whether any number of arms can be opened side by side, in virtual time, which costs nothing"""
+    needs: tuple[str, ...] = ()
+    """extras of this package, or modules of them, without which no such robot can be opened"""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Place(Generic[T]):
+    """Where a robot is: its address, read once."""
+
+    text: str
+    """as the user wrote it"""
+    family: Family[T]
+    detail: T
+    """what the family read from the address"""
+
+    @property
+    def virtual(self) -> bool:
+        """Whether arms come in batches there, in virtual time."""
+        return self.family.virtual
+
+    @property
+    def default_period(self) -> tuple[float, float]:
+        """Interval [s] of the control periods where nothing else is asked for."""
+        return self.family.default_period
+
+    @property
+    def default_arm(self) -> str:
+        """Name or description of the arm there; MissingExtraError where what knows it is not installed."""
+        arm = self.family.default_arm
+        if isinstance(arm, str):
+            return arm
+        require(self.text, *self.family.needs)
+        return arm(self.detail)
+
+    def open(
+        self,
+        *,
+        arm: Arm | None = None,
+        seed: int = 0,
+        count: int = 1,
+        period: tuple[float, float] | None = None,
+        threads: int = 1,
+    ) -> Robot:
+        """Connect to the robot; nothing moves.
+
+        Without ``arm`` it is `default_arm`. ``count`` arms of a virtual family form a batch. ``period`` [s] is the
+        interval from which the length of every control cycle is drawn; by default `default_period`. Raises
+        AddressError if nothing usable is there, MissingExtraError where the family needs more than is installed.
+        """
+        arm = arm or load_arm(self.default_arm)
+        if count < 1:
+            raise InputError(f"a robot needs at least one arm, got count {count}")
+        if count != 1 and not self.virtual:
+            raise InputError(f"{self.text} is one arm; only emulated robots come in batches, got count {count}")
+        require(self.text, *self.family.needs)
+        opening = Opening(arm=arm, seed=seed, count=count, period=period or self.default_period, threads=threads)
+        return self.family.connect(self, opening)
+
+    def __str__(self) -> str:
+        return self.text

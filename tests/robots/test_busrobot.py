@@ -1,0 +1,263 @@
+"""What every family with a bus gets from the shared parts, in simulated time, on a bus of a few lines."""
+
+import os
+import signal
+import struct
+
+import numpy as np
+import pytest
+
+from rejoint.arms import mycobot280
+from rejoint.control.robot import Robot
+from rejoint.robots import Bus, BusRobot, Clock, Reading, Vitals
+from rejoint.robots.link import ATTEMPTS, PATIENCE
+from rejoint.system import stopping
+from rejoint.system.errors import (
+    AddressError,
+    ConnectionLostError,
+    ImpossibleReplyError,
+    NoReplyError,
+    PowerLostError,
+    RobotError,
+    StaleReplyError,
+)
+
+ARM = mycobot280()
+QUESTION = 0.004
+
+
+class SimulatedClock(Clock):
+    time = 100.0
+
+    def now(self):
+        return self.time
+
+    def wait(self, duration):
+        self.time += max(duration, 0.0)
+
+
+class PlainBus(Bus):
+    """An arm that is at once where it is sent; ``faults`` are raised or answered, one per question."""
+
+    name = "Plain"
+
+    def __init__(self, faults=(), **extra):
+        self.clock, self.faults, self.extra = SimulatedClock(), list(faults), extra
+        self.position, self.done = ARM.rest.copy(), []
+
+    def tell(self, what):
+        self.done.append(what)
+        self.clock.wait(QUESTION)
+        fault = self.faults.pop(0) if self.faults else None
+        if isinstance(fault, BaseException):
+            raise fault
+        return fault
+
+    def open(self):
+        self.tell("open")
+
+    def prepare(self, until=None):  # noqa: ARG002 - as it is called
+        self.tell("prepare")
+
+    def read(self):
+        return self.tell("read") or Reading(position=self.position.copy(), **self.extra)
+
+    def send(self, goal):
+        self.tell("send")
+        self.position = goal.copy()
+
+    def stop(self):
+        self.tell("stop")
+
+    def resynchronise(self, deadline):  # noqa: ARG002 - as it is called
+        self.tell("resynchronise")
+
+    def close(self):
+        self.done.append("close")
+
+
+def opened(**extra):
+    bus = PlainBus(**extra)
+    robot = BusRobot(bus, ARM, address="plain:1", period=(0.02, 0.03), seed=2)
+    robot.open()
+    return robot, bus
+
+
+def test_it_is_a_robot_and_opening_it_moves_nothing():
+    robot, bus = opened(load=np.full(6, 0.5), voltage=np.full(6, 7.4), temperature=np.full(6, 30.0))
+    assert isinstance(robot, Robot)
+    assert bus.done == ["close", "open", "prepare"]
+    state = robot.read()
+    assert state.fault is None
+    for value, number in ((state.load, 0.5), (state.voltage, 7.4), (state.temperature, 30.0)):
+        np.testing.assert_array_equal(value, np.full((1, 6), number))
+    assert np.isnan(robot.true_tcp()).all()
+
+
+def test_every_answer_comes_one_period_after_the_last_one():
+    robot, _ = opened()
+    times = [robot.read().time[0]] + [robot.step(ARM.rest[None]).time[0] for _ in range(50)]
+    periods, drawn = np.diff(times), np.random.default_rng(2).uniform(0.02, 0.03, 50)
+    np.testing.assert_allclose(periods, drawn, atol=1e-9)
+
+
+@pytest.mark.parametrize("fault", [TimeoutError("late"), ValueError("cut"), struct.error("cut"), IndexError("cut")])
+def test_a_lost_or_garbled_answer_is_asked_for_again_once_both_sides_are_in_step(fault):
+    robot, bus = opened()
+    bus.done, bus.faults = [], [fault]
+    np.testing.assert_array_equal(robot.read().position[0], ARM.rest)
+    assert bus.done == ["read", "resynchronise", "read"]
+
+
+def test_a_broken_connection_is_made_anew():
+    robot, bus = opened()
+    bus.done, bus.faults = [], [OSError("gone"), OSError("still gone")]
+    robot.step(ARM.rest[None])
+    assert bus.done[:7] == ["read", "close", "open", "close", "open", "prepare", "read"]
+
+
+def test_where_both_sides_cannot_be_brought_into_step_the_connection_is_made_anew():
+    robot, bus = opened()
+    bus.done, bus.faults = [], [TimeoutError(), ConnectionResetError("gone")]
+    robot.read()
+    assert bus.done == ["read", "resynchronise", "close", "open", "prepare", "read"]
+
+
+@pytest.mark.parametrize(
+    ("fault", "error"),
+    [(TimeoutError, NoReplyError), (ValueError, ImpossibleReplyError), (OSError, ConnectionLostError)],
+)
+def test_what_stays_bad_is_an_error_with_a_name_after_bounded_patience(fault, error):
+    robot, bus = opened()
+    bus.done, bus.faults = [], [fault("bad"), *([] if fault is OSError else [None])] * 1000
+    began = bus.clock.now()
+    with pytest.raises(error, match="plain:1"):
+        robot.read()
+    assert bus.done.count("read") <= ATTEMPTS
+    assert bus.clock.now() - began <= PATIENCE
+
+
+def test_an_arm_that_lost_its_power_is_not_waited_for():
+    robot, bus = opened()
+    bus.faults = [OSError("gone"), None, PowerLostError("no power")]
+    with pytest.raises(PowerLostError):
+        robot.read()
+
+
+def test_an_arm_that_refuses_is_not_asked_again():
+    robot, bus = opened()
+    robot.read()
+    bus.done, bus.faults = [], [RobotError("refused")]
+    with pytest.raises(RobotError, match="refused"):
+        robot.step(ARM.rest[None])
+    assert bus.done == ["send"]
+
+
+@pytest.mark.parametrize(
+    ("position", "says"),
+    [
+        (np.where(np.arange(6) == 2, np.nan, ARM.rest), "the servos of joint3 cannot be read"),
+        (np.full(6, 7.0), "outside the arm's range"),
+        (np.zeros(5), "expected 6 joint angles"),
+    ],
+)
+def test_positions_that_no_such_arm_has_are_asked_for_again_and_then_named(position, says):
+    robot, bus = opened()
+    bus.faults = [Reading(position=position)]
+    robot.read()
+    bus.faults = [Reading(position=position), None] * ATTEMPTS
+    with pytest.raises(ImpossibleReplyError, match=says):
+        robot.read()
+
+
+def test_a_jump_is_asked_for_again():
+    robot, bus = opened()
+    robot.read()
+    bus.faults = [Reading(position=ARM.rest + 0.5)]
+    np.testing.assert_array_equal(robot.read().position[0], ARM.rest)
+
+
+def test_answers_that_never_change_under_a_moving_command_are_old():
+    robot, bus = opened()
+    frozen = Reading(position=ARM.rest)
+    robot.read()
+
+    def go_on():
+        for _ in range(200):
+            bus.faults = [None, frozen]
+            robot.step(ARM.rest[None] + 0.5)
+
+    with pytest.raises(StaleReplyError, match="the same joint angles"):
+        go_on()
+
+
+def test_a_wrong_byte_is_no_alarm_and_an_alarm_that_stays_is_one():
+    robot, bus = opened(fault=np.zeros(6, bool))
+    bus.faults = [Reading(position=ARM.rest, fault=np.arange(6) == 1)]
+    assert not robot.read().fault.any()
+    bus.extra = {"fault": np.arange(6) == 1}
+    np.testing.assert_array_equal(robot.read().fault, [np.arange(6) == 1])
+
+
+def test_questions_about_health_take_turns_where_the_period_leaves_time():
+    class AskedBus(PlainBus):
+        def vitals(self):
+            return self.warmth, self.faulty
+
+        def warmth(self):
+            self.tell("warmth")
+            return Vitals(temperature=np.full(6, 41.0))
+
+        def faulty(self):
+            self.tell("faulty")
+            return Vitals(fault=np.zeros(6, bool))
+
+    bus = AskedBus()
+    robot = BusRobot(bus, ARM, address="plain:1", period=(0.03, 0.03))
+    robot.open()
+    state = robot.read()
+    assert (state.temperature == 41.0).all()
+    assert not state.fault.any()
+    bus.done = []
+    times = [robot.step(ARM.rest[None]).time[0] for _ in range(4)]
+    assert bus.done == ["send", "warmth", "read", "send", "faulty", "read"] * 2
+    np.testing.assert_allclose(np.diff(times), 0.03)
+    hurried = BusRobot(bus, ARM, address="plain:1", period=(0.009, 0.009))
+    hurried.open()
+    hurried.read()
+    bus.done = []
+    for _ in range(4):
+        hurried.step(ARM.rest[None])
+    assert set(bus.done) == {"send", "read"}
+
+
+def test_where_nothing_answers_or_something_else_does_the_error_is_one_line():
+    bus = PlainBus(faults=[FileNotFoundError("no such port\nat all")])
+    with pytest.raises(AddressError, match="nothing answers at plain:1") as caught:
+        BusRobot(bus, ARM, address="plain:1").open()
+    assert "\n" not in str(caught.value)
+    bus = PlainBus(faults=[None, TimeoutError()])
+    with pytest.raises(AddressError, match="something listens at plain:1, but no Plain answers"):
+        BusRobot(bus, ARM, address="plain:1").open()
+    assert bus.done[-1] == "close"
+
+
+def test_a_wish_to_end_is_heard_between_two_attempts_and_the_arm_is_still_stopped():
+    robot, bus = opened()
+    bus.done, bus.faults = [], [TimeoutError(), None] * ATTEMPTS
+    with pytest.raises(stopping.Interrupted), stopping.noted():
+        os.kill(os.getpid(), signal.SIGTERM)
+        robot.read()
+    assert bus.done == ["read"]
+    bus.done, bus.faults = [], [TimeoutError()]
+    robot.stop()
+    assert bus.done == ["stop", "resynchronise", "stop"]
+
+
+def test_a_closed_robot_says_so():
+    robot, bus = opened()
+    robot.close()
+    bus.done = []
+    with pytest.raises(ConnectionLostError, match="open the robot again"):
+        robot.read()
+    assert bus.done == []
