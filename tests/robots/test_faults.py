@@ -87,7 +87,7 @@ def test_after_a_long_stall_the_arm_goes_on_slowly():
 def test_a_link_that_was_gone_and_is_back_is_taken_up_again():
     recording, error = drive("gone=1/1", dwell=3.0)
     assert error is None
-    assert gaps(recording) == 1
+    assert gaps(recording) >= 1
 
 
 def test_a_link_that_stays_away_ends_the_run_and_keeps_the_log(monkeypatch):
