@@ -9,9 +9,9 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
+from rejoint.runs.opening import open_run
 
 from rejoint.cli import main
-from rejoint.runs.opening import open_run
 
 
 def urdf(path: str) -> str:

@@ -14,12 +14,12 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from skrl.utils.tensorboard import SummaryWriter
 
-from rejoint import __version__
 from rejoint.arms import Arm
 from rejoint.control.contract import PolicyContract, arm_digest, law_digests
 from rejoint.control.observation import layout_slots
 from rejoint.system.errors import FileError
 from rejoint.system.files import set_aside, unwritable, write_whole
+from rejoint.system.version import __version__
 from rejoint.training.export import export_policy
 from rejoint.training.learner import CurvePoint, Learner
 from rejoint.training.outputs import Outputs

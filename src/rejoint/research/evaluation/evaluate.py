@@ -8,7 +8,6 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from rejoint import __version__
 from rejoint.arms import Arm
 from rejoint.research.evaluation.contestants import Contestant, check_names
 from rejoint.research.evaluation.family import Variant
@@ -18,6 +17,7 @@ from rejoint.research.evaluation.result import Evaluation
 from rejoint.research.evaluation.summary import Outcomes, group, summarise
 from rejoint.research.evaluation.trials import TrialSettings, try_controller
 from rejoint.system.files import write_json
+from rejoint.system.version import __version__
 
 OnProgress = Callable[[float, float, str], None]
 """Called with (done, total, what is being done)."""
