@@ -24,7 +24,7 @@ from rejoint.robots import (
     open_robot,
     vendor,  # noqa: F401 - imports the client without the deprecation that it raises
 )
-from rejoint.runs import opening
+from rejoint.runs.run import Run
 from rejoint.system.errors import ConnectionLostError, GuardTripError, RobotError
 
 ARM = mycobot280()
@@ -119,7 +119,7 @@ def test_an_impossible_jump_is_no_reading():
 
 def test_the_arm_holds_by_itself_when_whoever_drives_it_is_killed(tmp_path):
     """SIGKILL cannot be noticed: what the firmware was told last is what it holds."""
-    opening.begin(tmp_path / "run", "tcp://127.0.0.1:1", ARM, 0)
+    Run.create(tmp_path / "run", "tcp://127.0.0.1:1", ARM, 0)
     firmware = build_firmware(ARM, "worn")
     with serve_tcp(firmware, port=0) as server:
         words = ["deploy", server.address, str(tmp_path / "run"), "--controller", "integrator", "--dwell", "30"]

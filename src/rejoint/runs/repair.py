@@ -23,8 +23,8 @@ from rejoint.runs.given import (
     run_about,
 )
 from rejoint.runs.run import Run, finish, newest_or_new
-from rejoint.runs.stages.compare import compare
-from rejoint.runs.stages.diagnose import diagnose
+from rejoint.runs.stages.compare import Compared, compare
+from rejoint.runs.stages.diagnose import Diagnosed, diagnose
 from rejoint.runs.stages.driving import Controllers
 from rejoint.runs.stages.identify import identify
 from rejoint.runs.stages.report import report
@@ -55,7 +55,7 @@ class Stage:
     file: Path
     """by which the stage counts as done"""
     result: object = None
-    """what the function of the same name returned, where it is done now"""
+    """what the function of the same name returned; of what is kept, diagnosis and comparison only"""
 
     @property
     def number(self) -> int:
@@ -181,7 +181,7 @@ def repair(
     folder = newest_or_new(address_of(robot), chosen, seed or 0)[0] if run is None else run
     about = run_about(folder, address_of(robot), chosen, seed)
     assert about is not None  # noqa: S101 - for the type checker; a folder was given
-    chain = _Chain(about.begin(), on_stage or (lambda stage: None), on_progress)
+    chain = _Chain(about.begin(), on_stage, on_progress)
     found, emulated = chain.run, is_batchable(robot)
     chain.do("diagnose", lambda told: diagnose(robot, run=found, period=period, quick=quick, on_progress=told))
     chain.do("identify", lambda told: identify(run=found, quick=quick, on_progress=told))
@@ -199,7 +199,7 @@ def repair(
 class _Chain:
     """Stages that are done only where their file is not there yet; the report is always written anew."""
 
-    def __init__(self, run: Run, on_stage: OnStage, on_progress: Progress) -> None:
+    def __init__(self, run: Run, on_stage: OnStage | None, on_progress: Progress) -> None:
         self.run, self._on_stage, self._on_progress = run, on_stage, on_progress
         files = run.folder
         places = (files.diagnosis, files.twin, files.policy, files.comparison, files.report)
@@ -209,8 +209,21 @@ class _Chain:
         """Do a stage, or say that it is done already."""
         file, number = self._files[name], STAGES.index(name)
         if name != "report" and file.exists():
-            self._on_stage(Stage(name=name, state="kept", file=file))
+            self._say(Stage(name=name, state="kept", file=file, result=self._kept(name)))
             return
-        self._on_stage(Stage(name=name, state="started", file=file))
+        self._say(Stage(name=name, state="started", file=file))
         result = work(part(self._on_progress, number / len(STAGES), (number + 1) / len(STAGES)))
-        self._on_stage(Stage(name=name, state="done", file=file, result=result))
+        self._say(Stage(name=name, state="done", file=file, result=result))
+
+    def _kept(self, name: StageName) -> object:
+        """Return what an earlier call has found, as far as it is on file."""
+        if name == "diagnose":
+            return Diagnosed(diagnosis=_there(self.run.diagnosis))
+        if name == "compare":
+            comparison = _there(self.run.comparison)
+            return Compared(comparison=comparison, recommendation=recommend(comparison))
+        return None
+
+    def _say(self, stage: Stage) -> None:
+        if self._on_stage is not None:
+            self._on_stage(stage)

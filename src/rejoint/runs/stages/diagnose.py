@@ -139,38 +139,46 @@ def diagnose(
                 if about is not None:  # one that does not answer leaves no folder behind
                     remove_if_empty(about)
                 raise
-            found, logs = _drive(connection, about, reference, seed, quick=quick, on_progress=on_progress)
-    return Diagnosed(diagnosis=found, targets=logs.targets, excitation=logs.excitation)
+            return _drive(connection, about, reference, seed, quick=quick, on_progress=on_progress)
 
 
 def _drive(
     robot: Robot, run: Run | None, healthy: HealthyReference | None, seed: int, *, quick: bool, on_progress: Progress
-) -> tuple[Diagnosis, DiagnosisLogs]:
+) -> Diagnosed:
     """Excite the robot and judge it; what it did until an error is kept in the run."""
     from rejoint.diagnosis.diagnosis import diagnose as drive_and_judge
     from rejoint.diagnosis.excitation import FULL, SHORT
 
-    plan = SHORT if quick else FULL
-    if run is None:
-        return drive_and_judge(robot, healthy, seed=seed, plan=plan, on_progress=on_progress)
-    require_space(run.path)
-    journal = start_journal(run, "diagnosis", robot, "diagnosis")
+    journal = None
+    if run is not None:
+        require_space(run.path)
+        journal = start_journal(run, "diagnosis", robot, "diagnosis")
     try:
         found, logs = drive_and_judge(
-            robot, healthy, seed=seed, plan=plan, on_cycle=journal.see, on_progress=on_progress
-        )
+            robot, healthy, seed=seed, plan=SHORT if quick else FULL, on_cycle=None if journal is None else journal.see,
+            on_progress=on_progress,
+        )  # fmt: skip
     except BaseException as error:
-        error.add_note(journal.rescue())
+        if journal is not None:
+            error.add_note(journal.rescue())
         raise
-    journal.close()
-    with saving(found):
-        for earlier in (run.folder.log("targets"), run.folder.log("excitation"), run.folder.diagnosis):
-            set_aside(earlier)
-        write_log(run.folder.log("targets"), logs.targets)
-        write_log(run.folder.log("excitation"), logs.excitation)
-        write_json(run.folder.diagnosis, found)
-    journal.discard()
-    return found, logs
+    result = Diagnosed(diagnosis=found, targets=logs.targets, excitation=logs.excitation)
+    if run is not None and journal is not None:
+        journal.close()
+        with saving(result):
+            _write(run.folder, found, logs)
+        journal.discard()
+    return result
+
+
+def _write(folder: RunFolder, found: Diagnosis, logs: DiagnosisLogs) -> None:
+    """Write logs and diagnosis; earlier ones are set aside."""
+    targets, excitation = folder.log("targets"), folder.log("excitation")
+    for earlier in (targets, excitation, folder.diagnosis):
+        set_aside(earlier)
+    write_log(targets, logs.targets)
+    write_log(excitation, logs.excitation)
+    write_json(folder.diagnosis, found)
 
 
 def _from_logs(

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, TypeAlias, cast
 
 import numpy as np
 
@@ -82,7 +83,7 @@ def name_of(controller: ControllerLike) -> str:
 
 
 def _unique(given: Sequence[ControllerLike]) -> dict[str, ControllerLike]:
-    """Controllers by name; a second one of a name gets a number."""
+    """Return controllers by name; a second one of a name gets a number."""
     found: dict[str, ControllerLike] = {}
     for one in given:
         name = name_of(one)
@@ -101,5 +102,10 @@ def _factory(given: ControllerLike, run: Run | None, twin: Twin | None) -> Facto
     if hasattr(given, "controller"):
         return given.controller
     if hasattr(given, "command"):
-        return lambda arm: given  # every motion starts with its `reset`
+        return partial(_itself, cast(Controller, given))
     return given
+
+
+def _itself(controller: Controller, arm: Arm) -> Controller:  # noqa: ARG001 - it was made for its arm
+    """Return the controller again and again: every motion starts with its `reset`."""
+    return controller
