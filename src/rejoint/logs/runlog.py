@@ -99,7 +99,7 @@ class RunLog:
 
     @classmethod
     def of(
-        cls, time: ArrayLike, command: ArrayLike, position: ArrayLike, *, arm: Arm | str, label: str = "motion",
+        cls, time: ArrayLike, command: ArrayLike, position: ArrayLike, *, arm: Arm | Path | str, label: str = "motion",
         target: ArrayLike | None = None, true_tcp: ArrayLike | None = None,
     ) -> RunLog:  # fmt: skip
         """Make a run log of arrays in memory.
@@ -134,7 +134,7 @@ class RunLog:
         >>> log = rejoint.RunLog.of(time, command, position, arm="so101")
         >>> print(rejoint.diagnose(log).verdict)
         """
-        known = arm if isinstance(arm, Arm) else load_arm(str(arm))
+        known = arm if isinstance(arm, Arm) else load_arm(arm)
         times = np.asarray(time, dtype=float)
         unknown = np.full((times.size, 3), np.nan)
         return cls(

@@ -91,7 +91,7 @@ def connect(
 
 def as_arm(given: ArmLike) -> Arm:
     """Return the arm, from the catalogue or its file where it is not given itself."""
-    return given if isinstance(given, Arm) else load_arm(str(given))
+    return given if isinstance(given, Arm) else load_arm(given)
 
 
 def is_robot(given: RobotLike | LogsLike) -> bool:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Literal, TypeVar, get_args
 
 from rejoint.runs.comparison.recommend import Recommendation, recommend
 from rejoint.runs.comparison.result import Comparison
+from rejoint.runs.comparison.targets import draw_targets
 from rejoint.runs.given import (
     FIRST_ROBOT,
     ArmLike,
@@ -40,6 +41,9 @@ if TYPE_CHECKING:
     from rejoint.twin.twin import Twin
 
 Found = TypeVar("Found")
+
+QUICK_TARGETS = 3
+"""Targets that controllers are compared on for a first try (chosen)"""
 
 StageName = Literal["diagnose", "identify", "train", "compare", "report"]
 STAGES: tuple[StageName, ...] = get_args(StageName)
@@ -187,6 +191,8 @@ def repair(
     chain.do("identify", lambda told: identify(run=found, quick=quick, on_progress=told))
     chain.do("train", lambda told: train(run=found, preset=preset, quick=quick, on_progress=told))
     few = (1, 1) if quick or not emulated else (3, 2)
+    if quick and targets is None:
+        targets = draw_targets(found.arm, sets=1, count=QUICK_TARGETS, seed=found.seed)
     chain.do("compare", lambda told: compare(
         robot, controllers, targets, run=found, sets=sets or few[0], repetitions=repetitions or few[1], period=period,
         on_progress=told,

@@ -78,8 +78,9 @@ def name_of(controller: ControllerLike) -> str:
     """Name of a controller in tables."""
     if isinstance(controller, str) and not controller.endswith(".onnx"):
         return controller
-    name = POLICY if isinstance(controller, Path | str) else getattr(controller, "name", "controller")
-    return str(name)
+    if isinstance(controller, Path | str) or hasattr(controller, "controller"):  # a policy or its file
+        return POLICY
+    return str(getattr(controller, "name", "controller"))
 
 
 def _unique(given: Sequence[ControllerLike]) -> dict[str, ControllerLike]:
@@ -101,7 +102,7 @@ def _factory(given: ControllerLike, run: Run | None, twin: Twin | None) -> Facto
         return as_policy(given).controller
     if hasattr(given, "controller"):
         return given.controller
-    if hasattr(given, "command"):
+    if hasattr(given, "command") and not isinstance(given, type):
         return partial(_itself, cast(Controller, given))
     return given
 

@@ -95,7 +95,9 @@ def _from_excitation(arm: Arm, logs: Sequence[RunLog], seed: int, on_progress: P
     from rejoint.twin.identify import IdentifySettings
     from rejoint.twin.identify import identify as fit
 
-    settings = IdentifySettings(seed=seed, starts=4, iterations=3) if quick else IdentifySettings(seed=seed)
+    settings = IdentifySettings(seed=seed)
+    if quick:
+        settings = replace(settings, starts=2, iterations=2, timestep=2 * settings.timestep)
     return fit(arm, logs, settings, on_progress)
 
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from rejoint.training.train import Trainer, TrainingResult
     from rejoint.twin.twin import Twin
 
-QUICK_UPDATES, QUICK_AGENTS = 25, 16
+QUICK_UPDATES, QUICK_AGENTS = 3, 16
 """Size of a training for a first try (chosen: seconds; its policy is hardly better than the law that it corrects)"""
 
 
