@@ -27,6 +27,7 @@ import numpy as np
 import pyarrow.parquet as pq
 
 import rejoint.diagnosis.diagnosis
+import rejoint.diagnosis.excitation
 import rejoint.runs.report.page
 import rejoint.training.presets
 import rejoint.training.train
@@ -61,7 +62,7 @@ class WrongError(AssertionError):
 
 def small() -> None:
     """Cut the stages of this process down."""
-    rejoint.diagnosis.diagnosis.diagnose.__kwdefaults__["plan"] = SHORT
+    rejoint.diagnosis.excitation.FULL = SHORT
     settings = partial(rejoint.twin.identify.IdentifySettings, starts=4, iterations=3)
     rejoint.twin.identify.IdentifySettings = settings  # type: ignore[misc,assignment]
     preset = rejoint.training.presets.DEFAULT

@@ -85,7 +85,7 @@ def identify(
         motions = as_logs(logs)
         if about is None and all(is_excitation(log) for log in motions):
             return _from_excitation(chosen, motions, seed or 0, on_progress, quick=quick)
-        twin = _from_any_motion(chosen, motions, beside, on_progress)
+        twin = _from_any_motion(chosen, motions, beside, on_progress, quick=quick)
         if about is not None:
             _write(about.begin(), twin)
     return twin
@@ -101,10 +101,13 @@ def _from_excitation(arm: Arm, logs: Sequence[RunLog], seed: int, on_progress: P
     return fit(arm, logs, settings, on_progress)
 
 
-def _from_any_motion(arm: Arm, logs: Sequence[RunLog], beside: Sequence[Candidate], on_progress: Progress) -> Twin:
-    from rejoint.twin.fromlogs import identify_logs
+def _from_any_motion(
+    arm: Arm, logs: Sequence[RunLog], beside: Sequence[Candidate], on_progress: Progress, *, quick: bool
+) -> Twin:
+    from rejoint.twin.fromlogs import LogSettings, identify_logs
 
-    found = identify_logs(arm, logs, on_progress=on_progress, beside=beside)
+    few = LogSettings(coarse_seconds=20.0, fit_seconds=20.0, fast_seconds=5.0, contact_seconds=20.0)
+    found = identify_logs(arm, logs, few if quick else LogSettings(), on_progress, beside)
     return replace(found.twin, judgement=found.judgement, fitted=found.fitted)
 
 
