@@ -58,7 +58,7 @@ def folds(arm: Arm, logs: Sequence[RunLog]) -> None:
     for k in range(FOLDS):
         start, stages = time.process_time(), []
 
-        def note(stage: str, _fraction: float, start: float = start, stages: list = stages) -> None:
+        def note(_share: float, stage: str, start: float = start, stages: list = stages) -> None:
             stages.append((stage, time.process_time() - start))
 
         settings = LogSettings(threads=1, hold_out=tuple(log.label for log in logs[k::FOLDS]))
@@ -89,7 +89,7 @@ def wall(arm: Arm, logs: Sequence[RunLog]) -> None:
     """How long one waits for a fit on two cores, stage by stage, without the judgement."""
     stages = [("exclusions", time.perf_counter())]
 
-    def note(stage: str, _fraction: float) -> None:
+    def note(_share: float, stage: str) -> None:
         if stages[-1][0] != stage:
             stages.append((stage, time.perf_counter()))
 

@@ -27,6 +27,7 @@ import numpy as np
 import pyarrow.parquet as pq
 
 import rejoint.diagnosis.diagnosis
+import rejoint.diagnosis.excitation
 import rejoint.runs.report.page
 import rejoint.training.presets
 import rejoint.training.train
@@ -36,8 +37,8 @@ from rejoint.cli import main as command_line
 from rejoint.diagnosis.excitation import SHORT
 from rejoint.logs.journal import Journal
 from rejoint.logs.runlog import read_log
-from rejoint.runs import opening
 from rejoint.runs.folder import RunFolder, locked
+from rejoint.runs.run import Run
 
 STAGES = {
     "diagnose": ("diagnosis.json", "logs/targets.parquet", "logs/excitation.parquet"),
@@ -61,7 +62,7 @@ class WrongError(AssertionError):
 
 def small() -> None:
     """Cut the stages of this process down."""
-    rejoint.diagnosis.diagnosis.diagnose.__kwdefaults__["plan"] = SHORT
+    rejoint.diagnosis.excitation.FULL = SHORT
     settings = partial(rejoint.twin.identify.IdentifySettings, starts=4, iterations=3)
     rejoint.twin.identify.IdentifySettings = settings  # type: ignore[misc,assignment]
     preset = rejoint.training.presets.DEFAULT
@@ -194,7 +195,7 @@ def kill_deployments(work: Path, kills: int, rng: np.random.Generator) -> list[f
             text = (work / "emulator.txt").read_text() if (work / "emulator.txt").exists() else ""
             found = re.search(r"tcp://\S+:\d+(?=\s)", text)
         folder, out = RunFolder(work / "deploy"), work / "deploy.txt"
-        opening.begin(folder.path, "emulated:worn", mycobot280(), 0)
+        Run.create(folder.path, "emulated:worn", mycobot280(), 0)
         words = ["deploy", found[0], str(folder.path), "--controller", "integrator", "--dwell", str(DWELL)]
         words += ["--targets", str(work / "points.csv")]
         began = time.monotonic()

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import rejoint
 from rejoint.arms import mycobot280
 from rejoint.cli import main
 from rejoint.cli.console import Terminal
@@ -20,12 +21,11 @@ from rejoint.control.robot import JointState
 from rejoint.logs.runlog import read_log
 from rejoint.robots import Place
 from rejoint.robots.emulated import EmulatedRobot
-from rejoint.runs import opening
-from rejoint.runs import stages as work
 from rejoint.runs.comparison import Comparison
 from rejoint.runs.folder import RunFolder, RunInfo
 from rejoint.runs.report.contents import read_contents
 from rejoint.runs.report.sections.details import commands
+from rejoint.runs.run import Run, newest_or_new
 from rejoint.system.errors import FileError, GuardTripError, InputError
 from rejoint.system.files import read_json, write_json
 from rejoint.training.train import TrainingOptions, train
@@ -43,9 +43,9 @@ def run_cli(*words: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest
 def finished(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
     """A run with everything up to a policy that has hardly been trained."""
     path = tmp_path_factory.mktemp("runs") / "one"
-    run = opening.begin(path, "emulated:worn", mycobot280(), 0)
-    work.diagnose_stage(run)
-    twin = work.identify_stage(run)
+    run = Run.create(path, "emulated:worn", mycobot280(), 0)
+    rejoint.diagnose("emulated:worn", run=run)
+    twin = rejoint.identify(run=run)
     train(run.arm, twin, out=path, options=TrainingOptions(iterations=2, agents=16, threads=1))
     return run.folder
 
@@ -142,9 +142,9 @@ def test_bad_input_is_one_line_and_exit_code_2(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    folder = opening.begin(tmp_path / "run", "emulated:worn", mycobot280(), 0).folder
+    folder = Run.create(tmp_path / "run", "emulated:worn", mycobot280(), 0).folder
     folder.policy.write_bytes(b"half a policy")
-    opening.begin(tmp_path / "identified", "emulated:worn", mycobot280(), 0).folder.twin.write_text("half a twin")
+    Run.create(tmp_path / "identified", "emulated:worn", mycobot280(), 0).folder.twin.write_text("half a twin")
     (tmp_path / "empty").mkdir()
     (tmp_path / "bad.csv").write_text("x,y,z\n1,2\n")
     names = {"run": "run", "identified": "identified", "empty": "empty", "bad_csv": "bad.csv"}
@@ -171,7 +171,7 @@ def test_an_error_is_json_too(
 
 def test_a_policy_for_another_arm_is_refused_before_anything_moves(tmp_path: Path) -> None:
     arm = mycobot280()
-    folder = opening.begin(tmp_path / "run", "emulated:worn", mycobot280(), 0).folder
+    folder = Run.create(tmp_path / "run", "emulated:worn", mycobot280(), 0).folder
     tip = arm.tip.copy()
     tip[2, 3] += 0.01
     longer = replace(arm, tip=tip)
@@ -210,7 +210,7 @@ def test_a_guard_trip_is_exit_code_3(
         error.add_note("The arm was stopped. Nothing was powered off.")
         raise error
 
-    monkeypatch.setattr(work, "diagnose_stage", trip)
+    monkeypatch.setattr(rejoint, "diagnose", trip)
     words = ("diagnose", "emulated:worn", "--run", str(tmp_path / "run"))
     code, _, err = run_cli(*words, capsys=capsys, monkeypatch=monkeypatch)
     assert code == 3
@@ -245,7 +245,7 @@ def test_interruption_is_exit_code_130(
     def interrupt(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(work, "diagnose_stage", interrupt)
+    monkeypatch.setattr("rejoint.runs.repair.diagnose", interrupt)
     code, _, err = run_cli("repair", "--run", str(tmp_path / "run"), capsys=capsys, monkeypatch=monkeypatch)
     assert code == 130
     assert "go on from there" in err
@@ -257,7 +257,7 @@ def test_a_start_that_fails_leaves_nothing_and_takes_nothing(
     words = ("diagnose", "tcp://127.0.0.1:1", "--run", str(tmp_path / "runs" / "one"))
     assert run_cli(*words, capsys=capsys, monkeypatch=monkeypatch)[0] == 2
     assert not (tmp_path / "runs" / "one").exists()
-    folder = opening.begin(tmp_path / "runs" / "one", "tcp://127.0.0.1:1", mycobot280(), 0).folder
+    folder = Run.create(tmp_path / "runs" / "one", "tcp://127.0.0.1:1", mycobot280(), 0).folder
     write_json(folder.diagnosis, {"kept": True})
     assert run_cli(*words, capsys=capsys, monkeypatch=monkeypatch)[0] == 2
     assert {path.name for path in folder.path.iterdir()} >= {"run.json", "diagnosis.json"}
@@ -338,39 +338,39 @@ def test_results_of_every_kind_become_one_line_of_json(capsys: pytest.CaptureFix
 def test_a_run_folder_is_never_taken_over(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("mine")
     with pytest.raises(InputError, match="not a run folder and not empty"):
-        opening.begin(tmp_path, "emulated:worn", mycobot280(), 0)
+        Run.create(tmp_path, "emulated:worn", mycobot280(), 0)
     assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
 
 
 def test_a_damaged_run_is_named(tmp_path: Path) -> None:
-    folder = opening.begin(tmp_path / "run", "emulated:worn", mycobot280(), 0).folder
+    folder = Run.create(tmp_path / "run", "emulated:worn", mycobot280(), 0).folder
     folder.info.write_text("{")
     with pytest.raises(FileError, match=r"run\.json: damaged"):
-        opening.open_run(folder.path)
+        Run.open(folder.path)
 
 
 def test_an_arm_from_a_file_travels_with_its_run(tmp_path: Path) -> None:
     arm = replace(mycobot280(), name="mine", floor=0.05)
-    opening.begin(tmp_path / "run", "emulated:worn", arm, 0)
-    found = opening.open_run(tmp_path / "run").arm
+    Run.create(tmp_path / "run", "emulated:worn", arm, 0)
+    found = Run.open(tmp_path / "run").arm
     assert (found.name, found.floor) == ("mine", 0.05)
     with pytest.raises(InputError, match=r"is a run of emulated:worn \(mine"):
-        opening.begin(tmp_path / "run", "emulated:worn", mycobot280(), 0)
+        Run.create(tmp_path / "run", "emulated:worn", mycobot280(), 0)
 
 
 def test_the_newest_unfinished_run_is_resumed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    first, resumed = opening.newest_or_new("emulated:worn?seed=3", mycobot280(), 0)
+    first, resumed = newest_or_new("emulated:worn?seed=3", mycobot280(), 0)
     assert (first, resumed) == (Path("runs/mycobot280-emulated-worn-seed-3-seed0/001"), False)
     info = RunInfo(robot="emulated:worn?seed=3", arm="mycobot280", seed=0, version="1", created="now")
     write_json(first / "run.json", info)
-    assert opening.newest_or_new("emulated:worn?seed=3", mycobot280(), 0) == (first, True)
+    assert newest_or_new("emulated:worn?seed=3", mycobot280(), 0) == (first, True)
     (first / "report.html").write_text("of what there is")
-    assert opening.newest_or_new("emulated:worn?seed=3", mycobot280(), 0) == (first, True)
+    assert newest_or_new("emulated:worn?seed=3", mycobot280(), 0) == (first, True)
     (first / "finished.json").write_text("{}")
-    assert opening.newest_or_new("emulated:worn?seed=3", mycobot280(), 0) == (first.with_name("002"), False)
+    assert newest_or_new("emulated:worn?seed=3", mycobot280(), 0) == (first.with_name("002"), False)
     with pytest.raises(FileError, match="it holds runs, name one of: 001"):
-        opening.open_run(first.parent)
+        Run.open(first.parent)
 
 
 def test_options_are_read_as_written() -> None:

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from rejoint.cli import main
-from rejoint.runs.opening import open_run
+from rejoint.runs.run import Run
 
 
 def urdf(path: str) -> str:
@@ -52,7 +52,7 @@ def test_a_worn_ur10_is_diagnosed_and_brought_to_its_targets(
     # 7.7 % of the 890 mm between its targets and its base's axis, where a healthy one misses by 1.6 %
     assert 45.0 < found["open_loop"]["error_mm"]["value"] < 110.0
     assert "shoulder_lift_joint" in {finding["joint"] for finding in found["findings"][:2]}
-    assert open_run(Path(run)).arm.joint_names[0] == "shoulder_pan_joint"
+    assert Run.open(Path(run)).arm.joint_names[0] == "shoulder_pan_joint"
     words = ("deploy", "emulated:worn", run, "--controller", "integrator", "--dwell", "6", "--json")
     code, out, err = run_cli(*words, capsys=capsys, monkeypatch=monkeypatch)
     assert code == 0, err

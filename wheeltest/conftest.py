@@ -23,8 +23,8 @@ from rejoint.control.loop import Schedule
 from rejoint.control.loop import run as drive
 from rejoint.logs.runlog import write_log
 from rejoint.robots import open_robot
-from rejoint.runs import opening
 from rejoint.runs.folder import RunFolder
+from rejoint.runs.run import Run
 from rejoint.training.train import TrainingOptions, train
 from rejoint.twin.file import write_twin
 from rejoint.twin.parameters import nominal_parameters, prior
@@ -108,7 +108,7 @@ def base(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Base:
 @pytest.fixture(scope="session")
 def complete(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
     """Make a run folder with logs, a twin (of the prior's medians) and a policy that has hardly been trained."""
-    run = opening.begin(tmp_path_factory.mktemp("runs") / "one", "emulated:worn", mycobot280(), 0)
+    run = Run.create(tmp_path_factory.mktemp("runs") / "one", "emulated:worn", mycobot280(), 0)
     twin = _twin(run.arm)
     write_twin(run.folder.twin, twin)
     train(run.arm, twin, out=run.folder.path, options=TrainingOptions(iterations=2, agents=16, threads=1))

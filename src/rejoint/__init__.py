@@ -1,5 +1,113 @@
-"""Give a worn robot arm its accuracy back, in software."""
+"""Give a worn robot arm its accuracy back, in software.
 
-from importlib.metadata import version
+Everything an owner of an arm needs is here: the stages of a repair as functions (`repair` is all of them), the objects
+that they take and return, and the errors that they raise. Importing this package loads none of its parts; each comes
+when its name is first used. Positions are in radians, lengths in metres, times in seconds, everywhere.
+"""
 
-__version__ = version("rejoint")
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from rejoint.arms.arm import Arm
+    from rejoint.arms.loading import load_arm
+    from rejoint.control.controller import Controller
+    from rejoint.control.policy import Policy
+    from rejoint.control.robot import Robot
+    from rejoint.diagnosis.diagnosis import Diagnosis
+    from rejoint.logs.runlog import RunLog
+    from rejoint.runs.comparison.recommend import Recommendation
+    from rejoint.runs.comparison.result import Comparison
+    from rejoint.runs.deployment import Deployed
+    from rejoint.runs.given import connect
+    from rejoint.runs.repair import Repaired, Stage, repair
+    from rejoint.runs.run import Run
+    from rejoint.runs.stages.compare import Compared, compare
+    from rejoint.runs.stages.deploy import deploy
+    from rejoint.runs.stages.diagnose import Diagnosed, diagnose
+    from rejoint.runs.stages.identify import identify
+    from rejoint.runs.stages.replay import Replayed, replay
+    from rejoint.runs.stages.report import report
+    from rejoint.runs.stages.train import TrainedPolicy, train
+    from rejoint.system.errors import (
+        AddressError,
+        ConnectionLostError,
+        ContractError,
+        FileError,
+        GuardTripError,
+        ImpossibleReplyError,
+        InputError,
+        MissingExtraError,
+        NoReplyError,
+        NotReadyError,
+        PowerLostError,
+        ProfileError,
+        RejointError,
+        RobotError,
+        StaleReplyError,
+        UnsavedError,
+    )
+    from rejoint.system.progress import Progress
+    from rejoint.system.stopping import Interrupted
+    from rejoint.system.version import __version__
+    from rejoint.twin.judgement import Judgement
+    from rejoint.twin.twin import Twin
+
+_HOMES = {
+    "arms.arm": ("Arm",),
+    "arms.loading": ("load_arm",),
+    "control.controller": ("Controller",),
+    "control.policy": ("Policy",),
+    "control.robot": ("Robot",),
+    "diagnosis.diagnosis": ("Diagnosis",),
+    "logs.runlog": ("RunLog",),
+    "runs.comparison.recommend": ("Recommendation",),
+    "runs.comparison.result": ("Comparison",),
+    "runs.deployment": ("Deployed",),
+    "runs.given": ("connect",),
+    "runs.repair": ("Repaired", "Stage", "repair"),
+    "runs.run": ("Run",),
+    "runs.stages.compare": ("Compared", "compare"),
+    "runs.stages.deploy": ("deploy",),
+    "runs.stages.diagnose": ("Diagnosed", "diagnose"),
+    "runs.stages.identify": ("identify",),
+    "runs.stages.replay": ("Replayed", "replay"),
+    "runs.stages.report": ("report",),
+    "runs.stages.train": ("TrainedPolicy", "train"),
+    "system.errors": (
+        "AddressError", "ConnectionLostError", "ContractError", "FileError", "GuardTripError", "ImpossibleReplyError",
+        "InputError", "MissingExtraError", "NoReplyError", "NotReadyError", "PowerLostError", "ProfileError",
+        "RejointError", "RobotError", "StaleReplyError", "UnsavedError",
+    ),
+    "system.progress": ("Progress",),
+    "system.stopping": ("Interrupted",),
+    "system.version": ("__version__",),
+    "twin.judgement": ("Judgement",),
+    "twin.twin": ("Twin",),
+}  # fmt: skip
+"""Where each public name is defined; a test compares it with the imports above and with `__all__`"""
+
+_HOME = {name: home for home, names in _HOMES.items() for name in names}
+
+__all__ = [
+    "AddressError", "Arm", "Compared", "Comparison", "ConnectionLostError", "ContractError", "Controller", "Deployed",
+    "Diagnosed", "Diagnosis", "FileError", "GuardTripError", "ImpossibleReplyError", "InputError", "Interrupted",
+    "Judgement", "MissingExtraError", "NoReplyError", "NotReadyError", "Policy", "PowerLostError", "ProfileError",
+    "Progress", "Recommendation", "RejointError", "Repaired", "Replayed", "Robot", "RobotError", "Run", "RunLog",
+    "Stage", "StaleReplyError", "TrainedPolicy", "Twin", "UnsavedError", "__version__", "compare", "connect", "deploy",
+    "diagnose", "identify", "load_arm", "repair", "replay", "report", "train",
+]  # fmt: skip
+
+
+def __getattr__(name: str) -> object:
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = getattr(import_module(f"{__name__}.{_HOME[name]}"), name)
+    globals()[name] = value  # the next time it is found at once
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -243,7 +243,7 @@ def test_one_arm_in_one_call(tmp_path):
     seen: list[tuple[str, float]] = []
     robot = EmulatedRobot(ARM, [HEALTHY], seed=5, address="emulated:healthy")
     diagnosis, logs = diagnose(
-        robot, load_healthy(ARM), seed=3, plan=SHORT, on_progress=lambda what, share: seen.append((what, share))
+        robot, load_healthy(ARM), seed=3, plan=SHORT, on_progress=lambda share, what: seen.append((what, share))
     )
     assert diagnosis.condition == "ok"
     assert diagnosis.robot == "emulated:healthy"

@@ -25,7 +25,7 @@ from rejoint.robots import (
 )
 from rejoint.robots.bus import Bus, Clock, Reading, Vitals
 from rejoint.robots.busrobot import BusRobot
-from rejoint.runs import opening
+from rejoint.runs.run import Run
 from rejoint.system.errors import ConnectionLostError, GuardTripError, RobotError
 
 pytestmark = pytest.mark.realtime
@@ -197,7 +197,7 @@ def test_an_impossible_jump_is_no_reading():
 
 def test_the_arm_holds_by_itself_when_whoever_drives_it_is_killed(tmp_path):
     """SIGKILL cannot be noticed: what the firmware was told last is what it holds."""
-    opening.begin(tmp_path / "run", "tcp://127.0.0.1:1", ARM, 0)
+    Run.create(tmp_path / "run", "tcp://127.0.0.1:1", ARM, 0)
     firmware = build_firmware(ARM, "worn")
     with serve_tcp(firmware, port=0) as server:
         words = ["deploy", server.address, str(tmp_path / "run"), "--controller", "integrator", "--dwell", "30"]

@@ -138,9 +138,9 @@ def test_handlers_are_given_back():
 
 @pytest.mark.parametrize(("signum", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_a_deployment_ends_with_the_exit_code_of_its_signal(tmp_path, signum, code):
-    from rejoint.runs import opening
+    from rejoint.runs.run import Run
 
-    opening.begin(tmp_path / "run", "tcp://127.0.0.1:1", ARM, 0)
+    Run.create(tmp_path / "run", "tcp://127.0.0.1:1", ARM, 0)
     with serve_tcp(build_firmware(ARM, "worn"), port=0) as server:
         words = ["deploy", server.address, str(tmp_path / "run"), "--controller", "integrator", "--dwell", "30"]
         process = subprocess.Popen(

@@ -20,10 +20,10 @@ from rejoint.control.policy import load_policy
 from rejoint.lab.plant.wear import load_wear
 from rejoint.logs import runlog
 from rejoint.logs.runlog import RunLog, read_log, write_log
-from rejoint.runs import opening
 from rejoint.runs.comparison.targets import read_targets
 from rejoint.runs.folder import FORMAT, RunInfo, read_info
 from rejoint.runs.report.sections.training import read_curves
+from rejoint.runs.run import Run
 from rejoint.system.errors import ContractError, FileError, InputError
 from rejoint.system.files import JSON_MOST, read_json, write_json
 from rejoint.training.export import export_policy
@@ -206,31 +206,31 @@ def test_a_small_log_that_unfolds_to_a_huge_one_is_refused(tmp_path: Path, monke
 
 
 def test_a_folder_of_a_newer_version_is_named(tmp_path: Path) -> None:
-    run = opening.begin(tmp_path / "run", "emulated:worn", ARM, 0)
+    run = Run.create(tmp_path / "run", "emulated:worn", ARM, 0)
     assert read_json(run.folder.info, dict[str, Any])["format"] == FORMAT
     newer = {"format": FORMAT + 1, "version": "9.9", "robots": ["a", "b"]}
     write_json(run.folder.info, newer)
     with pytest.raises(
         FileError, match=r"run\.json: a run folder of format 3, made by rejoint 9\.9; .* update rejoint"
     ):
-        opening.open_run(run.folder.path)
+        Run.open(run.folder.path)
     with pytest.raises(FileError, match=r"format 3"):
-        opening.begin(run.folder.path, "emulated:worn", ARM, 0)
+        Run.create(run.folder.path, "emulated:worn", ARM, 0)
     older = {"robot": "emulated:worn", "arm": "mycobot280", "seed": 0, "version": "0.1.0", "created": "2026-01-01"}
     write_json(run.folder.info, older)
-    assert opening.open_run(run.folder.path).info.format == 1
+    assert Run.open(run.folder.path).info.format == 1
 
 
 def test_a_run_s_own_arm_is_the_one_that_it_was_begun_with(tmp_path: Path) -> None:
-    run = opening.begin(tmp_path / "run", "emulated:worn", replace(ARM, name="mine"), 0)
-    assert opening.open_run(run.folder.path).arm.name == "mine"
+    run = Run.create(tmp_path / "run", "emulated:worn", replace(ARM, name="mine"), 0)
+    assert Run.open(run.folder.path).arm.name == "mine"
     text = run.folder.description.read_text()
     run.folder.description.write_text(text.replace("mass_kg = 0.", "mass_kg = 1.", 1))
     with pytest.raises(FileError, match=r"arm\.toml: damaged or changed since the run was begun"):
-        opening.open_run(run.folder.path)
+        Run.open(run.folder.path)
     run.folder.description.unlink()
     with pytest.raises(FileError, match=r"arm\.toml: no such file"):
-        opening.open_run(run.folder.path)
+        Run.open(run.folder.path)
 
 
 def test_a_file_that_somebody_wrote_by_hand_needs_no_digest(tmp_path: Path) -> None:

@@ -14,9 +14,9 @@ from rejoint.control.start import Stance
 from rejoint.logs.runlog import write_log
 from rejoint.robots import open_robot
 from rejoint.robots.emulated import EmulatedRobot
-from rejoint.runs import opening
-from rejoint.runs import stages as work
 from rejoint.runs.deployment import Deployment, deploy, deployed_of, judge
+from rejoint.runs.run import Run
+from rejoint.runs.stages.driving import guard_limits
 from rejoint.system.errors import ContractError, GuardTripError, InputError, NotReadyError
 from rejoint.training.presets import DEFAULT
 from rejoint.training.train import policy_contract
@@ -128,11 +128,11 @@ def test_nothing_is_reached_within_no_distance():
 
 
 def test_a_stage_that_drives_knows_how_far_the_joints_of_this_arm_stick(tmp_path):
-    run = opening.begin(tmp_path / "run", "emulated:worn", ARM, 0)
-    assert work._limits(run).sticks is None, "no diagnosis, nothing known"
+    run = Run.create(tmp_path / "run", "emulated:worn", ARM, 0)
+    assert guard_limits(run, ARM).sticks is None, "no diagnosis, nothing known"
     recording, _ = drive(NEAR)
     for name in ("excitation", "targets"):
         write_log(run.folder.log(name), recording.log(0, name))
-    sticks = work._limits(run).sticks
+    sticks = guard_limits(run, ARM).sticks
     assert sticks.shape == (6,)
     assert sticks.max() > np.radians(1.0), "worn joints stick"

@@ -6,22 +6,21 @@ import shutil
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
 
+import rejoint
 from rejoint.arms import mycobot280
 from rejoint.cli import main
 from rejoint.logs.runlog import read_log
-from rejoint.runs import opening
-from rejoint.runs import stages as work
 from rejoint.runs.folder import RunFolder, locked
+from rejoint.runs.run import Run
 from rejoint.system.errors import FileError, UnsavedError
 from rejoint.system.files import require_space, saving, write_json, write_whole
 
 
 @pytest.fixture
 def folder(tmp_path: Path) -> RunFolder:
-    return opening.begin(tmp_path / "run", "emulated:worn", mycobot280(), 0).folder
+    return Run.create(tmp_path / "run", "emulated:worn", mycobot280(), 0).folder
 
 
 @pytest.fixture
@@ -120,16 +119,15 @@ def test_a_comparison_is_shown_on_a_disk_that_filled_meanwhile(
 def test_an_error_ends_no_run_without_its_log_and_no_log_hides_the_error(
     folder: RunFolder, points: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    run = opening.open_run(folder.path)
-    job = work.Deployment(controller="integrator", targets=np.array([[0.17, 0.0, 0.2]]), dwell=1.0)
+    run = Run.open(folder.path)
     fill(monkeypatch, ".deploy-")
 
-    def interrupt(done: float, *_: object) -> None:
-        if done > 0.5:
+    def interrupt(share: float, _: str) -> None:
+        if share > 0.5:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt) as caught:
-        work.deploy_stage(run, "emulated:worn", job, on_progress=interrupt)
+        rejoint.deploy("emulated:worn", "integrator", [[0.17, 0.0, 0.2]], run=run, dwell=1.0, on_progress=interrupt)
     assert "cannot be written (No space left on device)" in caught.value.__notes__[-1]
     monkeypatch.undo()
     with locked(folder):

@@ -13,8 +13,8 @@ from rejoint.arms import mycobot280
 from rejoint.cli import main
 from rejoint.logs.journal import Journal
 from rejoint.logs.runlog import RunLog, write_log
-from rejoint.runs import opening
 from rejoint.runs.folder import FORMAT, LOGS, RunFolder, RunInfo, locked
+from rejoint.runs.run import Run, exclusive, finish, is_finished
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import write_json
 
@@ -39,33 +39,33 @@ def test_a_report_alone_is_no_end(tmp_path: Path) -> None:
     folder = folder_of(tmp_path)
     for count in range(len(STAGES)):
         leave(folder, *STAGES[:count], "report.html")
-        assert not opening.is_finished(folder)
+        assert not is_finished(folder)
     leave(folder, *STAGES, "report.html")
-    assert opening.is_finished(folder)
+    assert is_finished(folder)
 
 
 def test_a_report_of_before_the_last_stage_is_no_end(tmp_path: Path) -> None:
     folder = folder_of(tmp_path)
     leave(folder, *STAGES[:3], "report.html", STAGES[3])
-    assert not opening.is_finished(folder)
-    opening.finish(opening.Run(folder=folder, info=RunInfo(robot="", arm="", seed=0, version="", created=""), arm=ARM))
-    assert opening.is_finished(folder)
+    assert not is_finished(folder)
+    finish(Run(folder=folder, info=RunInfo(robot="", arm="", seed=0, version="", created=""), arm=ARM))
+    assert is_finished(folder)
 
 
 def test_runs_of_before_repair_noted_its_end_stay_finished(tmp_path: Path) -> None:
     folder = folder_of(tmp_path, version=1)
     leave(folder, *STAGES[:3], "report.html", STAGES[3])
-    assert opening.is_finished(folder)
+    assert is_finished(folder)
     folder.comparison.unlink()
-    assert not opening.is_finished(folder)
+    assert not is_finished(folder)
 
 
 def test_a_run_of_logs_ends_with_its_twin_and_the_report(tmp_path: Path) -> None:
     folder = folder_of(tmp_path, robot=f"{LOGS}here")
     leave(folder, "diagnosis.json", "report.html")
-    assert not opening.is_finished(folder)
+    assert not is_finished(folder)
     leave(folder, "diagnosis.json", "twin.toml", "judgement.json", "report.html")
-    assert opening.is_finished(folder)
+    assert is_finished(folder)
 
 
 def test_a_run_that_was_killed_while_it_was_begun_is_begun_again(tmp_path: Path) -> None:
@@ -73,13 +73,13 @@ def test_a_run_that_was_killed_while_it_was_begun_is_begun_again(tmp_path: Path)
     path.mkdir()
     for name in (".lock", "arm.toml", ".run.json.abcd1234.partial"):
         (path / name).write_text("half")
-    assert opening.begin(path, "emulated:worn", arm, 0).arm.name == "mine"
-    assert opening.open_run(path).arm.name == "mine"
+    assert Run.create(path, "emulated:worn", arm, 0).arm.name == "mine"
+    assert Run.open(path).arm.name == "mine"
     other = tmp_path / "other"
     other.mkdir()
     (other / "thesis.tex").touch()
     with pytest.raises(InputError, match="not a run folder and not empty"):
-        opening.begin(other, "emulated:worn", arm, 0)
+        Run.create(other, "emulated:worn", arm, 0)
 
 
 def test_what_killed_writers_left_is_removed_and_nothing_else(tmp_path: Path) -> None:
@@ -145,16 +145,16 @@ def test_every_command_that_writes_in_a_run_waits_for_nobody(
 
 
 def test_a_stage_that_fails_leaves_no_folder_that_it_has_not_begun(tmp_path: Path) -> None:
-    run = opening.prepare(tmp_path / "new", "logs:x", ARM, 0)
+    run = Run.plan(tmp_path / "new", "logs:x", ARM, 0)
 
-    @opening.alone
-    def stage(run: opening.Run) -> None:
-        raise FileError(run.folder.path, "nothing to work on", "do something")
+    def stage(run: Run) -> None:
+        with exclusive(run):
+            raise FileError(run.folder.path, "nothing to work on", "do something")
 
     with pytest.raises(FileError, match="nothing to work on"):
         stage(run)
     assert not run.folder.path.exists()
-    begun = opening.begin(tmp_path / "begun", "logs:x", ARM, 0)
+    begun = Run.create(tmp_path / "begun", "logs:x", ARM, 0)
     with pytest.raises(FileError, match="nothing to work on"):
         stage(begun)
     assert begun.folder.info.exists()

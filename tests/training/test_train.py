@@ -49,8 +49,8 @@ def weights(network) -> np.ndarray:
 def test_a_training_leaves_a_policy_that_drives_and_its_curves(tmp_path):
     seen = []
     result = train(ARM, None, out=tmp_path, options=options(), on_progress=lambda *report: seen.append(report))
-    assert [(done, total) for done, total, _ in seen] == [(k, 6) for k in range(1, 7)]
-    assert all("success" in text and "mm" in text for _, _, text in seen)
+    assert [share for share, _ in seen] == [k / 6 for k in range(1, 7)]
+    assert all("success" in text and "mm" in text for _, text in seen)
     controller = load_policy(result.policy, ARM)
     assert (controller.contract.preset, controller.contract.seed) == ("default", 0)
     assert (controller.contract.min_period, controller.contract.max_period) == (0.018, 0.055)
@@ -99,9 +99,17 @@ class InterruptedTrainingError(Exception):
     pass
 
 
+UPDATES = 6
+
+
+def updates_into(seen):
+    """Return progress that notes the number of updates."""
+    return lambda share, _: seen.append(round(share * UPDATES))
+
+
 def interrupt_after(iterations):
-    def on_progress(done, total, text):
-        if done == iterations:
+    def on_progress(share, what):
+        if round(share * UPDATES) == iterations:
             raise InterruptedTrainingError
 
     return on_progress
@@ -113,9 +121,7 @@ def test_an_interrupted_training_resumes_to_the_same_policy(tmp_path):
         train(ARM, None, out=tmp_path / "cut", options=options(), on_progress=interrupt_after(5))
     assert not Outputs(tmp_path / "cut").policy.exists()
     seen = []
-    resumed = train(
-        ARM, None, out=tmp_path / "cut", options=options(resume=True), on_progress=lambda done, *_: seen.append(done)
-    )
+    resumed = train(ARM, None, out=tmp_path / "cut", options=options(resume=True), on_progress=updates_into(seen))
     assert seen == [5, 6]  # the checkpoint is that of the fourth update
     assert resumed.policy.read_bytes() == whole.policy.read_bytes()
     assert resumed.steps == whole.steps
@@ -126,12 +132,12 @@ def test_a_checkpoint_of_another_training_is_neither_continued_nor_lost(tmp_path
     with pytest.raises(InterruptedTrainingError):
         train(ARM, None, out=tmp_path, options=options(), on_progress=interrupt_after(3))
     seen = []
-    train(ARM, None, out=tmp_path, options=options(resume=True, seed=9), on_progress=lambda done, *_: seen.append(done))
+    train(ARM, None, out=tmp_path, options=options(resume=True, seed=9), on_progress=updates_into(seen))
     assert seen == [1, 2, 3, 4, 5, 6]
     kept = list(Outputs(tmp_path).folder.glob("checkpoint-*.pt"))
     assert len(kept) == 1
     kept[0].rename(Outputs(tmp_path).checkpoint)
-    train(ARM, None, out=tmp_path, options=options(resume=True), on_progress=lambda done, *_: seen.append(done))
+    train(ARM, None, out=tmp_path, options=options(resume=True), on_progress=updates_into(seen))
     assert seen[6:] == [3, 4, 5, 6]
 
 
@@ -143,7 +149,7 @@ def test_after_a_damaged_checkpoint_a_training_begins_anew_and_says_so(tmp_path,
     data[len(data) // 2] ^= 1
     path.write_bytes(data)
     seen = []
-    changes = {"options": options(resume=True), "on_progress": lambda done, *_: seen.append(done)}
+    changes = {"options": options(resume=True), "on_progress": updates_into(seen)}
     again = train(ARM, None, out=tmp_path / "damaged", **changes)
     assert seen == [1, 2, 3, 4, 5, 6]
     (line,) = [record.getMessage() for record in caplog.records if record.name == "rejoint"]

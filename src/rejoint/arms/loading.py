@@ -19,9 +19,34 @@ CATALOGUE: dict[str, Callable[[], Arm]] = {"mycobot280": mycobot280, "so101": so
 SUFFIXES = (".toml", ".urdf", ".xml", ".mjcf")
 
 
-def load_arm(source: str, *, base: str | None = None, tip: str | None = None) -> Arm:
-    """Build the arm that :func:`read_arm` describes, without the notes."""
-    return read_arm(source, base=base, tip=tip).arm
+def load_arm(source: str | Path, *, base: str | None = None, tip: str | None = None) -> Arm:
+    """Load an arm: by its name, or from its TOML, URDF or MJCF file.
+
+    Parameters
+    ----------
+    source
+        ``mycobot280``, ``so101``, or a path that ends in ``.toml``, ``.urdf``, ``.xml`` or ``.mjcf``
+    base
+        body of a URDF or MJCF file at which the arm begins; by default its root
+    tip
+        body or site of such a file at which the arm ends; by default the end of its only chain
+
+    Returns
+    -------
+    Arm
+        geometry, limits and masses; what the file leaves out is estimated, and `read_arm` names it
+
+    Raises
+    ------
+    InputError, FileError
+        for an unknown name, or a file or chain that cannot be used, with the reason
+
+    Examples
+    --------
+    >>> arm = rejoint.load_arm("ur5e.urdf", base="base_link", tip="tool0")
+    >>> rejoint.repair("emulated:worn", arm=arm)
+    """
+    return read_arm(str(source), base=base, tip=tip).arm
 
 
 def read_arm(source: str, *, base: str | None = None, tip: str | None = None) -> Loaded:

@@ -14,14 +14,12 @@ from typing import Any
 
 import msgspec
 import numpy as np
+from rich import progress as bars
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
 from rejoint.system.errors import UnsavedError
-
-OnProgress = Callable[[float, float, str], None]
-"""Called with (done, total, what is being done)."""
+from rejoint.system.progress import Progress
 
 _PLAIN_INTERVAL = 10.0  # [s] between lines where the output is a file and a bar would only be noise
 
@@ -72,20 +70,20 @@ class Terminal:
             raise
 
     @contextmanager
-    def progress(self, title: str) -> Iterator[OnProgress]:
+    def progress(self, title: str) -> Iterator[Progress]:
         """Show a bar on a terminal, and a line now and then elsewhere."""
         if not self.notes.is_terminal:
             yield _plain_progress(self, title)
             return
         columns = (
-            TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:>3.0f} %"),
-            TimeElapsedColumn(), TimeRemainingColumn(), TextColumn("{task.fields[detail]}"),
+            bars.TextColumn("{task.description}"), bars.BarColumn(), bars.TextColumn("{task.percentage:>3.0f} %"),
+            bars.TimeElapsedColumn(), bars.TimeRemainingColumn(), bars.TextColumn("{task.fields[what]}"),
         )  # fmt: skip
-        with Progress(*columns, console=self.notes, transient=True) as bar:
-            task = bar.add_task(title, total=None, detail="")
+        with bars.Progress(*columns, console=self.notes, transient=True) as bar:
+            task = bar.add_task(title, total=None, what="")
 
-            def update(done: float, total: float, text: str) -> None:
-                bar.update(task, completed=done, total=total, detail=text)
+            def update(share: float, what: str) -> None:
+                bar.update(task, completed=share, total=1.0, what=what)
 
             yield update
 
@@ -99,13 +97,13 @@ def _plain(value: object) -> object:
     raise TypeError(f"a {type(value).__name__} has no place in JSON")
 
 
-def _plain_progress(terminal: Terminal, title: str) -> OnProgress:
+def _plain_progress(terminal: Terminal, title: str) -> Progress:
     last = time.monotonic()
 
-    def update(done: float, total: float, text: str) -> None:
+    def update(share: float, what: str) -> None:
         nonlocal last
         if time.monotonic() - last >= _PLAIN_INTERVAL:
             last = time.monotonic()
-            terminal.say(f"{title}: {100 * done / max(total, 1e-9):.0f} % {text}".rstrip())
+            terminal.say(f"{title}: {100 * share:.0f} % {what}".rstrip())
 
     return update

@@ -11,7 +11,7 @@ import typer
 from rejoint.arms import load_arm
 from rejoint.cli.console import Terminal
 from rejoint.cli.options import Json, Seed, controller_names
-from rejoint.runs import opening
+from rejoint.runs.run import Run
 from rejoint.system.errors import InputError
 from rejoint.system.extras import require
 from rejoint.system.files import read_json, write_json
@@ -114,7 +114,7 @@ def tune(
     from rejoint.twin.file import read_twin
 
     terminal, chosen = Terminal(json=json), find_rival(rival)
-    job = None if run is None else opening.open_run(run)
+    job = None if run is None else Run.open(run)
     arm = load_arm("mycobot280") if job is None else job.arm
     ranges: Ranges = BroadRanges(arm=arm)
     if job is not None:
@@ -123,7 +123,7 @@ def tune(
     with terminal.progress(f"tuning {rival}") as update:
 
         def report(done: int, cost: float, centre: Mapping[str, float]) -> None:  # noqa: ARG001 - too much for a line
-            update(done, generations, f"cost {cost:.2f} s")
+            update(done / generations, f"cost {cost:.2f} s")
 
         settings = TuningSettings(generations=generations, seed=seed)
         found = search(arm, ranges, chosen.intervals, chosen.make, settings, report)

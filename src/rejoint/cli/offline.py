@@ -9,15 +9,12 @@ from typing import TYPE_CHECKING, Annotated
 import msgspec
 import typer
 
+import rejoint
 from rejoint.arms import Arm
 from rejoint.cli import show
 from rejoint.cli.console import Terminal
 from rejoint.cli.options import ArmOption, Base, Json, Tip, choose_arm
-from rejoint.logs.runlog import RunLog, read_log
-from rejoint.runs import opening
-from rejoint.runs import stages as work
-from rejoint.runs.folder import RunFolder, locked
-from rejoint.system.errors import FileError
+from rejoint.runs.run import Run
 from rejoint.system.extras import require
 
 if TYPE_CHECKING:
@@ -31,30 +28,29 @@ Published = Annotated[
 ]
 
 
-def diagnose_from_logs(terminal: Terminal, job: opening.Run, logs: Path, good: Path | None) -> None:
+def diagnose_from_logs(terminal: Terminal, job: Run, logs: Path, good: Path | None) -> None:
     """Judge an arm by the run logs in a folder and write the diagnosis into the run folder of ``job``."""
-    motions = read_folder(logs)
     with terminal.progress("diagnosing") as update:
-        diagnosis = work.diagnose_logs_stage(job, motions, good=good, on_progress=update)
-    show.diagnosis(terminal, diagnosis)
-    terminal.result(f"Next: rejoint identify --logs {logs} --arm {job.arm.name} --run {job.folder.path}")
-    terminal.finish({"run": str(job.folder.path), "diagnosis": diagnosis})
+        found = rejoint.diagnose(logs, run=job, healthy=good, on_progress=update).diagnosis
+    show.diagnosis(terminal, found)
+    terminal.result(f"Next: rejoint identify --logs {logs} --arm {job.arm.name} --run {job.path}")
+    terminal.finish({"run": str(job.path), "diagnosis": found})
 
 
-def identify_from_logs(terminal: Terminal, job: opening.Run, logs: Path, published: list[str] | None) -> None:
+def identify_from_logs(terminal: Terminal, job: Run, logs: Path, published: list[str] | None) -> None:
     """Fit a twin to the run logs in a folder, judge it, and write both and the report into a run folder."""
     beside = read_sets(published, job.arm)
-    motions = read_folder(logs)
     with terminal.progress("identifying") as update:
-        found = work.identify_logs_stage(job, motions, beside, on_progress=update)
-    show.twin(terminal, found.twin)
-    show_errors(terminal, found.judgement)
-    path = work.report_stage(job)
+        twin = rejoint.identify(logs, run=job, beside=beside, on_progress=update)
+    show.twin(terminal, twin)
+    if twin.judgement is not None:
+        show_errors(terminal, twin.judgement)
+    path = rejoint.report(job)
     terminal.result(f"Twin: {job.folder.twin}")
     terminal.result(f"Report: {path}")
     terminal.finish({
-        "run": str(job.folder.path), "twin": str(job.folder.twin), "report": str(path), "fitted": found.fitted,
-        "judgement": found.judgement,
+        "run": str(job.path), "twin": str(job.folder.twin), "report": str(path), "fitted": twin.fitted,
+        "judgement": twin.judgement,
     })  # fmt: skip
 
 
@@ -73,21 +69,14 @@ def replay(
     Example: `rejoint replay runs/so101/twin.toml --logs logs/so101 --published maker.toml --out replay`
     """
     require("rejoint replay", "train", "report")
-    from rejoint.runs.report.replay import write_replay
-    from rejoint.twin.file import read_twin
-    from rejoint.twin.judge import Candidate, judge
-
     terminal = Terminal(json=json)
-    found = read_twin(twin)
+    found = rejoint.Twin.load(twin)
     chosen = choose_arm(terminal, arm or found.arm, base, tip)
     found.require(chosen)
-    candidates = [Candidate.of("twin", found), *read_sets(published, chosen)]
-    with locked(RunFolder(out)):
-        judgement = judge(chosen, candidates, read_folder(logs), threads=2)
-        show_errors(terminal, judgement)
-        page = write_replay(out, judgement, twin=str(twin), logs=str(logs))
-    terminal.result(f"Page: {page}")
-    terminal.finish({**msgspec.to_builtins(judgement), "page": str(page)})
+    replayed = rejoint.replay(twin, logs, arm=chosen, beside=read_sets(published, chosen), out=out)
+    show_errors(terminal, replayed.judgement)
+    terminal.result(f"Page: {replayed.page}")
+    terminal.finish({**msgspec.to_builtins(replayed.judgement), "page": str(replayed.page)})
 
 
 def read_sets(published: list[str] | None, arm: Arm) -> list[Candidate]:
@@ -100,14 +89,6 @@ def read_sets(published: list[str] | None, arm: Arm) -> list[Candidate]:
         one = read_published(Path(path), arm)
         found.append(changed(one, name=name.strip()) if named and name.strip() else one)
     return found
-
-
-def read_folder(path: Path) -> list[RunLog]:
-    """Read every run log of a folder, by name; FileError if there is none."""
-    files = sorted(path.glob("*.parquet")) if path.is_dir() else []
-    if not files:
-        raise FileError(path, "no folder with run logs (.parquet)", "make one with: rejoint import SOURCE FOLDER")
-    return [read_log(file) for file in files]
 
 
 def show_errors(terminal: Terminal, judgement: Judgement) -> None:

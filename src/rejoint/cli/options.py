@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -12,8 +11,9 @@ from rejoint.arms import Arm
 from rejoint.arms.loading import read_arm
 from rejoint.cli.console import Terminal
 from rejoint.robots import DEFAULT_ARM, place_of
-from rejoint.runs import opening
 from rejoint.runs.folder import LOGS
+from rejoint.runs.run import Run as OpenRun
+from rejoint.runs.run import newest_or_new
 from rejoint.system.errors import InputError
 
 ROBOT_HELP = "Robot: emulated:PROFILE (in process), tcp://HOST:PORT, or serial:///dev/ttyAMA0."
@@ -35,6 +35,7 @@ Base = Annotated[str | None, typer.Option(help="Body of the file at which the ar
 Tip = Annotated[str | None, typer.Option(help="Body or site of the file at which the arm ends.")]
 Seed = Annotated[int, typer.Option(help="Seed of everything random.", min=0)]
 RunSeed = Annotated[int | None, typer.Option("--seed", help="Seed; by default that of the run.", min=0)]
+Quick = Annotated[bool, typer.Option("--quick", help="Do little of everything, for a first try; no result.")]
 Json = Annotated[bool, typer.Option("--json", help="End standard output with one line of JSON.")]
 Preset = Annotated[str, typer.Option(help="Training recipe: default, or paper (the literal method).")]
 Targets = Annotated[Path | None, typer.Option(help="CSV file of targets in mm with the header x,y,z.")]
@@ -56,10 +57,10 @@ def choose_arm(
     return loaded.arm
 
 
-def run_of_logs(arm: Arm, logs: Path, path: Path | None, seed: int) -> opening.Run:
+def run_of_logs(arm: Arm, logs: Path, path: Path | None, seed: int) -> OpenRun:
     """Prepare the run of a folder of logs: the one at ``path``, or the newest one of these logs, or a new one."""
     robot = f"{LOGS}{logs}"
-    return opening.prepare(path or opening.newest_or_new(robot, arm, seed)[0], robot, arm, seed)
+    return OpenRun.plan(path or newest_or_new(robot, arm, seed)[0], robot, arm, seed)
 
 
 def period_seconds(text: str | None) -> tuple[float, float] | None:
@@ -78,8 +79,3 @@ def period_seconds(text: str | None) -> tuple[float, float] | None:
 def controller_names(text: str) -> tuple[str, ...]:
     """Read a comma-separated list; empty for ``all``."""
     return () if text == "all" else tuple(name.strip() for name in text.split(",") if name.strip())
-
-
-def seeded(run: opening.Run, seed: int | None) -> opening.Run:
-    """Return the run with another seed, if one was given."""
-    return run if seed is None else replace(run, info=replace(run.info, seed=seed))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,9 +14,23 @@ from rejoint.runs.comparison.result import Comparison
 
 if TYPE_CHECKING:
     from rejoint.diagnosis.diagnosis import Diagnosis
-    from rejoint.runs.deployment import Deployed, Deployment
+    from rejoint.runs.deployment import Deployed
     from rejoint.training.train import TrainingResult
     from rejoint.twin.twin import Twin
+
+
+def stage(terminal: Terminal, name: str, result: Any) -> None:  # noqa: ANN401 - of each stage another
+    """Print what the function ``name`` of the front door returned; nothing for None, a result that was kept."""
+    if result is None or name == "report":
+        return
+    if name == "diagnose":
+        diagnosis(terminal, result.diagnosis)
+    elif name == "identify":
+        twin(terminal, result)
+    elif name == "train":
+        training(terminal, result.training)
+    elif name == "compare":
+        comparison(terminal, result.comparison, result.recommendation)
 
 
 def diagnosis(terminal: Terminal, result: Diagnosis) -> None:
@@ -85,8 +99,8 @@ def verdict(terminal: Terminal, before: Diagnosis, result: Comparison, advice: R
         )
 
 
-def deployment(terminal: Terminal, job: Deployment, done: Deployed) -> None:
-    """Print what became of each target."""
+def deployment(terminal: Terminal, within: float, done: Deployed) -> None:
+    """Print what became of each target; ``within`` [m] one counts as reached."""
     rows = [
         [
             str(number), *(f"{1e3 * value:.1f}" for value in visit.target),
@@ -94,7 +108,7 @@ def deployment(terminal: Terminal, job: Deployment, done: Deployed) -> None:
         ]
         for number, visit in enumerate(done.visits, start=1)
     ]  # fmt: skip
-    title = f"Error at the end of each target (by the encoders; reached: within {1e3 * job.within:g} mm)"
+    title = f"Error at the end of each target (by the encoders; reached: within {1e3 * within:g} mm)"
     terminal.table(title, ["target", "x mm", "y mm", "z mm", "error mm", "reached", ""], rows)
     if done.missed:
         terminal.result(f"Not reached: {len(done.missed)} of {len(done.visits)} targets.")

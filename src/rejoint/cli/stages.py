@@ -4,22 +4,23 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
-import msgspec
 import typer
 
+import rejoint
 from rejoint.arms import load_arm
 from rejoint.cli import offline, show
 from rejoint.cli import options as opt
 from rejoint.cli.console import Terminal
-from rejoint.runs import opening
-from rejoint.runs import stages as work
-from rejoint.runs.comparison.targets import draw_targets, read_targets
-from rejoint.runs.deployment import REACHED, Deployment
+from rejoint.runs.deployment import REACHED
 from rejoint.runs.folder import LOGS, RunFolder, locked
+from rejoint.runs.run import Run, newest_or_new
 from rejoint.system.errors import InputError
 from rejoint.system.extras import require
+
+if TYPE_CHECKING:
+    from rejoint.training.train import Trainer
 
 MISSED = 5
 """Exit code of a deployment that did not reach all of its targets."""
@@ -37,6 +38,7 @@ def diagnose(
         Path | None, typer.Option(help="Run folder of an arm known to be good, instead of an emulated healthy one.")
     ] = None,
     seed: opt.Seed = 0,
+    quick: opt.Quick = False,
     json: opt.Json = False,
 ) -> None:
     """Find out what is wrong with an arm: ten targets open loop and an excitation, or from logs of any motion alone.
@@ -53,14 +55,15 @@ def diagnose(
         return
     robot = robot or "emulated:worn"
     chosen = opt.choose_arm(terminal, arm, base, tip, robot)
-    path = run or opening.newest_or_new(robot, chosen, seed)[0]
-    job = opening.begin(path, robot, chosen, seed)
-    told = terminal.unsaved(lambda unsaved: show.diagnosis(terminal, unsaved))
-    with told, terminal.progress("diagnosing") as update:
-        diagnosis = work.diagnose_stage(job, period=opt.period_seconds(period), good=healthy, on_progress=update)
-    show.diagnosis(terminal, diagnosis)
+    path = run or newest_or_new(robot, chosen, seed)[0]
+    job = Run.create(path, robot, chosen, seed)
+    with terminal.unsaved(partial(show.stage, terminal, "diagnose")), terminal.progress("diagnosing") as update:
+        found = rejoint.diagnose(
+            robot, run=job, period=opt.period_seconds(period), healthy=healthy, quick=quick, on_progress=update
+        )
+    show.stage(terminal, "diagnose", found)
     terminal.result(f"Next: rejoint identify {path}")
-    terminal.finish({"run": str(path), "diagnosis": diagnosis})
+    terminal.finish({"run": str(path), "diagnosis": found.diagnosis})
 
 
 def identify(
@@ -72,6 +75,7 @@ def identify(
     base: opt.Base = None,
     tip: opt.Tip = None,
     seed: opt.RunSeed = None,
+    quick: opt.Quick = False,
     json: opt.Json = False,
 ) -> None:
     """Fit a digital twin to the excitation log of a run, or to logs of any motion alone, and then write the report.
@@ -89,9 +93,9 @@ def identify(
     if folder is not None or published:
         raise InputError("--run and --published go with --logs; without it, name the run folder alone")
     assert run is not None  # noqa: S101 - for the type checker; one of the two is given
-    job = opt.seeded(opening.open_run(run), seed)
+    job = Run.open(run)
     with terminal.progress("identifying") as update:
-        twin = work.identify_stage(job, on_progress=update)
+        twin = rejoint.identify(run=job, seed=seed, quick=quick, on_progress=update)
     show.twin(terminal, twin)
     terminal.result(f"Next: rejoint train {run}")
     terminal.finish({"run": str(run), "twin": str(job.folder.twin), "held_out": twin.held_out})
@@ -106,6 +110,7 @@ def train(
     ] = False,
     restart: Annotated[bool, typer.Option("--restart", help="Forget an interrupted training.")] = False,
     seed: opt.RunSeed = None,
+    quick: opt.Quick = False,
     json: opt.Json = False,
 ) -> None:
     """Train a policy on randomised copies of the run's twin.
@@ -117,25 +122,27 @@ def train(
     if broad:
         if RunFolder(run).twin.exists():
             raise InputError(f"{run} has a twin.toml, and --broad trains without one: choose another folder")
-        opening.begin(run, "emulated:worn", load_arm("mycobot280"), seed or 0)
-    job = opt.seeded(opening.open_run(run), seed)
-    trainer = None if learner == "ppo" else _off_policy(learner, preset, job.info.seed)
+        Run.create(run, "emulated:worn", load_arm("mycobot280"), seed or 0)
+    job = Run.open(run).seeded(seed)
+    trainer = None if learner == "ppo" else _off_policy(learner, preset, job.seed)
     from rejoint.runs.report.sections.training import draw_training
     from rejoint.runs.report.words import once
 
     if not job.folder.twin.exists():
         terminal.say(f"{run} has no twin.toml: training on broad ranges instead of on this arm.")
     with terminal.progress("training") as update:
-        result = work.train_stage(job, preset=preset, resume=not restart, on_progress=update, trainer=trainer)
+        result = rejoint.train(
+            run=job, preset=preset, resume=not restart, quick=quick, trainer=trainer, on_progress=update
+        ).training
     with locked(job.folder):
         terminal.say(f"Curves: {draw_training(job.folder)}")
     show.training(terminal, result)
-    robot = "ROBOT" if job.info.robot.startswith(LOGS) else job.info.robot  # logs cannot be driven
+    robot = "ROBOT" if job.robot.startswith(LOGS) else job.robot  # logs cannot be driven
     terminal.result(f"Next: rejoint compare {robot} {run}{once(robot)}")
     terminal.finish(result)
 
 
-def _off_policy(learner: str, preset: str, seed: int) -> work.Trainer:
+def _off_policy(learner: str, preset: str, seed: int) -> Trainer:
     if preset != "default":
         raise InputError(f"--preset {preset} is a recipe of PPO; {learner} trains on the default one: leave it out")
     from rejoint.research.offpolicy import trainer
@@ -159,16 +166,14 @@ def compare(
     Example: `rejoint compare emulated:worn runs/mine --sets 10 --repetitions 6`
     """
     terminal = Terminal(json=json)
-    job = opt.seeded(opening.open_run(run), seed)
-    trials = work.Trials(
-        controllers=opt.controller_names(controllers), sets=sets, repetitions=repetitions, file=targets
-    )
-    told = terminal.unsaved(lambda unsaved: show.comparison(terminal, *unsaved))
-    with told, terminal.progress("comparing") as update:
-        result = work.compare_stage(job, robot, trials, period=opt.period_seconds(period), on_progress=update)
-    show.comparison(terminal, *result)
+    with terminal.unsaved(partial(show.stage, terminal, "compare")), terminal.progress("comparing") as update:
+        found = rejoint.compare(
+            robot, opt.controller_names(controllers), targets, run=run, sets=sets, repetitions=repetitions,
+            period=opt.period_seconds(period), seed=seed, on_progress=update,
+        )  # fmt: skip
+    show.stage(terminal, "compare", found)
     terminal.result(f"Next: rejoint report {run}")
-    terminal.finish({"run": str(run), "recommended": result[1], "comparison": result[0]})
+    terminal.finish({"run": str(run), "recommended": found.recommendation, "comparison": found.comparison})
 
 
 def deploy(
@@ -191,16 +196,18 @@ def deploy(
     Example: `rejoint deploy tcp://192.168.1.20:9000 runs/mine --targets points.csv`
     """
     terminal = Terminal(json=json)
-    job = opt.seeded(opening.open_run(run), seed)
-    points = draw_targets(job.arm, sets=1, seed=job.info.seed)[0] if targets is None else read_targets(targets, job.arm)
-    plan = Deployment(controller=controller, targets=points, dwell=dwell, within=1e-3 * within)
-    tell = partial(show.deployment, terminal, plan)
+    tell = partial(show.deployment, terminal, 1e-3 * within)
     with terminal.unsaved(tell), terminal.progress("deploying") as update:
-        done = work.deploy_stage(job, robot, plan, opt.period_seconds(period), on_progress=update, on_end=tell)
+        done = rejoint.deploy(
+            robot, controller, targets, run=run, dwell=dwell, within=1e-3 * within,
+            period=opt.period_seconds(period), seed=seed, on_progress=update, on_end=tell,
+        )  # fmt: skip
     tell(done)
     errors = [None if visit.error is None else 1e3 * visit.error for visit in done.visits]
-    found = {"run": str(run), "controller": controller, "error_mm": errors, "missed": done.missed}
-    terminal.finish({**found, **msgspec.to_builtins(done)})
+    terminal.finish({
+        "run": str(run), "controller": controller, "error_mm": errors, "missed": done.missed, "visits": done.visits,
+        "period": done.period, "gaps": done.gaps,
+    })  # fmt: skip
     if done.missed:
         raise typer.Exit(MISSED)
 
@@ -213,6 +220,6 @@ def report(run: opt.Run, json: opt.Json = False) -> None:
     require("rejoint report", "report")
 
     terminal = Terminal(json=json)
-    path = work.report_stage(opening.open_run(run))
-    terminal.result(str(path.resolve()))
-    terminal.finish({"run": str(run), "report": str(path.resolve())})
+    path = rejoint.report(run).resolve()
+    terminal.result(str(path))
+    terminal.finish({"run": str(run), "report": str(path)})

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -25,8 +27,8 @@ from rejoint.control.observation import Observation, Observer
 from rejoint.control.onnxfile import content_digest, read_metadata
 from rejoint.control.residual import Commander
 from rejoint.control.robot import Mask
-from rejoint.system.errors import ContractError, FileError
-from rejoint.system.files import MEGABYTE, read_bounded
+from rejoint.system.errors import ContractError, FileError, InputError
+from rejoint.system.files import MEGABYTE, read_bounded, write_whole
 
 LARGEST_FILE = 16 * MEGABYTE
 """[bytes] of a policy file (chosen: two hundred times what ours have)"""
@@ -66,30 +68,88 @@ class PolicyController:
 
     def act(self, observation: Observation) -> Array:
         """Mean action (B, n) in [-1, 1] of the network for observations (B, size)."""
-        return self._session.run((OUTPUT,), {INPUT: observation})[0].astype(float)
+        return _act(self._session, observation)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Policy:
+    """A trained policy: the content of an ONNX file, with what it was trained for.
+
+    The file is foreign until its arm is known: what it holds is judged before ONNX Runtime reads it, see
+    `rejoint.control.onnxfile.read_metadata`.
+
+    Examples
+    --------
+    >>> policy = rejoint.Policy.load("runs/mine/policy.onnx")
+    >>> action = policy(observation)
+    >>> rejoint.deploy("tcp://192.168.1.20:9000", policy, targets)
+    """
+
+    content: bytes
+    """of the ONNX file"""
+    contract: PolicyContract
+    """arm, observation, law and control periods that it was trained for"""
+    source: str = "policy"
+    """where it came from, for messages"""
+
+    @classmethod
+    def load(cls, path: Path | str) -> Policy:
+        """Read a policy file; FileError if it is missing, damaged, too large, or no policy at all."""
+        data = _read(Path(path))
+        try:
+            metadata = read_metadata(data)
+        except ValueError as error:
+            raise FileError(path, f"{_DAMAGED} ({error})", "train the policy again") from error
+        text = metadata.get(METADATA_KEY)
+        if text is None:
+            known = "take a file written by `rejoint train`"
+            raise FileError(path, "an ONNX file without the contract of a policy", known)
+        contract = decode_contract(text)
+        if contract.format > 1 and metadata.get(DIGEST_KEY) != content_digest(data, text):
+            raise FileError(path, "its content no longer gives the digest recorded in it", "train the policy again")
+        return cls(content=data, contract=contract, source=str(path))
+
+    def save(self, path: Path | str) -> None:
+        """Write the policy file, whole or not at all; FileError if that fails."""
+        write_whole(Path(path), lambda temporary: temporary.write_bytes(self.content))
+
+    def controller(self, arm: Arm) -> PolicyController:
+        """Return what drives ``arm`` with this policy; ContractError if it was trained for something else.
+
+        FileError if its network is damaged.
+        """
+        check_contract(self.contract, arm)
+        return PolicyController(arm, self._session, self.contract)
+
+    def __call__(self, observation: Observation) -> Array:
+        """Mean action (B, n) or (n,) in [-1, 1] of the network for observations (B, size) or (size,).
+
+        ``contract.observation`` says what an observation holds, ``contract.law`` what becomes of an action.
+        """
+        rows = np.atleast_2d(np.asarray(observation, dtype=np.float32))
+        size = self.contract.observation_size
+        if rows.ndim != 2 or rows.shape[1] != size:
+            raise InputError(f"policy: an observation has shape {np.shape(observation)}, expected ({size},) a row")
+        return _act(self._session, rows).reshape(*np.shape(observation)[:-1], -1)
+
+    @cached_property
+    def _session(self) -> ort.InferenceSession:
+        """The network, which has given the answers that the contract records."""
+        session = _open(self.source, self.content)
+        _check_network(self.source, self.contract, session)
+        return session
 
 
 def load_policy(path: Path, arm: Arm) -> PolicyController:
     """Read a policy file and check that it fits the arm, before anything moves.
 
     FileError: missing, damaged, too large, or no policy at all. ContractError: a policy for something else.
-    The file is foreign until then: what it holds is judged before ONNX Runtime reads it, see `read_metadata`.
     """
-    data = _read(path)
-    try:
-        metadata = read_metadata(data)
-    except ValueError as error:
-        raise FileError(path, f"{_DAMAGED} ({error})", "train the policy again") from error
-    text = metadata.get(METADATA_KEY)
-    if text is None:
-        raise FileError(path, "an ONNX file without the contract of a policy", "take a file written by `rejoint train`")
-    contract = decode_contract(text)
-    if contract.format > 1 and metadata.get(DIGEST_KEY) != content_digest(data, text):
-        raise FileError(path, "its content no longer gives the digest recorded in it", "train the policy again")
-    check_contract(contract, arm)
-    controller = PolicyController(arm, _open(path, data), contract)
-    _check_network(path, controller)
-    return controller
+    return Policy.load(path).controller(arm)
+
+
+def _act(session: ort.InferenceSession, observation: Observation) -> Array:
+    return session.run((OUTPUT,), {INPUT: observation})[0].astype(float)
 
 
 def _read(path: Path) -> bytes:
@@ -101,7 +161,7 @@ def _read(path: Path) -> bytes:
         raise FileError(path, f"cannot be read ({error.strerror})", "check the path") from error
 
 
-def _open(path: Path, data: bytes) -> ort.InferenceSession:
+def _open(source: str, data: bytes) -> ort.InferenceSession:
     options = ort.SessionOptions()
     # The network is tiny: a second thread costs more than it brings.
     options.intra_op_num_threads = options.inter_op_num_threads = 1
@@ -109,23 +169,22 @@ def _open(path: Path, data: bytes) -> ort.InferenceSession:
     try:
         return ort.InferenceSession(data, options, providers=["CPUExecutionProvider"], enable_fallback=0)
     except Exception as error:  # ONNX Runtime has many of its own and names none of them
-        raise FileError(path, _DAMAGED, "train the policy again") from error
+        raise FileError(source, _DAMAGED, "train the policy again") from error
 
 
-def _check_network(path: Path, controller: PolicyController) -> None:
+def _check_network(source: str, contract: PolicyContract, session: ort.InferenceSession) -> None:
     """Check the network's interface and its recorded answers."""
-    contract, session = controller.contract, controller._session
     n, size = len(contract.joint_names), contract.observation_size
     found = [(node.name, node.shape[1:]) for node in (*session.get_inputs(), *session.get_outputs())]
     if found != [(INPUT, [size]), (OUTPUT, [n])]:
         raise ContractError(
-            f"{path}: the network maps {shown(found)}, its contract says {INPUT} ({size}) to {OUTPUT} ({n}); "
+            f"{source}: the network maps {shown(found)}, its contract says {INPUT} ({size}) to {OUTPUT} ({n}); "
             "train it again"
         )
     rows = probe_observations(size).astype(np.float32)
     try:
-        answer, recorded = controller.act(rows), np.array(contract.probe)
+        answer, recorded = _act(session, rows), np.array(contract.probe)
     except Exception as error:  # shapes inside that do not go together, or ragged answers in the contract
-        raise FileError(path, "its network or the answers recorded in it make no sense", "train it again") from error
+        raise FileError(source, "its network or the answers recorded in it make no sense", "train it again") from error
     if recorded.shape != answer.shape or not np.abs(recorded - answer).max() <= PROBE_TOLERANCE:
-        raise FileError(path, "the network no longer gives the answers recorded in it", "train the policy again")
+        raise FileError(source, "the network no longer gives the answers recorded in it", "train the policy again")

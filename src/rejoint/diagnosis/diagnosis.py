@@ -14,9 +14,10 @@ from rejoint.diagnosis.healthy import HealthyReference
 from rejoint.diagnosis.measurement import Measurement, measure
 from rejoint.diagnosis.open_loop import OpenLoop, open_loop_errors
 from rejoint.diagnosis.postures import settled_postures
-from rejoint.diagnosis.record import DiagnosisLogs, OnProgress, record
+from rejoint.diagnosis.record import DiagnosisLogs, record
 from rejoint.diagnosis.verdict import Finding, find
 from rejoint.system.errors import InputError
+from rejoint.system.progress import Progress, no_progress
 
 HIDDEN_MARGIN_MM = 1.0
 """Distance between tool and encoders, beyond the healthy range, from which it is called wear on a myCobot 280 (chosen);
@@ -67,7 +68,7 @@ def diagnose(
     *,
     seed: int,
     plan: Plan = FULL,
-    on_progress: OnProgress | None = None,
+    on_progress: Progress = no_progress,
     on_cycle: OnCycle | None = None,
 ) -> tuple[Diagnosis, DiagnosisLogs]:
     """Drive one arm through ten targets and the excitation, and judge what it did."""

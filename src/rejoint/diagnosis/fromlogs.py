@@ -7,7 +7,7 @@ one with a weak elbow.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -24,6 +24,7 @@ from rejoint.diagnosis.verdict import Finding, find
 from rejoint.logs.exclusions import Exclusions, find_exclusions, table_height
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
+from rejoint.system.progress import Progress, no_progress
 from rejoint.system.statistics import Estimate
 
 SHORTEST = 20.0
@@ -36,7 +37,7 @@ def diagnose_logs(
     healthy: HealthyReference | None,
     *,
     source: str = "logs",
-    on_progress: Callable[[str, float], object] = lambda _what, _share: None,
+    on_progress: Progress = no_progress,
 ) -> Diagnosis:
     """Judge an arm by logs of any motion.
 
@@ -47,7 +48,7 @@ def diagnose_logs(
         raise InputError(f"the healthy reference is of arm {healthy.arm}, expected {arm.name}")
     for log in logs:
         log.require(arm.name, arm.joint_names)
-    on_progress("contacts and stops", 0.0)
+    on_progress(0.0, "contacts and stops")
     height = table_height(arm, logs)
     excluded = find_exclusions(arm, logs, height)
     rest = joined([resting_postures(log, rows, stops=True) for log, rows in zip(logs, excluded, strict=True)])
@@ -60,7 +61,7 @@ def diagnose_logs(
     data = join_logs(arm, logs, excluded)
     rows = []
     for joint, name in enumerate(arm.joint_names):
-        on_progress(name, 0.1 + 0.9 * joint / arm.joints)
+        on_progress(0.1 + 0.9 * joint / arm.joints, name)
         rows.append(measure_joint(data, joint))
     measurement = Measurement(joints=tuple(rows), delay_s=None, period_s=float(np.median(np.diff(data.log.time))))
     findings = find(arm, measurement, rest if len(rest.position) else _everywhere(logs, excluded), healthy)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,9 +15,7 @@ from rejoint.diagnosis.excitation import FULL, Plan, plan_excitation
 from rejoint.diagnosis.open_loop import DWELL, TARGETS, draw_targets
 from rejoint.diagnosis.segments import attach_segments
 from rejoint.logs.runlog import RunLog
-
-OnProgress = Callable[[str, float], object]
-"""Called with what is being done and the share of it that is done, 0 to 1."""
+from rejoint.system.progress import Progress, no_progress
 
 TARGETS_LABEL, EXCITATION_LABEL = "diagnosis/targets", "diagnosis/excitation"
 """Labels of the run logs."""
@@ -35,7 +32,7 @@ class DiagnosisLogs:
 
 
 def record(
-    robot: Robot, *, seed: int, plan: Plan = FULL, on_progress: OnProgress | None = None,
+    robot: Robot, *, seed: int, plan: Plan = FULL, on_progress: Progress = no_progress,
     on_cycle: OnCycle | None = None,
 ) -> tuple[DiagnosisLogs, ...]:  # fmt: skip
     """Drive every arm of ``robot`` through the diagnosis; returns the logs of each.
@@ -67,15 +64,12 @@ def record(
     )
 
 
-def _progress(
-    what: str, duration: float, on_progress: OnProgress | None, on_cycle: OnCycle | None, robot: Robot
-) -> OnCycle:
+def _progress(what: str, duration: float, on_progress: Progress, on_cycle: OnCycle | None, robot: Robot) -> OnCycle:
     since = float(robot.read().time[0])
 
     def report(cycle: Cycle) -> None:
         if on_cycle is not None:
             on_cycle(cycle)
-        if on_progress is not None:
-            on_progress(what, min((float(cycle.time[0]) - since) / duration, 1.0))
+        on_progress(min((float(cycle.time[0]) - since) / duration, 1.0), what)
 
     return report

@@ -39,6 +39,11 @@ def attach_segments(log: RunLog, segments: tuple[Segment, ...]) -> RunLog:
     return dataclasses.replace(log, extra={**log.extra, _KEY: msgspec.json.encode(shifted).decode()})
 
 
+def is_excitation(log: RunLog) -> bool:
+    """Tell whether a log says that it is of an excitation."""
+    return _KEY in log.extra
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ExcitationLog:
     """A run log of an excitation with what every measurement needs of it."""

@@ -17,6 +17,7 @@ from rejoint.logs.options import ImportOptions
 from rejoint.logs.runlog import RunLog, write_log
 from rejoint.logs.track import Motion
 from rejoint.system.errors import FileError, InputError
+from rejoint.system.progress import Progress, no_progress
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,7 +47,7 @@ _EXPECTED = (
 
 def import_logs(
     source: Path, arm: Arm, *, out: Path, format: str | None = None,  # noqa: A002
-    options: ImportOptions | None = None, on_progress: Callable[[int, int, str], None] | None = None,
+    options: ImportOptions | None = None, on_progress: Progress = no_progress,
 ) -> Imported:  # fmt: skip
     """Import the logs at ``source`` as run logs of ``arm`` into the new folder ``out``.
 
@@ -61,7 +62,7 @@ def import_logs(
     options
         units, joint names, topics; what a format does not say and nobody declares is an error
     on_progress
-        called with (logs done, logs in all, name) after each log
+        called after each log with the share of the logs that is done, and its name
 
     Raises
     ------
@@ -78,7 +79,7 @@ def import_logs(
         raise InputError(f"{out} exists already; name a new folder for the imported logs")
     reader = _READERS[detect(source) if format is None else _known(format)]
     total, motions = reader.motions(source, arm, options)
-    logs, notes = _checked(motions, arm, lambda done, name: on_progress and on_progress(done, total, name))
+    logs, notes = _checked(motions, arm, lambda done, name: on_progress(done / total, name))
     if not logs:
         raise FileError(source, "holds no log", "take another one")
     _write_whole(out, logs)

@@ -17,8 +17,9 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from rejoint.arms import Arm, load_arm
 from rejoint.system.errors import FileError, InputError, first_line
 from rejoint.system.files import CHANGED, MEGABYTE, require_file, write_whole
 
@@ -41,7 +42,14 @@ _ARRAYS = ("time", "position", "command", "target", "true_tcp")
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RunLog:
-    """What one arm was told and what it did; T rows, n joints."""
+    """What one arm was told and what it did; T rows, n joints.
+
+    Examples
+    --------
+    >>> log = rejoint.RunLog.of(time, command, position, arm="so101")
+    >>> log.save("logs/one.parquet")
+    >>> log = rejoint.RunLog.load("logs/one.parquet")
+    """
 
     arm: str
     """name of the arm"""
@@ -88,6 +96,62 @@ class RunLog:
 
     def __len__(self) -> int:
         return len(self.time)
+
+    @classmethod
+    def of(
+        cls, time: ArrayLike, command: ArrayLike, position: ArrayLike, *, arm: Arm | Path | str, label: str = "motion",
+        target: ArrayLike | None = None, true_tcp: ArrayLike | None = None,
+    ) -> RunLog:  # fmt: skip
+        """Make a run log of arrays in memory.
+
+        Parameters
+        ----------
+        time
+            (T,) [s] at which the positions were read, strictly increasing
+        command
+            (T, n) [rad] joint positions that were sent right after row by row
+        position
+            (T, n) [rad] measured joint positions
+        arm
+            arm, its name or file; its joints are those of the columns, in that order
+        label
+            name of the motion; one for each of several logs
+        target, true_tcp
+            (T, 3) [m] target of the tool, and where it really was, where they are known
+
+        Returns
+        -------
+        RunLog
+            of copies of the arrays, which cannot be changed
+
+        Raises
+        ------
+        InputError
+            if shapes do not go together, values are not finite, or time does not increase
+
+        Examples
+        --------
+        >>> log = rejoint.RunLog.of(time, command, position, arm="so101")
+        >>> print(rejoint.diagnose(log).verdict)
+        """
+        known = arm if isinstance(arm, Arm) else load_arm(arm)
+        times = np.asarray(time, dtype=float)
+        unknown = np.full((times.size, 3), np.nan)
+        return cls(
+            arm=known.name, joint_names=known.joint_names, robot="memory", label=label, time=times,
+            command=np.asarray(command, dtype=float), position=np.asarray(position, dtype=float),
+            target=unknown if target is None else np.asarray(target, dtype=float),
+            true_tcp=unknown if true_tcp is None else np.asarray(true_tcp, dtype=float),
+        )  # fmt: skip
+
+    @classmethod
+    def load(cls, path: Path | str) -> RunLog:
+        """Read a run log (Parquet); FileError if it is missing, damaged or something else."""
+        return read_log(Path(path))
+
+    def save(self, path: Path | str) -> None:
+        """Write a run log (Parquet), whole or not at all; FileError if that fails."""
+        write_log(Path(path), self)
 
     def require(self, arm: str, joint_names: tuple[str, ...]) -> None:
         """Raise InputError unless the log is of that arm, its joints in that order."""

@@ -24,8 +24,8 @@ from skrl.resources.noises.torch import GaussianNoise
 from torch import nn
 
 from rejoint.arms import Arm
-from rejoint.runs.stages import Trainer
 from rejoint.system.errors import InputError
+from rejoint.system.progress import Progress, no_progress
 from rejoint.training.actorcritic import ActionCritic, BoundedActor, SquashedActor, bounded
 from rejoint.training.arithmetic import on_threads
 from rejoint.training.export import export_policy
@@ -35,7 +35,7 @@ from rejoint.training.outputs import Outputs
 from rejoint.training.presets import DEFAULT, Preset
 from rejoint.training.task import ReachTask, Transition
 from rejoint.training.train import (
-    OnProgress,
+    Trainer,
     TrainingResult,
     describe,
     know_stiffness,
@@ -159,7 +159,7 @@ class OffPolicyLearner:
 
 
 def train_offpolicy(
-    arm: Arm, twin: Twin | None, *, out: Path, settings: OffPolicySettings, on_progress: OnProgress | None = None
+    arm: Arm, twin: Twin | None, *, out: Path, settings: OffPolicySettings, on_progress: Progress = no_progress
 ) -> TrainingResult:
     """Train with SAC, TD3 or DDPG and write ``policy.onnx`` and the curves as `rejoint.training.train.train` does."""
     recipe, files = know_stiffness(settings.preset, arm, twin), Outputs(out)
@@ -169,8 +169,7 @@ def train_offpolicy(
     while learner.cycle < settings.cycles:
         with on_threads(1):
             point = learner.learn()
-        if on_progress is not None:
-            on_progress(learner.cycle, settings.cycles, describe(point))
+        on_progress(learner.cycle / settings.cycles, describe(point))
     name = settings.algorithm
     write_curves(files.curves, learner.curve)
     export_policy(files.policy, learner.network(), policy_contract(arm, twin, recipe, settings.seed, name))

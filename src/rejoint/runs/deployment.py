@@ -20,6 +20,7 @@ from rejoint.control.loop import Schedule, run
 from rejoint.control.recording import OnCycle, Recording, recording_of
 from rejoint.control.robot import Robot
 from rejoint.control.start import Stance, begin
+from rejoint.logs.runlog import RunLog
 from rejoint.runs.comparison.result import Protocol
 from rejoint.system.errors import InputError
 
@@ -63,7 +64,7 @@ class Visit:
     """why it was not reached, and what else is worth knowing; empty where there is nothing"""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Deployed:
     """What became of a deployment."""
 
@@ -72,6 +73,8 @@ class Deployed:
     """[s] middle of the measured control periods; None before there are any"""
     gaps: tuple[float, ...]
     """[s] lengths of the pauses in the answers after which the arm began slowly again"""
+    log: RunLog | None = None
+    """what the arm was told and what it did at the targets; None where the deployment ended early"""
 
     @property
     def missed(self) -> tuple[int, ...]:

@@ -14,12 +14,13 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from skrl.utils.tensorboard import SummaryWriter
 
-from rejoint import __version__
 from rejoint.arms import Arm
 from rejoint.control.contract import PolicyContract, arm_digest, law_digests
 from rejoint.control.observation import layout_slots
 from rejoint.system.errors import FileError
 from rejoint.system.files import set_aside, unwritable, write_whole
+from rejoint.system.progress import Progress, no_progress
+from rejoint.system.version import __version__
 from rejoint.training.export import export_policy
 from rejoint.training.learner import CurvePoint, Learner
 from rejoint.training.outputs import Outputs
@@ -34,9 +35,6 @@ CREWS = 2
 
 PATIENCE = 0.7
 """[s] of the law on arms whose motors cross play slowly (chosen: within it such a joint comes near and swings once)"""
-
-OnProgress = Callable[[float, float, str], None]
-"""Called with (done, total, what is being done)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,13 +85,17 @@ class TrainingResult:
     wall_s: float
 
 
+Trainer = Callable[[Arm, Twin | None, Path, Progress], TrainingResult]
+"""Trains a policy for an arm on its twin and leaves `rejoint.training.outputs.Outputs` in a folder."""
+
+
 def train(
     arm: Arm,
     twin: Twin | None,
     *,
     out: Path,
     options: TrainingOptions | None = None,
-    on_progress: OnProgress | None = None,
+    on_progress: Progress = no_progress,
 ) -> TrainingResult:
     """Train a policy and write ``policy.onnx`` and the folder ``training`` into ``out``.
 
@@ -116,8 +118,7 @@ def train(
             _write_scalars(writer, point)
             if learner.iteration % options.checkpoint_every == 0 and learner.iteration < total:
                 learner.save(files.checkpoint, identity)
-            if on_progress is not None:
-                on_progress(learner.iteration, total, describe(point))
+            on_progress(learner.iteration / total, describe(point))
     write_curves(files.curves, learner.curve)
     export_policy(files.policy, learner.actor.net, contract)
     files.checkpoint.unlink(missing_ok=True)

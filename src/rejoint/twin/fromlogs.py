@@ -9,7 +9,7 @@ all motions are fitted; the table, if there is one, last.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
@@ -20,6 +20,7 @@ from rejoint.arms import Arm
 from rejoint.logs.exclusions import Exclusions, find_exclusions, table_height
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
+from rejoint.system.progress import Progress, no_progress
 from rejoint.twin.fit import SCALES, Fit, Problem, fit
 from rejoint.twin.identify import fitted_twin
 from rejoint.twin.judge import TIMESTEP, Candidate, judge
@@ -118,27 +119,26 @@ def identify_logs(
     arm: Arm,
     logs: Sequence[RunLog],
     settings: LogSettings = DEFAULT_LOG_SETTINGS,
-    on_progress: Callable[[str, float], None] = lambda _stage, _fraction: None,
+    on_progress: Progress = no_progress,
     beside: Sequence[Candidate] = (),
 ) -> LogIdentification:
     """Fit a twin to logs and judge it, and the candidates ``beside`` it, on those kept from the fit.
 
-    ``on_progress`` is called with the stage and the fraction done. InputError if the logs are of another
-    arm, hold too little free motion, or lack a motion that is to be held out.
+    InputError if the logs are of another arm, hold too little free motion, or lack a motion that is to be held out.
     """
     for log in logs:
         log.require(arm.name, arm.joint_names)
     seen, unseen = hold_out(logs, settings)
     height = settings.table_height if settings.table_height is not None else table_height(arm, seen)
     excluded = find_exclusions(arm, seen, height)
-    on_progress("search", 0.0)
+    on_progress(0.0, "search")
     problem, found = fit_motions(arm, seen, excluded, settings, on_progress)
-    on_progress("table and intervals", 0.7)
+    on_progress(0.7, "table and intervals")
     with ThreadPoolExecutor(settings.threads) as pool:  # side by side: neither needs the other
         known = pool.submit(lambda: uncertainty(problem, found, independent(problem)))
         on_table = pool.submit(_fit_table, problem, found, excluded, height, settings)
         knowledge, table = known.result(), on_table.result()
-    on_progress("held-out motions", 0.9)
+    on_progress(0.9, "held-out motions")
     parameters, replay = unpack(found.vector, arm.joints), problem.replay
     candidates = [
         Candidate(
@@ -149,7 +149,7 @@ def identify_logs(
     ]
     judgement = judge(arm, candidates, unseen, table=height, timestep=settings.timestep, threads=settings.threads)
     twin = fitted_twin(problem, found, knowledge, _held_out(judgement), table)
-    on_progress("done", 1.0)
+    on_progress(1.0, "done")
     return LogIdentification(twin=twin, fitted=tuple(log.label for log in seen), judgement=judgement)
 
 
@@ -188,7 +188,7 @@ def fit_motions(
     logs: Sequence[RunLog],
     excluded: Sequence[Exclusions],
     settings: LogSettings,
-    on_progress: Callable[[str, float], None] = lambda _stage, _fraction: None,
+    on_progress: Progress = no_progress,
 ) -> tuple[Problem, Fit]:
     """Fit the free motion of logs: a part of the windows decides on the structure, more of them on the values."""
     windows = free_windows(logs, excluded, settings.window)
@@ -209,7 +209,7 @@ def fit_motions(
     slow = thin(windows, logs, settings.coarse_seconds)
     simple = simplest(belief, settings.stictions[0], arm.servo_acceleration)
     x = rough_fit(problem(slow, simple))
-    on_progress("structure", 0.3)
+    on_progress(0.3, "structure")
     expected, simple = simple, find_acceleration(lambda structure: problem(fast, structure), simple, x)
     if np.isinf(simple.acceleration) != np.isinf(expected.acceleration):
         x = rough_fit(problem(slow, simple))
@@ -218,7 +218,7 @@ def fit_motions(
         lambda structure, threads: problem(usable, structure, threads), belief, simple, settings.stictions, x,
         settings.threads,
     )  # fmt: skip
-    on_progress("fit", 0.5)
+    on_progress(0.5, "fit")
     every = problem(merged(thin(windows, logs, settings.fit_seconds), fast), found.structure)
     chosen = expressible(every, found.vector)
     return problem(chosen, found.structure), fit(

@@ -7,7 +7,7 @@ The held-out windows decide between the fit and the prior, and give the errors t
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,6 +15,7 @@ import numpy as np
 from rejoint.arms import Arm, Array, gravity_torque
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
+from rejoint.system.progress import Progress, no_progress
 from rejoint.twin.fit import Fit, Problem, fit, search
 from rejoint.twin.model import TIMESTEP
 from rejoint.twin.parameters import (
@@ -66,12 +67,11 @@ def identify(
     arm: Arm,
     logs: Sequence[RunLog],
     settings: IdentifySettings = DEFAULT_SETTINGS,
-    on_progress: Callable[[str, float], None] = lambda _stage, _fraction: None,
+    on_progress: Progress = no_progress,
 ) -> Twin:
     """Fit a twin to the logs of an excitation.
 
-    ``on_progress`` is called with the stage and the fraction done. InputError if the logs are of
-    another arm or too short.
+    InputError if the logs are of another arm or too short.
     """
     seconds = sum(float(log.time[-1] - log.time[0]) for log in logs)
     windows = cut(logs, settings.window)
@@ -89,18 +89,18 @@ def identify(
     coarse = Problem(Replay(arm, logs, pieces, 2 * settings.timestep, settings.threads), belief)
     fine = Problem(Replay(arm, logs, seen, settings.timestep, settings.threads), belief)
     rng = np.random.default_rng(settings.seed)
-    on_progress("search", 0.0)
+    on_progress(0.0, "search")
     x = search(coarse, _starts(arm, belief, settings.starts, rng), rng)
-    on_progress("descent", 0.3)
+    on_progress(0.3, "descent")
     x = fit(coarse, x, settings.iterations).vector
     x = search(coarse, np.tile(x, (settings.starts, 1)), rng, rounds=2)
-    on_progress("refinement", 0.6)
+    on_progress(0.6, "refinement")
     found = fit(fine, x, settings.iterations)
-    on_progress("intervals", 0.9)
+    on_progress(0.9, "intervals")
     knowledge = uncertainty(fine, found)
     held_out = _held_out(arm, Replay(arm, logs, unseen, settings.timestep, settings.threads), found.vector)
     twin = fitted_twin(fine, found, knowledge, held_out)
-    on_progress("done", 1.0)
+    on_progress(1.0, "done")
     return twin
 
 

@@ -70,14 +70,28 @@ def judge(
         raise InputError(
             f"replay: {len(logs)} logs and twins called {', '.join(names[1:])}; needs one of each at least"
         )
+    return judge_paths(arm, predict_logs(arm, candidates, logs, timestep, threads), logs, table=table)
+
+
+def predict_logs(
+    arm: Arm, candidates: Sequence[Candidate], logs: Sequence[RunLog], timestep: float = TIMESTEP, threads: int = 1
+) -> dict[str, list[Array]]:
+    """Positions (T, n) [rad] in each log by the name of what predicts them, no twin first."""
     for log in logs:
         log.require(arm.name, arm.joint_names)
+    return {NO_TWIN: _no_twin(logs)} | {c.name: _paths(arm, c, logs, timestep, threads) for c in candidates}
+
+
+def judge_paths(
+    arm: Arm, paths: dict[str, list[Array]], logs: Sequence[RunLog], *, table: float | None = None
+) -> Judgement:
+    """Compare what `predict_logs` returned with what was measured; ``table`` as for `judge`."""
     table = table_height(arm, logs) if table is None else table
     rows = find_exclusions(arm, logs, table)
-    paths = [_no_twin(logs), *(_paths(arm, c, logs, timestep, threads) for c in candidates)]
+    names = list(paths)
     found = tuple(
-        _motion(arm, log, excluded, dict(zip(names, per_log, strict=True)))
-        for log, excluded, per_log in zip(logs, rows, zip(*paths, strict=True), strict=True)
+        _motion(arm, log, excluded, {name: path[i] for name, path in paths.items()})
+        for i, (log, excluded) in enumerate(zip(logs, rows, strict=True))
     )
     worst = int(np.argmax([_tcp(motion.errors[names[1]]) for motion in found]))
     return Judgement(
@@ -87,7 +101,7 @@ def judge(
         motions=found,
         mean={name: _mean([motion.errors[name] for motion in found]) for name in names},
         repeatability=repeatability(arm, logs, [r.free for r in rows]),
-        worst=_trace(arm, logs[worst], rows[worst], {n: p[worst] for n, p in zip(names, paths, strict=True)}),
+        worst=_trace(arm, logs[worst], rows[worst], {name: path[worst] for name, path in paths.items()}),
     )
 
 

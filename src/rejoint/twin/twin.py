@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 from dataclasses import astuple, dataclass, field
 from functools import lru_cache
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 from rejoint.arms import Arm, Array
 from rejoint.system.errors import ContractError, InputError
 from rejoint.system.statistics import NORMAL95
+from rejoint.twin.judgement import Judgement
 from rejoint.twin.parameters import (
     JOINT_PARAMETERS,
     PARAMETERS,
@@ -48,7 +50,14 @@ class HeldOut:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Twin:
-    """Parameters of one arm with their covariance, over a parameter vector of length k."""
+    """Parameters of one arm with their covariance, over a parameter vector of length k.
+
+    Examples
+    --------
+    >>> twin = rejoint.Twin.load("runs/mine/twin.toml")
+    >>> print(twin.parameters.stiffness)
+    >>> low, high = twin.interval
+    """
 
     arm: str
     joint_names: tuple[str, ...]
@@ -73,6 +82,23 @@ class Twin:
     """[rad/s^2] of the servos' references while commands keep changing (`rejoint.twin.profile`); inf: not limited"""
     table: Table | None = None
     """what the arm leaned on in the logs, if anything; no part of the arm"""
+    judgement: Judgement | None = None
+    """how it predicts each motion that was kept from the fit, right after a fit to logs of any motion; not on file"""
+    fitted: tuple[str, ...] = ()
+    """labels of the motions that such a fit has seen; not on file"""
+
+    @classmethod
+    def load(cls, path: Path | str) -> Twin:
+        """Read a twin file (TOML); FileError if it is missing or damaged."""
+        from rejoint.twin.file import read_twin
+
+        return read_twin(Path(path))
+
+    def save(self, path: Path | str) -> None:
+        """Write a twin file (TOML), whole or not at all; FileError if that fails."""
+        from rejoint.twin.file import write_twin
+
+        write_twin(Path(path), self)
 
     def __post_init__(self) -> None:
         k = len(self.names)

@@ -8,16 +8,16 @@ import bad_policies as bad
 import numpy as np
 import pytest
 
+import rejoint
 from rejoint.arms import heights, mycobot280
 from rejoint.cli import main
 from rejoint.control.catalogue import make_controller
 from rejoint.control.guard import GuardLimits
 from rejoint.control.policy import load_policy
 from rejoint.robots import open_robot
-from rejoint.runs import opening
-from rejoint.runs import stages as work
 from rejoint.runs.comparison import Protocol, Settings, compare, draw_targets, recommend
 from rejoint.runs.comparison.failure import failure
+from rejoint.runs.run import Run
 from rejoint.twin.file import write_twin
 
 ARM = mycobot280()
@@ -99,8 +99,8 @@ def test_a_baseline_is_handed_over(comparison, name):
 @pytest.fixture(scope="module")
 def before_policy(tmp_path_factory):
     """A run folder with everything that comes before the policy."""
-    run = opening.begin(tmp_path_factory.mktemp("run") / "one", "emulated:worn", ARM, 0)
-    work.diagnose_stage(run)
+    run = Run.create(tmp_path_factory.mktemp("run") / "one", "emulated:worn", ARM, 0)
+    rejoint.diagnose("emulated:worn", run=run)
     write_twin(run.folder.twin, bad.softer_twin(ARM))
     return run.folder
 

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from rejoint import __version__
 from rejoint.arms import Arm
 from rejoint.research.evaluation.contestants import Contestant, check_names
 from rejoint.research.evaluation.family import Variant
@@ -18,9 +17,8 @@ from rejoint.research.evaluation.result import Evaluation
 from rejoint.research.evaluation.summary import Outcomes, group, summarise
 from rejoint.research.evaluation.trials import TrialSettings, try_controller
 from rejoint.system.files import write_json
-
-OnProgress = Callable[[float, float, str], None]
-"""Called with (done, total, what is being done)."""
+from rejoint.system.progress import Progress
+from rejoint.system.version import __version__
 
 
 def evaluate(
@@ -29,7 +27,7 @@ def evaluate(
     variants: Sequence[Variant],
     settings: TrialSettings,
     folder: Path,
-    on_progress: OnProgress,
+    on_progress: Progress,
 ) -> Evaluation:
     """Evaluate and write ``evaluation.json`` and ``.html`` into ``folder``, outcomes as Parquet below ``outcomes/``.
 
@@ -42,13 +40,13 @@ def evaluate(
     for variant in variants:
         for one in contestants:
             before, text = len(outcomes) * each, f"{variant.name}: {one.name}"
-            on_progress(before, cells * each, text)
+            on_progress(before / (cells * each), text)
             path, identity = outcome_path(folder, variant, one), _identity(arm, variant, one, settings)
             found = read_outcome(path, identity)
             if found is None:
 
                 def report(done: int, before: int = before, text: str = text) -> None:
-                    on_progress(before + done, cells * each, text)
+                    on_progress((before + done) / (cells * each), text)
 
                 found = try_controller(arm, variant, one.make, settings, report)
                 write_outcome(path, found, identity)

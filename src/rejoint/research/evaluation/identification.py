@@ -18,7 +18,7 @@ from rejoint.control.feedforward import FeedforwardController
 from rejoint.control.policy import load_policy
 from rejoint.lab.plant.wear import load_wear
 from rejoint.research.evaluation.contestants import Contestant, classical, learned
-from rejoint.research.evaluation.evaluate import OnProgress, conclude
+from rejoint.research.evaluation.evaluate import conclude
 from rejoint.research.evaluation.family import find_variant
 from rejoint.research.evaluation.outcome import Outcome
 from rejoint.research.evaluation.result import Evaluation
@@ -27,6 +27,7 @@ from rejoint.research.rivals.mpc import MpcController
 from rejoint.robots.emulated import EmulatedRobot
 from rejoint.runs.comparison.targets import draw_targets
 from rejoint.runs.folder import RunFolder
+from rejoint.system.progress import Progress, part
 from rejoint.twin.twin import Twin
 
 VARIANT = "identified"
@@ -44,7 +45,7 @@ class KnownArm:
     policy: Path
 
 
-def know_arm(arm: Arm, wear_seed: int, folder: RunFolder, iterations: int | None, on_progress: OnProgress) -> KnownArm:
+def know_arm(arm: Arm, wear_seed: int, folder: RunFolder, iterations: int | None, on_progress: Progress) -> KnownArm:
     """Diagnose, identify and train for the arm ``worn?seed=``, or take over what is in ``folder``."""
     from rejoint.training.train import TrainingOptions, train  # torch is slow to import, and may not be needed
     from rejoint.twin.file import read_twin
@@ -60,7 +61,7 @@ def know_arm(arm: Arm, wear_seed: int, folder: RunFolder, iterations: int | None
 
 def evaluate_identification(
     arm: Arm, policies: Sequence[Path], settings: TrialSettings, folder: Path, iterations: int | None,
-    on_progress: OnProgress,
+    on_progress: Progress,
 ) -> Evaluation:  # fmt: skip
     """Compare controllers with and without knowledge of each arm; ``policies`` are those for any arm."""
     family = settings.family
@@ -69,13 +70,11 @@ def evaluate_identification(
     for i in range(family.arms):
         seed = family.wear_seed(i)
 
-        def report(done: float, whole: float, text: str, i: int = i, seed: int = seed) -> None:
-            on_progress(i + 0.8 * done / max(whole, 1e-9), total, f"arm {seed}: {text}")
-
-        known = know_arm(arm, seed, RunFolder(folder / "arms" / str(seed)), iterations, report)
+        chain = part(on_progress, i / total, (i + 0.8) / total, f"arm {seed}: ")
+        known = know_arm(arm, seed, RunFolder(folder / "arms" / str(seed)), iterations, chain)
         contestants = _contestants(arm, known, policies)
         for k, one in enumerate(contestants):
-            on_progress(i + 0.8 + 0.2 * k / len(contestants), total, f"arm {seed}: {one.name}")
+            on_progress((i + 0.8 + 0.2 * k / len(contestants)) / total, f"arm {seed}: {one.name}")
             outcome = try_on(arm, _bench(arm, seed, settings), one.make, settings, lambda done: None)  # noqa: ARG005
             merged.setdefault(one.name, []).append(_one_arm(outcome))
     outcomes = {(VARIANT, name): _together(parts) for name, parts in merged.items()}
@@ -83,17 +82,16 @@ def evaluate_identification(
     return conclude(arm, settings, contestants, meanings, outcomes, folder)
 
 
-def _identify(arm: Arm, wear_seed: int, folder: RunFolder, on_progress: OnProgress) -> None:
+def _identify(arm: Arm, wear_seed: int, folder: RunFolder, on_progress: Progress) -> None:
     from rejoint.diagnosis.diagnosis import diagnose
     from rejoint.diagnosis.healthy import healthy_reference
     from rejoint.twin.file import write_twin
     from rejoint.twin.identify import identify
 
     robot = EmulatedRobot(arm, [load_wear(f"worn?seed={wear_seed}", arm)], seed=wear_seed)
-    _, logs = diagnose(
-        robot, healthy_reference(arm), seed=wear_seed, on_progress=lambda what, share: on_progress(share, 2.0, what)
-    )
-    twin = identify(arm, [logs.excitation], on_progress=lambda what, share: on_progress(1.0 + share, 2.0, what))
+    first, second = part(on_progress, 0.0, 0.5), part(on_progress, 0.5, 1.0)
+    _, logs = diagnose(robot, healthy_reference(arm), seed=wear_seed, on_progress=first)
+    twin = identify(arm, [logs.excitation], on_progress=second)
     write_twin(folder.twin, twin)
 
 

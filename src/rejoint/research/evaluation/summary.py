@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from rejoint import __version__
 from rejoint.arms import Arm, Array
 from rejoint.research.evaluation.contestants import Contestant
 from rejoint.research.evaluation.failures import FAR, list_failures
@@ -16,6 +15,7 @@ from rejoint.research.evaluation.result import Evaluation, Pair, Row, Within
 from rejoint.research.evaluation.trials import TrialSettings
 from rejoint.runs.comparison.result import Protocol
 from rejoint.system.statistics import Estimate, Labels, bootstrap_mean, clustered_share
+from rejoint.system.version import __version__
 
 Outcomes = Mapping[tuple[str, str], Outcome]
 """By variant and contestant"""

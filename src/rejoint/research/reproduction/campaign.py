@@ -7,11 +7,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from rejoint import __version__
 from rejoint.research.reproduction.experiment import Bench, Experiment, Finished
 from rejoint.research.reproduction.trainings import finish_trainings
 from rejoint.system.errors import InputError
 from rejoint.system.files import read_json, write_json
+from rejoint.system.version import __version__
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -58,7 +58,7 @@ def run(bench: Bench) -> Findings:
     jobs = [(condition, name) for condition in CONDITIONS for name in condition.trainings]
     courses: dict[str, list[Course]] = {condition.label: [] for condition in CONDITIONS}
     for done, (condition, name) in enumerate(jobs):
-        bench.on_progress(done, len(jobs), f"policies of {name} on {condition.arms} arms")
+        bench.on_progress(done / len(jobs), f"policies of {name} on {condition.arms} arms")
         courses[condition.label].append(course(bench, name, condition))
     cycles = PAPER.ppo.rollout * np.array(courses[WITH.label][0].updates)
     own, other, home = (courses[condition.label] for condition in CONDITIONS)

@@ -10,17 +10,10 @@ from typing import TYPE_CHECKING
 from rejoint.arms import Arm
 from rejoint.runs.comparison.result import Protocol
 from rejoint.runs.folder import RunFolder
+from rejoint.system.progress import Progress, no_progress
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-OnProgress = Callable[[float, float, str], None]
-"""Called with (done, total, what is being done)."""
-
-
-def silent(done: float, total: float, text: str) -> None:
-    """Progress that nobody watches."""
-
 
 SEEDS = 3
 """Trainings of each kind (chosen: the smallest number that shows a spread)."""
@@ -129,7 +122,7 @@ class Bench:
     scale: Scale = FULL
     threads: int = 2
     """of simulations, and trainings at a time"""
-    on_progress: OnProgress = silent
+    on_progress: Progress = no_progress
 
     @property
     def quick(self) -> bool:

@@ -60,7 +60,7 @@ def run(bench: Bench) -> Findings:
     """Compare the trainings that differ in what the paper prints or leaves open."""
     outcomes = {}
     for done, name in enumerate(NAMES):
-        bench.on_progress(done, len(NAMES), f"policy of {name} on the worn arm")
+        bench.on_progress(done / len(NAMES), f"policy of {name} on the worn arm")
         outcomes[name] = _try(bench, name)
     first, seconds = outcomes[WORN[0]], [float(outcomes[name].curves.wall_s[-1]) for name in WORN]
     success = [outcomes[name].success for name in WORN]

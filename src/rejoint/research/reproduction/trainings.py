@@ -19,8 +19,9 @@ from queue import Empty
 
 import numpy as np
 
-from rejoint.research.reproduction.experiment import SEEDS, Bench, silent
+from rejoint.research.reproduction.experiment import SEEDS, Bench
 from rejoint.system.errors import RejointError
+from rejoint.system.progress import no_progress
 from rejoint.training.presets import PAPER, Preset
 from rejoint.training.train import TrainingOptions, train
 
@@ -63,7 +64,7 @@ def finish_trainings(bench: Bench, names: Sequence[str]) -> None:
     news: Queue[_News] = context.Queue()
     workers = min(bench.threads, len(missing))
     with ProcessPoolExecutor(workers, mp_context=context, initializer=_begin_worker, initargs=(news,)) as pool:
-        quiet = replace(bench, on_progress=silent)  # a callback cannot go to another process
+        quiet = replace(bench, on_progress=no_progress)  # a callback cannot go to another process
         waiting = {pool.submit(_work, quiet, name) for name in missing}
         try:
             _wait(bench, waiting, news, dict.fromkeys(missing, 0.0))
@@ -111,7 +112,7 @@ def _work(bench: Bench, name: str) -> str:
     try:
         train(
             bench.arm, None, out=bench.training(name).path, options=options,
-            on_progress=lambda done, total, text: news.put((name, done / total, text)),
+            on_progress=lambda share, text: news.put((name, share, text)),
         )  # fmt: skip
     except RejointError as error:
         return str(error)
@@ -124,4 +125,4 @@ def _report(bench: Bench, news: Queue[_News], done: dict[str, float]) -> None:
     except Empty:
         return
     done[name] = share
-    bench.on_progress(sum(done.values()), len(done), f"training {name}: {text}")
+    bench.on_progress(sum(done.values()) / len(done), f"training {name}: {text}")

@@ -42,7 +42,7 @@ def run(bench: Bench) -> Findings:
     targets = draw_targets(bench.arm, sets=bench.scale.sets, count=bench.scale.targets, seed=bench.seed)
     arrivals = {}
     for step, profile in enumerate(PAPER_MM):
-        bench.on_progress(step, len(PAPER_MM), f"{profile} arm, {targets.shape[0]} sets of targets")
+        bench.on_progress(step / len(PAPER_MM), f"{profile} arm, {targets.shape[0]} sets of targets")
         arrivals[profile] = _arrive(bench, profile, targets)
     healthy, worn = arrivals["healthy"].encoder_mm, arrivals["worn"].encoder_mm
     ratio = float(worn.mean() / healthy.mean())

@@ -29,12 +29,11 @@ from rejoint.runs.comparison.protocols import KINDS, Kind, schedule
 from rejoint.runs.comparison.result import Comparison, Protocol
 from rejoint.runs.comparison.summary import Tally, summarise
 from rejoint.system.errors import ContractError, InputError
+from rejoint.system.progress import Progress, no_progress
 
 OpenRobot = Callable[[int, int], Robot]
 """Opens a robot of ``count`` arms with a noise ``seed``."""
 ControllerFactory = Callable[[Arm], Controller]
-OnProgress = Callable[[int, int, str], object]
-"""Called with finished and total numbers of targets, and what is going on."""
 
 _PROGRESS_CYCLES = 40
 """Cycles between two reports of progress (chosen: about a second of a real arm)."""
@@ -94,7 +93,7 @@ def compare(
     targets: Array,
     settings: Settings,
     *,
-    on_progress: OnProgress | None = None,
+    on_progress: Progress = no_progress,
     on_trial: OnTrial | None = None,
     ledger: Ledger | None = None,
     limits: GuardLimits | None = None,
@@ -117,7 +116,7 @@ def compare(
         open_robot=open_robot, controllers=dict(controllers), targets=targets, settings=settings, shape=shape,
         tallies={name: Tally(shape, settings.protocol) for name in controllers},
         ledger=ledger or Ledger.nowhere(), limits=limits, stance=stance,
-        progress=_Progress(on_progress, len(controllers) * len(KINDS) * int(np.prod(shape))), on_trial=on_trial,
+        progress=_Targets(on_progress, len(controllers) * len(KINDS) * int(np.prod(shape))), on_trial=on_trial,
     )  # fmt: skip
     robot = session.run_batched() if settings.batched else session.run_interleaved()
     tallies = {name: session.tallies[name] for name in session.controllers}
@@ -136,7 +135,7 @@ class _Session:
     ledger: Ledger
     limits: GuardLimits | None
     stance: Stance | None
-    progress: _Progress
+    progress: _Targets
     on_trial: OnTrial | None
     left_out: list[str] = field(default_factory=list)
 
@@ -267,28 +266,27 @@ class _OneByOne:
                 del session.controllers[name]
 
 
-class _Progress:
-    """Turns cycles into numbers of finished targets."""
+class _Targets:
+    """Counts the targets that are finished, and reports their share."""
 
-    def __init__(self, report: OnProgress | None, total: int) -> None:
+    def __init__(self, report: Progress, total: int) -> None:
         self._report, self._total = report, total
         self._done = self._size = self._cycles = 0
         self._text = ""
 
-    def watch(self, text: str, size: int) -> Callable[[Cycle], None] | None:
+    def watch(self, text: str, size: int) -> Callable[[Cycle], None]:
         self._text, self._size, self._cycles = text, size, 0
-        return None if self._report is None else self._see
+        return self._see
 
     def finish(self) -> None:
         self._done += self._size
-        if self._report is not None:
-            self._report(self._done, self._total, self._text)
+        self._report(self._done / self._total, self._text)
 
     def skip(self, size: int) -> None:
         self._size = size
         self.finish()
 
     def _see(self, cycle: Cycle) -> None:
-        if self._cycles % _PROGRESS_CYCLES == 0 and self._report is not None:
-            self._report(self._done + int(cycle.target_index.sum()), self._total, self._text)
+        if self._cycles % _PROGRESS_CYCLES == 0:
+            self._report((self._done + int(cycle.target_index.sum())) / self._total, self._text)
         self._cycles += 1

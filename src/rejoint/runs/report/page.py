@@ -7,7 +7,6 @@ from types import ModuleType
 
 import jinja2
 
-from rejoint import __version__
 from rejoint.runs.comparison.recommend import Recommendation, recommend
 from rejoint.runs.report.contents import Contents, read_contents
 from rejoint.runs.report.embed import theme_css
@@ -18,6 +17,7 @@ from rejoint.runs.report.sections.details import commands, details_section
 from rejoint.runs.report.sections.verdict import page_of
 from rejoint.runs.report.view import Page, Section
 from rejoint.system.files import write_whole
+from rejoint.system.version import __version__
 from rejoint.twin.parameters import prior
 from rejoint.twin.unknown import unknown_prior
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from rejoint import __version__
 from rejoint.runs.report.gallery import Gallery
 from rejoint.runs.report.page import render
 from rejoint.runs.report.sections.trust import trust_section
@@ -12,6 +11,7 @@ from rejoint.runs.report.trust import answer
 from rejoint.runs.report.view import Page
 from rejoint.runs.report.words import plural
 from rejoint.system.files import write_json, write_whole
+from rejoint.system.version import __version__
 from rejoint.twin.judgement import Judgement
 
 CAVEAT = "A motion that a twin was fitted to flatters it; which those are, neither the twin nor the logs tell."

@@ -7,7 +7,6 @@ import shlex
 from collections.abc import Sequence
 from importlib import metadata
 
-from rejoint import __version__
 from rejoint.robots import DEFAULT_ARM
 from rejoint.runs.comparison.result import Comparison
 from rejoint.runs.folder import LOGS
@@ -15,6 +14,7 @@ from rejoint.runs.report.contents import Contents
 from rejoint.runs.report.numerals import UNKNOWN
 from rejoint.runs.report.view import Cell, Command, Part, Row, Section, Table
 from rejoint.runs.report.words import once
+from rejoint.system.version import __version__
 
 KEY, SHORT, HEADING = "details", "Details", "Details"
 

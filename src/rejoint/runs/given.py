@@ -1,0 +1,225 @@
+"""What the public functions are given: a path or the object itself, an address or the robot itself.
+
+A robot, an arm, logs, a twin or a policy may be given either way; here each becomes the object.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import closing, contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeAlias, cast
+
+import numpy as np
+
+from rejoint.arms import Arm, Array, load_arm
+from rejoint.control.robot import Robot
+from rejoint.logs.runlog import RunLog, read_log
+from rejoint.robots import open_robot, place_of
+from rejoint.runs.comparison.targets import draw_targets, read_targets
+from rejoint.runs.folder import LOGS, RunFolder
+from rejoint.runs.run import Run
+from rejoint.system.errors import FileError, InputError
+
+if TYPE_CHECKING:
+    from rejoint.control.policy import Policy
+    from rejoint.twin.twin import Twin
+
+ArmLike: TypeAlias = "Arm | str | Path"
+"""An arm, its name in the catalogue, or its TOML, URDF or MJCF file"""
+
+RobotLike: TypeAlias = "Robot | str"
+"""An open robot, or the address of one"""
+
+LogsLike: TypeAlias = "RunLog | Path | str | Sequence[RunLog | Path | str]"
+"""Run logs, or files of them, or a folder of such files"""
+
+TwinLike: TypeAlias = "Twin | Path | str"
+PolicyLike: TypeAlias = "Policy | Path | str"
+RunLike: TypeAlias = "Run | Path | str"
+"""A run, or its folder"""
+
+Targets: TypeAlias = "Array | Path | str"
+"""(K, 3) or (S, K, 3) [m], or a CSV file in millimetres with the header x,y,z"""
+
+Period: TypeAlias = "tuple[float, float]"
+"""[s] interval from which the length of every control cycle is drawn"""
+
+FIRST_ROBOT = "emulated:worn"
+"""The robot where none is named: a worn arm in this process"""
+
+
+def connect(
+    address: str, *, arm: ArmLike | None = None, seed: int = 0, count: int = 1, period: Period | None = None
+) -> Robot:
+    """Connect to a robot and read its state; nothing moves.
+
+    Parameters
+    ----------
+    address
+        ``emulated:worn`` (in this process, virtual time), ``tcp://HOST:PORT`` or ``serial:///dev/DEVICE``
+    arm
+        arm, name or file; by default the one that the address names, else a myCobot 280
+    seed
+        of everything random in an emulated arm, and of the lengths of the control cycles
+    count
+        number of emulated arms that move side by side as one batch
+    period
+        [s] interval from which the length of every control cycle is drawn; by default the robot's own
+
+    Returns
+    -------
+    Robot
+        Read it with ``read()``, command it with ``step(command)``, (count, n) [rad], and end with ``close()``. Nothing
+        between the two guards the arm: `deploy` does.
+
+    Raises
+    ------
+    AddressError
+        if nothing usable is there
+    MissingExtraError
+        for an emulated arm without the simulator
+
+    Examples
+    --------
+    >>> robot = rejoint.connect("emulated:worn")
+    >>> state = robot.step(robot.read().position + 0.01)
+    >>> robot.close()
+    """
+    return open_robot(address, arm=None if arm is None else as_arm(arm), seed=seed, count=count, period=period)
+
+
+def as_arm(given: ArmLike) -> Arm:
+    """Return the arm, from the catalogue or its file where it is not given itself."""
+    return given if isinstance(given, Arm) else load_arm(given)
+
+
+def is_robot(given: RobotLike | LogsLike) -> bool:
+    """Tell a robot from logs: an address has a colon, which no path to logs has."""
+    return ":" in given if isinstance(given, str) else isinstance(given, Robot)
+
+
+def address_of(robot: RobotLike) -> str:
+    """Address of a robot, as its user wrote it."""
+    return robot if isinstance(robot, str) else robot.address
+
+
+def arm_of(robot: RobotLike, arm: ArmLike | None) -> Arm:
+    """Arm that a robot is driven as: its own where it is open, else ``arm``, by default what its address names."""
+    if not isinstance(robot, str):
+        return robot.arm
+    return as_arm(place_of(robot).default_arm if arm is None else arm)
+
+
+@contextmanager
+def opened(robot: RobotLike, arm: Arm, seed: int, period: Period | None) -> Iterator[Robot]:
+    """Open a robot and close it at the end; one that is open already stays open."""
+    if not isinstance(robot, str):
+        yield robot
+        return
+    with closing(open_robot(robot, arm=arm, seed=seed, period=period)) as connection:
+        yield connection
+
+
+class Borrowed:
+    """A robot that somebody else opened, and closes."""
+
+    def __init__(self, robot: Robot) -> None:
+        self._robot = robot
+
+    def __getattr__(self, name: str) -> object:
+        return getattr(self._robot, name)
+
+    def close(self) -> None:
+        """Leave it open."""
+
+
+def borrowed(robot: Robot) -> Robot:
+    """Return the robot as one that `Robot.close` leaves open."""
+    return cast(Robot, Borrowed(robot))
+
+
+def is_batchable(robot: RobotLike) -> bool:
+    """Tell whether many arms of this robot can be opened side by side."""
+    return isinstance(robot, str) and place_of(robot).virtual
+
+
+def period_of(robot: RobotLike, period: Period | None) -> Period | None:
+    """[s] interval of the control periods that a robot will have; None where only the open robot knows."""
+    return period or (place_of(robot).default_period if isinstance(robot, str) else None)
+
+
+def as_logs(given: LogsLike) -> list[RunLog]:
+    """Return run logs: those given, or of the files, or of every file in a folder; FileError if there is none."""
+    if isinstance(given, RunLog):
+        return [given]
+    if not isinstance(given, Path | str):
+        return [log for one in given for log in as_logs(one)]
+    path = Path(given)
+    if path.is_file():
+        return [read_log(path)]
+    files = sorted(path.glob("*.parquet")) if path.is_dir() else []
+    if not files:
+        raise FileError(path, "no folder with run logs (.parquet)", "make one with: rejoint import SOURCE FOLDER")
+    return [read_log(file) for file in files]
+
+
+def source_of(logs: LogsLike) -> str:
+    """Name what stands for the robot of a run that is made from logs."""
+    return f"{LOGS}{logs}" if isinstance(logs, Path | str) else f"{LOGS}memory"
+
+
+def as_twin(given: TwinLike) -> Twin:
+    """Return the twin, from its file where it is not given itself."""
+    if not isinstance(given, Path | str):
+        return given
+    from rejoint.twin.file import read_twin
+
+    return read_twin(Path(given))
+
+
+def as_policy(given: PolicyLike) -> Policy:
+    """Return the policy, from its file where it is not given itself."""
+    if not isinstance(given, Path | str):
+        return given
+    from rejoint.control.policy import Policy
+
+    return Policy.load(given)
+
+
+def as_run(given: RunLike) -> Run:
+    """Return the run, from its folder where it is not given itself."""
+    return given if isinstance(given, Run) else Run.open(given)
+
+
+def run_about(run: RunLike | None, robot: str, arm: Arm, seed: int | None) -> Run | None:
+    """Return the run that a stage writes into, without writing: as given, or what its folder holds or will hold.
+
+    InputError if it is a run of another robot, arm or seed; ``seed`` None takes that of the folder, 0 for a new one.
+    """
+    if run is None:
+        return None
+    if not isinstance(run, Run):
+        if not RunFolder(Path(run)).info.exists():
+            return Run.plan(run, robot, arm, seed or 0)
+        run = Run.open(run)
+    run.require(robot=robot, arm=arm, seed=run.seed if seed is None else seed)
+    return run
+
+
+def run_of_logs(run: RunLike | None, logs: LogsLike, arm: ArmLike | None) -> tuple[Run | None, Arm]:
+    """Return the run that a stage on logs writes into, without writing, and the arm, which the logs do not describe."""
+    if isinstance(run, Run):
+        return run, run.arm
+    chosen = load_arm(as_logs(logs)[0].arm) if arm is None else as_arm(arm)
+    return run_about(run, source_of(logs), chosen, None), chosen
+
+
+def as_targets(given: Targets | None, arm: Arm, *, sets: int, seed: int) -> Array:
+    """Return targets (S, K, 3) [m]: those given, those of a file, or drawn ones where none are given."""
+    if given is None:
+        return draw_targets(arm, sets=sets, seed=seed)
+    points = read_targets(Path(given), arm) if isinstance(given, Path | str) else np.asarray(given, dtype=float)
+    if points.ndim not in (2, 3) or points.shape[-1] != 3:
+        raise InputError(f"targets have shape {points.shape}, expected (targets, 3) or (sets, targets, 3) in metres")
+    return points[None] if points.ndim == 2 else points

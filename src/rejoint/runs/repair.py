@@ -1,0 +1,235 @@
+"""The whole chain: diagnosis, twin, policy, comparison and report, going on where it was interrupted."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal, TypeVar, get_args
+
+from rejoint.runs.comparison.recommend import Recommendation, recommend
+from rejoint.runs.comparison.result import Comparison
+from rejoint.runs.comparison.targets import draw_targets
+from rejoint.runs.given import (
+    FIRST_ROBOT,
+    ArmLike,
+    Period,
+    RobotLike,
+    RunLike,
+    Targets,
+    address_of,
+    arm_of,
+    is_batchable,
+    run_about,
+)
+from rejoint.runs.run import Run, finish, newest_or_new
+from rejoint.runs.stages.compare import Compared, compare
+from rejoint.runs.stages.diagnose import Diagnosed, diagnose
+from rejoint.runs.stages.driving import Controllers
+from rejoint.runs.stages.identify import identify
+from rejoint.runs.stages.report import report
+from rejoint.runs.stages.train import train
+from rejoint.system.errors import FileError
+from rejoint.system.extras import require
+from rejoint.system.progress import Progress, no_progress, part
+
+if TYPE_CHECKING:
+    from rejoint.control.policy import Policy
+    from rejoint.diagnosis.diagnosis import Diagnosis
+    from rejoint.training.presets import Preset
+    from rejoint.twin.twin import Twin
+
+Found = TypeVar("Found")
+
+QUICK_TARGETS = 3
+"""Targets that controllers are compared on for a first try (chosen)"""
+
+StageName = Literal["diagnose", "identify", "train", "compare", "report"]
+STAGES: tuple[StageName, ...] = get_args(StageName)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Stage:
+    """How a stage of a repair stands."""
+
+    name: StageName
+    state: Literal["started", "kept", "done"]
+    """kept: an earlier call has done it, as it was asked for then"""
+    file: Path
+    """by which the stage counts as done"""
+    result: object = None
+    """what the function of the same name returned; of what is kept, diagnosis and comparison only"""
+
+    @property
+    def number(self) -> int:
+        """Its place among the stages, from 1."""
+        return STAGES.index(self.name) + 1
+
+
+OnStage = Callable[[Stage], object]
+"""Called when a stage starts, when it is done, and instead of both where it is kept."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Repaired:
+    """What a repair came to, read from its folder."""
+
+    run: Run
+    """folder with everything"""
+
+    @cached_property
+    def diagnosis(self) -> Diagnosis:
+        """What was wrong with the arm."""
+        return _there(self.run.diagnosis)
+
+    @cached_property
+    def twin(self) -> Twin:
+        """The simulation that was fitted to the arm."""
+        return _there(self.run.twin)
+
+    @cached_property
+    def policy(self) -> Policy:
+        """The policy that was trained on it."""
+        return _there(self.run.policy)
+
+    @cached_property
+    def comparison(self) -> Comparison:
+        """Every controller on the arm: errors [m], times [s], with intervals."""
+        return _there(self.run.comparison)
+
+    @cached_property
+    def recommendation(self) -> Recommendation:
+        """The controller to use, and why."""
+        return recommend(self.comparison)
+
+    @property
+    def page(self) -> Path:
+        """The report: one page that opens in a browser."""
+        return self.run.folder.report
+
+
+def _there(found: Found | None) -> Found:
+    """Return what a finished run has found; FileError if its file was removed since."""
+    if found is None:
+        raise FileError("run folder", "a file of a finished repair is missing", "repair again")
+    return found
+
+
+def repair(
+    robot: RobotLike = FIRST_ROBOT,
+    *,
+    run: RunLike | None = None,
+    arm: ArmLike | None = None,
+    preset: str | Preset = "default",
+    controllers: Controllers = (),
+    targets: Targets | None = None,
+    sets: int | None = None,
+    repetitions: int | None = None,
+    period: Period | None = None,
+    seed: int | None = None,
+    quick: bool = False,
+    on_progress: Progress = no_progress,
+    on_stage: OnStage | None = None,
+) -> Repaired:
+    """Diagnose an arm, fit its twin, train a policy, compare every controller on the arm, and write the report.
+
+    Interrupted, the same call goes on where it stopped. Nothing is changed on the arm itself. While the arm moves,
+    Ctrl-C and SIGTERM first bring it to a hold; then `Interrupted` is raised, which is a KeyboardInterrupt.
+
+    Parameters
+    ----------
+    robot
+        robot or its address; by default a worn arm emulated in this process
+    run
+        run, or its folder; by default below ``runs/``: the newest of this robot if it was interrupted, else a new one
+    arm
+        arm, name or file (`load_arm` cuts one out of a URDF); by default what the address names, else a myCobot 280
+    preset
+        recipe of the training: ``default``, ``paper`` (the literal method), or one of your own
+    controllers, targets, period
+        as for `compare`
+    sets, repetitions
+        as for `compare`; by default 3 and 2 for an emulated arm, 1 and 1 for a real one
+    seed
+        of everything random; by default that of the run, else 0
+    quick
+        do little of everything, to see in a minute whether all of it works; no result
+    on_progress
+        called with the share that is done, each of the five stages counting a fifth, and what is being done
+    on_stage
+        called when a stage starts and when it is done, with its result
+
+    Returns
+    -------
+    Repaired
+        what was wrong, which controller to use and why, the policy, and the page of the report
+
+    Raises
+    ------
+    MissingExtraError
+        without the extras ``train`` and ``report``
+    InputError
+        if the run is of another robot
+    AddressError, GuardTripError, RobotError, UnsavedError
+        as the stages raise them; what is finished is kept
+
+    Examples
+    --------
+    >>> result = rejoint.repair("serial:///dev/ttyAMA0")
+    >>> print(result.diagnosis.verdict, result.recommendation.controller)
+    >>> print(result.page)
+    """
+    require("rejoint repair", "train", "report")
+    chosen = run.arm if isinstance(run, Run) else arm_of(robot, arm)
+    folder = newest_or_new(address_of(robot), chosen, seed or 0)[0] if run is None else run
+    about = run_about(folder, address_of(robot), chosen, seed)
+    assert about is not None  # noqa: S101 - for the type checker; a folder was given
+    chain = _Chain(about.begin(), on_stage, on_progress)
+    found, emulated = chain.run, is_batchable(robot)
+    chain.do("diagnose", lambda told: diagnose(robot, run=found, period=period, quick=quick, on_progress=told))
+    chain.do("identify", lambda told: identify(run=found, quick=quick, on_progress=told))
+    chain.do("train", lambda told: train(run=found, preset=preset, quick=quick, on_progress=told))
+    few = (1, 1) if quick or not emulated else (3, 2)
+    if quick and targets is None:
+        targets = draw_targets(found.arm, sets=1, count=QUICK_TARGETS, seed=found.seed)
+    chain.do("compare", lambda told: compare(
+        robot, controllers, targets, run=found, sets=sets or few[0], repetitions=repetitions or few[1], period=period,
+        on_progress=told,
+    ))  # fmt: skip
+    chain.do("report", lambda _: report(found))
+    finish(found)
+    return Repaired(run=found)
+
+
+class _Chain:
+    """Stages that are done only where their file is not there yet; the report is always written anew."""
+
+    def __init__(self, run: Run, on_stage: OnStage | None, on_progress: Progress) -> None:
+        self.run, self._on_stage, self._on_progress = run, on_stage, on_progress
+        files = run.folder
+        places = (files.diagnosis, files.twin, files.policy, files.comparison, files.report)
+        self._files: dict[StageName, Path] = dict(zip(STAGES, places, strict=True))
+
+    def do(self, name: StageName, work: Callable[[Progress], object]) -> None:
+        """Do a stage, or say that it is done already."""
+        file, number = self._files[name], STAGES.index(name)
+        if name != "report" and file.exists():
+            self._say(Stage(name=name, state="kept", file=file, result=self._kept(name)))
+            return
+        self._say(Stage(name=name, state="started", file=file))
+        result = work(part(self._on_progress, number / len(STAGES), (number + 1) / len(STAGES)))
+        self._say(Stage(name=name, state="done", file=file, result=result))
+
+    def _kept(self, name: StageName) -> object:
+        """Return what an earlier call has found, as far as it is on file."""
+        if name == "diagnose":
+            return Diagnosed(diagnosis=_there(self.run.diagnosis))
+        if name == "compare":
+            comparison = _there(self.run.comparison)
+            return Compared(comparison=comparison, recommendation=recommend(comparison))
+        return None
+
+    def _say(self, stage: Stage) -> None:
+        if self._on_stage is not None:
+            self._on_stage(stage)

@@ -1,0 +1,235 @@
+"""A run: one repair, its folder, what it is about, and that one process at a time works in it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, replace
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rejoint.arms import CATALOGUE, Arm, load_arm, write_arm_toml
+from rejoint.logs.runlog import RunLog, read_log
+from rejoint.runs.comparison.result import Comparison
+from rejoint.runs.folder import FORMAT, LOGS, RunFolder, RunInfo, locked, read_info
+from rejoint.system.errors import FileError, InputError
+from rejoint.system.files import TOML_MOST, UNFINISHED, digest, read_bounded, read_json, write_json
+from rejoint.system.version import __version__
+
+if TYPE_CHECKING:  # slow to import, and not needed to open a run
+    from rejoint.control.policy import Policy
+    from rejoint.diagnosis.diagnosis import Diagnosis
+    from rejoint.twin.twin import Twin
+
+RUNS = Path("runs")
+"""Where run folders are made, in the folder one stands in."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Run:
+    """One repair: the folder with its files, the robot, arm and seed that it is about, and what its stages found.
+
+    Examples
+    --------
+    >>> run = rejoint.Run.open("runs/mine")
+    >>> print(run.diagnosis.verdict)
+    >>> policy = run.policy
+    """
+
+    folder: RunFolder
+    """where each file is"""
+    info: RunInfo
+    """robot, arm and seed as run.json names them"""
+    arm: Arm
+
+    @classmethod
+    def open(cls, path: Path | str) -> Run:
+        """Open an existing run folder; FileError if it is none, or damaged, or of a later version."""
+        folder = RunFolder(Path(path))
+        if not folder.info.exists():
+            within = sorted(p.parent.name for p in folder.path.glob("*/run.json"))
+            start = "start with: rejoint diagnose ROBOT --run FOLDER"
+            hint = f"it holds runs, name one of: {', '.join(within)}" if within else start
+            raise FileError(path, "no run folder (it holds no run.json)", hint)
+        info = read_info(folder.info)
+        if info.arm_file and _digest(folder) != info.arm_file:
+            remedy = "bring back the description that this run was begun with, or begin another run"
+            raise FileError(folder.description, "damaged or changed since the run was begun", remedy)
+        return cls(folder=folder, info=info, arm=load_arm(folder.arm(info.arm)))
+
+    @classmethod
+    def plan(cls, path: Path | str, robot: str, arm: Arm, seed: int = 0) -> Run:
+        """Open the run folder at ``path``, or say what `create` will make of it, without writing; errors as there."""
+        folder = RunFolder(Path(path))
+        if folder.info.exists():
+            run = cls.open(path)
+            run.require(robot=robot, arm=arm, seed=seed)
+            return run
+        if folder.path.is_dir() and not _empty(folder.path):
+            raise InputError(f"{path} is not a run folder and not empty; give another --run")
+        created = datetime.now().isoformat(timespec="seconds")
+        info = RunInfo(robot=robot, arm=arm.name, seed=seed, version=__version__, created=created, format=FORMAT)
+        return cls(folder=folder, info=info, arm=arm)
+
+    @classmethod
+    def create(cls, path: Path | str, robot: str, arm: Arm, seed: int = 0) -> Run:
+        """Make the run folder at ``path``, or open it if it is one of this robot, arm and seed already.
+
+        InputError if it belongs to another robot, arm or seed, or holds other files.
+        """
+        return cls.plan(path, robot, arm, seed).begin()
+
+    def begin(self) -> Run:
+        """Write what the run is about, if that is not done yet."""
+        if self.folder.info.exists():
+            return self
+        run = self
+        if self.arm.name not in CATALOGUE:
+            write_arm_toml(self.folder.description, self.arm)
+            run = replace(self, info=replace(self.info, arm_file=_digest(self.folder)))
+        write_json(run.folder.info, run.info)
+        return run
+
+    def require(self, *, robot: str, arm: Arm, seed: int) -> None:
+        """Raise InputError unless the run is of this robot, arm and seed."""
+        if (self.robot, self.arm.name, self.seed) != (robot, arm.name, seed):
+            raise InputError(
+                f"{self.path} is a run of {self.robot} ({self.arm.name}, seed {self.seed}), "
+                f"expected {robot} ({arm.name}, seed {seed}); give another --run"
+            )
+
+    @property
+    def path(self) -> Path:
+        """The folder."""
+        return self.folder.path
+
+    @property
+    def robot(self) -> str:
+        """Address of the robot; ``logs:`` and where they were, if the run was made from logs alone."""
+        return self.info.robot
+
+    @property
+    def seed(self) -> int:
+        """Seed of everything random."""
+        return self.info.seed
+
+    def seeded(self, seed: int | None) -> Run:
+        """Return the run with another seed, if one is given."""
+        return self if seed is None else replace(self, info=replace(self.info, seed=seed))
+
+    @property
+    def diagnosis(self) -> Diagnosis | None:
+        """What is wrong with the arm; None before its stage has run."""
+        from rejoint.diagnosis.diagnosis import Diagnosis
+
+        path = self.folder.diagnosis
+        return read_json(path, Diagnosis) if path.exists() else None
+
+    @property
+    def twin(self) -> Twin | None:
+        """The identified twin; None before its stage has run."""
+        from rejoint.twin.file import read_twin
+
+        return read_twin(self.folder.twin, self.arm) if self.folder.twin.exists() else None
+
+    @property
+    def policy(self) -> Policy | None:
+        """The trained policy; None before its stage has run."""
+        from rejoint.control.policy import Policy
+
+        return Policy.load(self.folder.policy) if self.folder.policy.exists() else None
+
+    @property
+    def comparison(self) -> Comparison | None:
+        """Every controller on the same arm; None before its stage has run."""
+        path = self.folder.comparison
+        return read_json(path, Comparison) if path.exists() else None
+
+    @property
+    def logs(self) -> dict[str, RunLog]:
+        """All run logs by name, sorted."""
+        return {name: read_log(path) for name, path in self.folder.logs().items()}
+
+
+def newest_or_new(robot: str, arm: Arm, seed: int) -> tuple[Path, bool]:
+    """Default run folder of a robot: the newest one if it was interrupted, else a new one.
+
+    Returns the path and whether it is to be resumed.
+    """
+    home = RUNS / re.sub(r"[^\w.-]+", "-", f"{arm.name}-{robot}-seed{seed}").strip("-")
+    numbers = sorted(int(p.name) for p in home.glob("*") if p.name.isdecimal()) if home.is_dir() else []
+    if numbers and not is_finished(RunFolder(home / f"{numbers[-1]:03}")):
+        return home / f"{numbers[-1]:03}", True
+    return home / f"{(numbers[-1] if numbers else 0) + 1:03}", False
+
+
+def is_finished(folder: RunFolder) -> bool:
+    """Tell whether a run has come to its end: `repair` said so, or every stage and a report of them are there.
+
+    A report alone is no end: it can be written at any time. Folders of before `repair` said so need no newer report.
+    """
+    if folder.finished.exists():
+        return True
+    if not folder.info.exists():
+        return False
+    info = read_info(folder.info)
+    driven = (folder.diagnosis, folder.twin, folder.policy, folder.comparison)
+    stages = (folder.twin, folder.judgement) if info.robot.startswith(LOGS) else driven
+    if not all(path.exists() for path in (*stages, folder.report)):
+        return False
+    return info.format == 1 or all(path.stat().st_mtime <= folder.report.stat().st_mtime for path in stages)
+
+
+def finish(run: Run) -> None:
+    """Note that all of a run is done: the next repair of that robot begins another one."""
+    write_json(run.folder.finished, {"finished": datetime.now().isoformat(timespec="seconds")})
+
+
+def remove_if_empty(run: Run) -> None:
+    """Remove the folder of a run in which nothing has been done yet, such as one whose robot did not answer."""
+    path = run.folder.path
+    if _empty(path):
+        for entry in path.iterdir():
+            entry.unlink()
+        path.rmdir()
+        if RUNS in path.parents:  # what was made for it goes with it
+            for parent in (path.parent, RUNS):
+                with suppress(OSError):  # other runs are there
+                    parent.rmdir()
+
+
+@contextmanager
+def exclusive(run: Run | None) -> Iterator[None]:
+    """Keep other processes out of the run folder during a stage; one that fails leaves no folder it has not begun.
+
+    Nothing happens for None, a stage on data in memory.
+    """
+    if run is None:
+        yield
+        return
+    with locked(run.folder):
+        try:
+            yield
+        except BaseException:
+            if run.path.is_dir() and not run.folder.info.exists():
+                remove_if_empty(run)
+            raise
+
+
+def _empty(path: Path) -> bool:
+    """Tell whether a folder holds at most what a run begins with."""
+    begun = {"run.json", "arm.toml", ".lock"}
+    return all(entry.name in begun or entry.name.endswith(UNFINISHED) for entry in path.iterdir())
+
+
+def _digest(folder: RunFolder) -> str:
+    """Fingerprint of the arm's own description."""
+    try:
+        data = read_bounded(folder.description, TOML_MOST, "take the arm's own description")
+    except FileNotFoundError as error:
+        raise FileError(folder.description, "no such file", "bring it back, or begin another run") from error
+    except OSError as error:
+        raise FileError(folder.description, f"cannot be read ({error.strerror})", "allow reading it") from error
+    return digest(data).decode()

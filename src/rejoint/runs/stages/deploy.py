@@ -1,0 +1,176 @@
+"""Deployment: an arm driven to targets, and what became of each."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+from rejoint.control.controller import Controller
+from rejoint.control.recording import Cycle, recording_of
+from rejoint.control.robot import Robot
+from rejoint.runs.deployment import REACHED, Deployed, Deployment, deployed_of
+from rejoint.runs.deployment import deploy as deploy_to
+from rejoint.runs.given import (
+    ArmLike,
+    Period,
+    RobotLike,
+    RunLike,
+    Targets,
+    TwinLike,
+    arm_of,
+    as_run,
+    as_targets,
+    as_twin,
+    opened,
+    period_of,
+)
+from rejoint.runs.run import Run, exclusive
+from rejoint.runs.stages.driving import (
+    POLICY,
+    ControllerLike,
+    guard_limits,
+    make_factories,
+    stance_of,
+    start_journal,
+)
+from rejoint.system.errors import InputError
+from rejoint.system.files import require_space, saving
+from rejoint.system.progress import Progress, no_progress
+from rejoint.system.stopping import noted
+
+if TYPE_CHECKING:
+    from rejoint.twin.twin import Twin
+
+
+def deploy(
+    robot: RobotLike,
+    controller: ControllerLike = POLICY,
+    targets: Targets | None = None,
+    *,
+    run: RunLike | None = None,
+    arm: ArmLike | None = None,
+    twin: TwinLike | None = None,
+    dwell: float = 4.0,
+    within: float = REACHED,
+    period: Period | None = None,
+    seed: int | None = None,
+    on_progress: Progress = no_progress,
+    on_end: Callable[[Deployed], object] | None = None,
+) -> Deployed:
+    """Drive an arm to targets with a policy or another controller, under the guard.
+
+    The arm is looked at first, goes slowly to its rest posture, and then to one target after the other. While it
+    moves, Ctrl-C and SIGTERM bring it to a hold; then `Interrupted` is raised, which is a KeyboardInterrupt. In
+    threads other than the main one Python hears no signal.
+
+    Parameters
+    ----------
+    robot
+        robot or its address
+    controller
+        policy, its file, the name of a baseline, or a controller of your own; by default the policy of ``run``
+    targets
+        (K, 3) [m], or a CSV file in mm with the header ``x,y,z``; by default ten that are drawn
+    run
+        run, or its folder, with the policy and the twin; the run log is written there, without one nothing is
+    arm
+        arm, name or file; needed only without a run, where the address does not tell
+    twin
+        twin that says how far the arm should sag at rest, which is checked; by default that of the run
+    dwell
+        [s] per target
+    within
+        [m] of encoder error at the end within which a target counts as reached
+    period
+        [s] interval of the control periods; by default what the robot suits
+    seed
+        of drawn targets and an emulated arm's noise; by default that of the run, else 0
+    on_progress
+        called with the share that is done and which target it is
+    on_end
+        called with what was done until then where an error ends the deployment early
+
+    Returns
+    -------
+    Deployed
+        ``visits``, one for each target: error [m], reached or not, and why not; ``missed``; the run log
+
+    Raises
+    ------
+    InputError, ContractError
+        if controller, control period or targets do not fit; nothing has moved
+    NotReadyError
+        if the arm had better not be moved
+    GuardTripError, RobotError
+        if the motion had to be ended; the arm holds
+    UnsavedError
+        if the log could not be written; the result is in the error
+
+    Examples
+    --------
+    >>> done = rejoint.deploy("emulated:worn", policy, [[0.17, 0.0, 0.2], [0.18, 0.03, 0.21]])
+    >>> for visit in done.visits:
+    ...     print(visit.target, visit.error, visit.reached, visit.remark)
+    """
+    about = None if run is None else as_run(run).seeded(seed)
+    chosen = arm_of(robot, arm) if about is None else about.arm
+    seed = seed or 0 if about is None else about.seed
+    with exclusive(about):
+        points = as_targets(targets, chosen, sets=1, seed=seed)
+        if len(points) != 1:
+            raise InputError(f"deployment: {len(points)} sets of targets, expected one: (targets, 3) in metres")
+        known = as_twin(twin) if twin is not None else None if about is None else about.twin
+        usual = period_of(robot, period)
+        ((name, make),) = make_factories([controller], chosen, usual, run=about, twin=known).items()
+        job = Deployment(controller=name, targets=points[0], dwell=dwell, within=within)
+        if about is not None:
+            require_space(about.path)
+        rows = 0 if usual is None else int(len(job.targets) * dwell / min(usual))
+        with noted(), opened(robot, chosen, seed, period) as connection:
+            drive = _Drive(robot=connection, controller=make(chosen), job=job, run=about, twin=known)
+            return drive.to_targets(rows, on_progress, on_end or (lambda _: None))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Drive:
+    """A deployment on an open robot."""
+
+    robot: Robot
+    controller: Controller
+    job: Deployment
+    run: Run | None
+    twin: Twin | None
+
+    def to_targets(self, rows: int, on_progress: Progress, on_end: Callable[[Deployed], object]) -> Deployed:
+        """Drive; in a run, what is recorded is kept as it comes, also where ``kill -9`` ends it."""
+        arm, job, label = self.robot.arm, self.job, f"deploy/{self.job.controller}"
+        journal = None if self.run is None else start_journal(self.run, "deploy", self.robot, label, rows)
+
+        def watch(cycle: Cycle) -> None:
+            if journal is not None:
+                journal.see(cycle)
+            target, share = int(cycle.target_index[0]), float(cycle.since_target[0]) / job.dwell
+            total = len(job.targets)
+            on_progress((target + min(share, 1.0)) / total, f"target {target + 1} of {total}")
+
+        try:
+            recording, found = deploy_to(
+                self.robot, self.controller, job, limits=guard_limits(self.run, arm), stance=stance_of(self.twin),
+                on_cycle=watch,
+            )  # fmt: skip
+        except BaseException as error:
+            partial, done = recording_of(error), deployed_of(error, arm, job)
+            if journal is not None and partial is not None and len(partial.time):
+                error.add_note(journal.keep(partial.log(0, f"{label}/stopped")))
+            elif journal is not None:
+                journal.discard()
+            if done is not None:
+                on_end(done)
+            raise
+        log = recording.log(0, label)
+        found = replace(found, log=log)
+        if journal is not None:
+            with saving(found):
+                journal.finish(log)
+        return found

@@ -1,0 +1,118 @@
+"""What the stages that drive an arm share: its journal, the guard's limits, the controllers by name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from datetime import datetime
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeAlias, cast
+
+import numpy as np
+
+from rejoint.arms import Arm
+from rejoint.control.catalogue import BASELINES, make_controller
+from rejoint.control.contract import check_controller_period
+from rejoint.control.controller import Controller
+from rejoint.control.following import sticking
+from rejoint.control.guard import GuardLimits
+from rejoint.control.robot import Robot
+from rejoint.control.start import Stance
+from rejoint.logs.journal import Journal
+from rejoint.logs.runlog import read_log
+from rejoint.runs.given import Period, as_policy
+from rejoint.runs.run import Run
+
+if TYPE_CHECKING:
+    from rejoint.control.policy import Policy
+    from rejoint.twin.twin import Twin
+
+ControllerLike: TypeAlias = "str | Path | Policy | Controller | Callable[[Arm], Controller]"
+"""The name of a controller, a policy or its file, a controller, or what makes one for an arm"""
+
+Controllers: TypeAlias = "Sequence[ControllerLike] | Mapping[str, ControllerLike]"
+"""Controllers, or controllers by the name that they are to have in tables"""
+
+Factory = Callable[[Arm], Controller]
+
+POLICY = "policy"
+"""Name of the policy among the controllers"""
+
+
+def start_journal(run: Run, name: str, robot: Robot, label: str, rows: int = 0) -> Journal:
+    """Start the journal of a run log whose name ends with the time."""
+    path = run.folder.log(f"{name}-{datetime.now():%Y%m%d-%H%M%S}")
+    return Journal.begin(
+        path, arm=run.arm.name, joint_names=run.arm.joint_names, robot=robot.address, label=label, rows=rows
+    )
+
+
+def guard_limits(run: Run | None, arm: Arm) -> GuardLimits:
+    """Return what the guard allows, with how far the joints of this arm stick where its own diagnosis tells."""
+    limits = GuardLimits.of(arm)
+    logs = [] if run is None else [run.folder.log(name) for name in ("excitation", "targets")]
+    if not logs or not all(path.exists() for path in logs):
+        return limits
+    return replace(limits, sticks=np.max([sticking(arm, read_log(path)) for path in logs], axis=0))
+
+
+def stance_of(twin: Twin | None) -> Stance | None:
+    """Return where an arm is expected to stand at rest; None without a twin."""
+    return None if twin is None else Stance(stiffness=twin.parameters.stiffness, offset=twin.parameters.offset)
+
+
+def make_factories(
+    given: Controllers, arm: Arm, period: Period | None, *, run: Run | None = None, twin: Twin | None = None
+) -> dict[str, Factory]:
+    """Return what makes each controller, by its name; the feed-forward believes the stiffness of ``twin``.
+
+    Nothing given means all baselines, and the policy of the run where there is one. A name, a policy or a control
+    period that does not fit is refused here, before anything moves.
+    """
+    if not given:
+        given = (*BASELINES, *((POLICY,) if run is not None and run.folder.policy.exists() else ()))
+    named = given if isinstance(given, Mapping) else _unique(given)
+    usual = np.nan if period is None else sum(period) / 2
+    factories = {name: _factory(one, run, twin) for name, one in named.items()}
+    for make in factories.values():
+        check_controller_period(make(arm), usual)
+    return factories
+
+
+def name_of(controller: ControllerLike) -> str:
+    """Name of a controller in tables."""
+    if isinstance(controller, str) and not controller.endswith(".onnx"):
+        return controller
+    if isinstance(controller, Path | str) or hasattr(controller, "controller"):  # a policy or its file
+        return POLICY
+    return str(getattr(controller, "name", "controller"))
+
+
+def _unique(given: Sequence[ControllerLike]) -> dict[str, ControllerLike]:
+    """Return controllers by name; a second one of a name gets a number."""
+    found: dict[str, ControllerLike] = {}
+    for one in given:
+        name = name_of(one)
+        taken = sum(other == name or other.startswith(f"{name}-") for other in found)
+        found[f"{name}-{taken + 1}" if name in found else name] = one
+    return found
+
+
+def _factory(given: ControllerLike, run: Run | None, twin: Twin | None) -> Factory:
+    if isinstance(given, str) and not given.endswith(".onnx"):
+        file = run.folder.policy if run is not None and run.folder.policy.exists() else None
+        known = {} if twin is None else {"stiffness": twin.parameters.stiffness}
+        return lambda arm: make_controller(given, arm, policy=file, **known)
+    if isinstance(given, Path | str):
+        return as_policy(given).controller
+    if hasattr(given, "controller"):
+        return given.controller
+    if hasattr(given, "command") and not isinstance(given, type):
+        return partial(_itself, cast(Controller, given))
+    return given
+
+
+def _itself(controller: Controller, arm: Arm) -> Controller:  # noqa: ARG001 - it was made for its arm
+    """Return the controller again and again: every motion starts with its `reset`."""
+    return controller

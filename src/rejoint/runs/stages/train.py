@@ -1,0 +1,136 @@
+"""Training: a policy on randomised copies of a twin."""
+
+from __future__ import annotations
+
+import tempfile
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rejoint.arms import Arm, load_arm
+from rejoint.control.policy import Policy
+from rejoint.runs.given import ArmLike, RunLike, TwinLike, as_arm, as_run, as_twin
+from rejoint.runs.run import exclusive
+from rejoint.system.errors import InputError
+from rejoint.system.progress import Progress, no_progress
+
+if TYPE_CHECKING:
+    from rejoint.training.presets import Preset
+    from rejoint.training.train import Trainer, TrainingResult
+    from rejoint.twin.twin import Twin
+
+QUICK_UPDATES, QUICK_AGENTS = 3, 16
+"""Size of a training for a first try (chosen: seconds; its policy is hardly better than the law that it corrects)"""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TrainedPolicy(Policy):
+    """A policy that was just trained, and how its training went."""
+
+    training: TrainingResult
+    """targets reached, errors and time; its files exist if the policy was trained in a run"""
+
+
+def train(
+    twin: TwinLike | None = None,
+    *,
+    arm: ArmLike | None = None,
+    run: RunLike | None = None,
+    preset: str | Preset = "default",
+    trainer: Trainer | None = None,
+    seed: int | None = None,
+    threads: int = 2,
+    resume: bool = True,
+    quick: bool = False,
+    on_progress: Progress = no_progress,
+) -> TrainedPolicy:
+    """Train a control policy on randomised copies of a twin (proximal policy optimisation).
+
+    In a run, a training that was interrupted goes on from its last checkpoint, at most ten updates back, to the same
+    end. Ctrl-C is a KeyboardInterrupt, as always.
+
+    Parameters
+    ----------
+    twin
+        twin or its file; without one the run's, and without that any worn arm of this kind is trained for
+    arm
+        arm, name or file; by default that of the run, or the one of the catalogue that the twin names
+    run
+        run, or its folder, into which ``policy.onnx`` and ``training/`` are written; either a run or a twin is given
+    preset
+        recipe: ``default``, ``paper`` (the literal method), or one of your own
+    trainer
+        what trains instead of proximal policy optimisation
+    seed
+        of the networks, the arms that are drawn, and the exploration; by default that of the run, else 0
+    threads
+        of simulation and learning; with another number the policy differs in its last digits
+    resume
+        whether to go on from a checkpoint of this very training in the run
+    quick
+        train for seconds only, for a first try: the policy is hardly better than without training
+    on_progress
+        called with the share that is done and how the training stands
+
+    Returns
+    -------
+    TrainedPolicy
+        the policy, and as ``training`` how it went
+
+    Raises
+    ------
+    InputError
+        if both a run and a twin are given, or neither twin, run nor arm
+    ContractError
+        if the twin is of another arm
+
+    Examples
+    --------
+    >>> policy = rejoint.train("twin.toml")
+    >>> policy.save("policy.onnx")
+    >>> rejoint.train(run="runs/mine")
+    """
+    if run is not None:
+        if twin is not None:
+            raise InputError("training: a run has its own twin; give either a run or a twin")
+        found = as_run(run).seeded(seed)
+        with exclusive(found):
+            task = _Task(found.arm, found.twin, preset, found.seed, threads, resume, quick)
+            return task.train(found.path, trainer, on_progress)
+    known = None if twin is None else as_twin(twin)
+    if known is None and arm is None:
+        raise InputError("training: neither a twin, a run nor an arm is given")
+    chosen = as_arm(arm) if arm is not None else load_arm(known.arm)  # type: ignore[union-attr]
+    if known is not None:
+        known.require(chosen)
+    with tempfile.TemporaryDirectory(prefix="rejoint-training-") as folder:
+        return _Task(chosen, known, preset, seed or 0, threads, False, quick).train(Path(folder), trainer, on_progress)
+
+
+@dataclass(frozen=True)
+class _Task:
+    """What is to be trained."""
+
+    arm: Arm
+    twin: Twin | None
+    preset: str | Preset
+    seed: int
+    threads: int
+    resume: bool
+    quick: bool
+
+    def train(self, folder: Path, trainer: Trainer | None, on_progress: Progress) -> TrainedPolicy:
+        """Train by PPO or another trainer, and take up the policy that is then in the folder."""
+        if trainer is None:
+            from rejoint.training.train import TrainingOptions
+            from rejoint.training.train import train as learn
+
+            few = {"iterations": QUICK_UPDATES, "agents": QUICK_AGENTS} if self.quick else {}
+            options = TrainingOptions(
+                preset=self.preset, seed=self.seed, threads=self.threads, resume=self.resume, **few
+            )
+            result = learn(self.arm, self.twin, out=folder, options=options, on_progress=on_progress)
+        else:
+            result = trainer(self.arm, self.twin, folder, on_progress)
+        policy = Policy.load(result.policy)
+        return TrainedPolicy(**{f.name: getattr(policy, f.name) for f in fields(Policy)}, training=result)

@@ -1,0 +1,74 @@
+"""Every script in `examples/` runs, with little to do, and ends with something to see."""
+
+import runpy
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+
+import matplotlib
+import pytest
+
+EXAMPLES = Path(__file__).parent.parent / "examples"
+
+
+@pytest.fixture(autouse=True)
+def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    matplotlib.use("Agg")
+
+
+@pytest.fixture
+def run(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch):
+    def script(name: str, *words: str | Path) -> str:
+        monkeypatch.setattr(sys, "argv", [name, *map(str, words)])
+        runpy.run_path(str(EXAMPLES / name), run_name="__main__")
+        return capsys.readouterr().out
+
+    return script
+
+
+def is_figure(path: str) -> bool:
+    return Path(path).read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
+
+
+def test_a_repair_is_five_lines_and_its_policy_drives(run) -> None:
+    said = run("repair_an_arm.py", "--quick", "--run", "mine")
+    assert "This arm misses its targets by 2" in said
+    assert "Use: integrator" in said, "a policy that was trained for seconds is not handed over"
+    assert Path("mine/report.html").read_text(encoding="utf-8").startswith("<!DOCTYPE html>")
+    said = run("deploy_a_policy.py", "mine/policy.onnx", "--dwell", "1")
+    assert said.count(" mm off, ") == 3
+    assert "of 3 targets reached" in said
+    said = run("compare_controllers.py", "--quick", "--policy", "mine/policy.onnx")
+    assert [line.split()[0] for line in said.splitlines()[:3]] == ["default", "integrator", "policy"]
+    assert is_figure("controllers.png")
+
+
+def test_wear_is_found_in_arrays(run) -> None:
+    worn, healthy = (
+        run("diagnose_recorded_motion.py"),
+        run("diagnose_recorded_motion.py", "--robot", "emulated:healthy"),
+    )
+    assert "joint1" in worn.split("mm at the tool")[1]
+    assert "No joint shows wear" in healthy
+
+
+def test_a_twin_predicts_targets_that_it_has_not_seen(run) -> None:
+    said = run("fit_a_twin.py", "--quick")
+    assert said.count("N m/rad") == 6
+    assert is_figure("twin.png")
+
+
+def test_an_arm_that_only_a_file_describes_is_repaired(run) -> None:
+    found = find_spec("ManipulaPy")
+    assert found is not None, "the extra dev brings ManipulaPy"
+    file = Path(found.submodule_search_locations[0]) / "ManipulaPy_data/universal_robots/ur10/ur10.urdf"
+    said = run("repair_an_arm_from_urdf.py", file, "--base", "base_link", "--tip", "tool0", "--quick", "--run", "ur10")
+    assert "Use: " in said
+    assert is_figure("urdf.png")
+
+
+def test_no_example_is_longer_than_a_screen() -> None:
+    scripts = sorted(EXAMPLES.glob("*.py"))
+    assert len(scripts) == 6
+    assert all(len(path.read_text(encoding="utf-8").splitlines()) < 50 for path in scripts)
