@@ -106,6 +106,8 @@ def test_commands_are_known(page: str) -> None:
 
 @each_page
 def test_places_in_the_code_exist(page: str) -> None:
+    for name in re.findall(r"^::: (\S+)", PAGES[page], re.MULTILINE):
+        resolve(name)
     tests = "".join(path.read_text(encoding="utf-8") for path in (ROOT / "tests").rglob("*.py"))
     for code in inline(page):
         if re.fullmatch(r"[\w/]+\.py", code):
