@@ -1,11 +1,14 @@
 """What the pages say is so: their code runs, their commands are known, their links lead somewhere."""
 
+import ast
 import importlib
+import inspect
 import re
 import shlex
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 import typer.main
@@ -83,6 +86,17 @@ def test_python_runs(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
 
 
 @each_page
+def test_calls_take_what_they_are_given(page: str) -> None:
+    """Names and parameters of `rejoint` are right in blocks that are not run as well."""
+    for _, text in blocks(page, "python"):
+        for node in ast.walk(ast.parse(text)):
+            if isinstance(node, ast.Call) and re.match(r"rejoint\.", name := ast.unparse(node.func)):
+                parameters = inspect.signature(resolve(name)).parameters
+                assert {word.arg for word in node.keywords} <= set(parameters), ast.unparse(node)
+                assert len(node.args) <= len(parameters), ast.unparse(node)
+
+
+@each_page
 def test_commands_are_known(page: str) -> None:
     makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
     for words in shell(page):
@@ -119,13 +133,16 @@ def test_places_in_the_code_exist(page: str) -> None:
             resolve(code)
 
 
-def resolve(name: str) -> None:
-    """Import the module, or the module of the attribute, that a dotted name means."""
+def resolve(name: str) -> Any:
+    """Return the module, or what is in one, that a dotted name means."""
     try:
-        importlib.import_module(name)
+        return importlib.import_module(name)
     except ModuleNotFoundError:
-        module, _, attribute = name.rpartition(".")
-        assert hasattr(importlib.import_module(module), attribute), f"there is no {name}"
+        owner, _, attribute = name.rpartition(".")
+        assert owner, f"there is no {name}"
+        found = resolve(owner)
+        assert hasattr(found, attribute), f"there is no {name}"
+        return getattr(found, attribute)
 
 
 def slugs(text: str) -> set[str]:
