@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/ready
 
-.PHONY: repair test wheel-test check bench format clean
+.PHONY: repair test wheel-test check docs bench format clean
 
 repair: $(READY)
 	$(BIN)/rejoint repair emulated:worn
@@ -23,6 +23,10 @@ check: $(READY)
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
+# The site, in site/. A broken link or a warning is an error; the theme's notice about its successor is none.
+docs: $(VENV)/docs
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+
 bench: $(VENV)/bench
 	$(BIN)/python -m benchmarks $(if $(LOGS),--logs "$(LOGS)")
 
@@ -36,10 +40,15 @@ $(READY): pyproject.toml constraints.txt
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[train,report,logs,dev]"
 	touch $(READY)
 
+# What builds the site; nothing else needs it.
+$(VENV)/docs: $(READY)
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[docs]"
+	touch $(VENV)/docs
+
 # The other programs that the benchmarks compare with; nothing else needs them.
 $(VENV)/bench: $(READY)
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[bench]"
 	touch $(VENV)/bench
 
 clean:
-	rm -rf $(VENV) build dist
+	rm -rf $(VENV) build dist site

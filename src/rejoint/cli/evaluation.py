@@ -51,7 +51,7 @@ def evaluate(
     threads: Annotated[int, typer.Option(help="Threads of the simulation.", min=1)] = 2,
     json: Json = False,
 ) -> None:
-    """Try controllers on a hundred arms that nobody has met, and on the same under conditions that make it hard.
+    """Try controllers on a hundred arms on which nothing was chosen, and on the same under harder conditions.
 
     Example: `rejoint evaluate --family --policy runs/a/policy.onnx --policy runs/b/policy.onnx`, or what a twin of
     one's own buys: `rejoint evaluate --identification 6 --policy runs/broad/policy.onnx --out runs/identified`

@@ -39,8 +39,8 @@ def run(bench: Bench) -> Findings:
     paths = {"rescaled": trace(bench, ours, targets), "N m/rad": trace(bench, literal, targets)}
     measured = {unit: [judge(path, targets) for path in found] for unit, found in paths.items()}
     text = (
-        f"The twin with the paper's three pairs is told {count} targets, one every {DWELL:g} s. The error is what is "
-        f"left in the last {WINDOW:g} s; the overshoot is how far the tool shoots past the place where it comes to "
+        f"The twin with the paper's three pairs is sent to {count} targets, one every {DWELL:g} s. The error is what "
+        f"is left in the last {WINDOW:g} s; the overshoot is how far the tool shoots past the place where it comes to "
         "rest, in percent of its way there.",
         f"Read as N m/rad, P = 200 holds a 0.85 kg arm within {measured['N m/rad'][2][0]:.1f} mm and lets nothing "
         "oscillate, which is the opposite of what Fig. 10 shows; so the units must be others. With "

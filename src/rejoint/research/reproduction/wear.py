@@ -62,7 +62,7 @@ def run(bench: Bench) -> Findings:
     )
     readings = (
         "The paper does not say how its error was measured. Its robot reports its own TCP, so encoder kinematics are "
-        "taken, with the tool's true error beside: play and flex lie behind the encoders.",
+        "taken, with the tool's true error beside: backlash and flex lie behind the encoders.",
     )
     drawings = (_figure_8(bench, targets[0], arrivals), _figure_9(bench, arrivals))
     return Findings(text=text, numbers=numbers, readings=readings, drawings=drawings)
@@ -104,7 +104,7 @@ def _figure_8(bench: Bench, targets: Array, arrivals: dict[str, Arrival]) -> Dra
             f"{profile}: {1e3 * np.linalg.norm(tcp_position(bench.arm, arrival.posture[k]) - targets[k]):.1f} mm off"
         )
         drawn.append((label, looks[profile], np.concatenate([np.zeros((1, 3)), f.position, f.tcp_position[None]])))
-    caption = f"Fig. 8. Both arms told to go to target {k + 1}, seen from the side, by their encoders."
+    caption = f"Fig. 8. Both arms sent to target {k + 1}, seen from the side, by their encoders."
     return bench.draw(
         postures(drawn, targets[k]),
         Drawing(key="fig-8", alt=f"The worn arm hangs below the target by {error[k]:.0f} mm.", caption=caption),

@@ -1,0 +1,228 @@
+"""What the pages say is so: their code runs, their commands are known, their links lead somewhere."""
+
+import ast
+import importlib
+import inspect
+import re
+import shlex
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import typer.main
+
+from rejoint.arms import load_arm
+from rejoint.cli import app
+from rejoint.control.contract import DIGEST_KEY, METADATA_KEY
+from rejoint.runs.folder import RunFolder
+from rejoint.twin.parameters import PARAMETERS
+
+ROOT = Path(__file__).parent.parent
+DOCS = ROOT / "docs"
+PAGES = {
+    str(path.relative_to(ROOT)): path.read_text(encoding="utf-8")
+    for path in (ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(DOCS.glob("*.md")))
+}
+COMMANDS = typer.main.get_command(app).commands
+NOT_RUN = "Not run"
+"""Begins the title, which readers see, of a block of Python that needs an arm or more time than a test has"""
+
+FENCE = re.compile(r"^(```+)([^\n]*)\n(.*?)^\1$", re.MULTILINE | re.DOTALL)
+CODE = re.compile(r"(?<!`)`([^`]+)`(?!`)")
+
+each_page = pytest.mark.parametrize("page", PAGES)
+
+
+def blocks(page: str, language: str) -> list[tuple[str, str]]:
+    """Title line and text of every fenced block of a language."""
+    return [(head, text) for _, head, text in FENCE.findall(PAGES[page]) if head.split(" ")[0] == language]
+
+
+def inline(page: str) -> list[str]:
+    """Every piece of code in the text of a page, on one line each."""
+    paragraphs = FENCE.sub("", PAGES[page]).split("\n\n")
+    return [" ".join(code.split()) for paragraph in paragraphs for code in CODE.findall(paragraph)]
+
+
+def shell(page: str) -> Iterator[list[str]]:
+    """Words of every command in the blocks of a page, variables of the page put in."""
+    known: dict[str, str] = {}
+    for _, text in blocks(page, "sh"):
+        for line in text.replace("\\\n", " ").splitlines():
+            for name, value in known.items():
+                line = line.replace(f"${name}", value)
+            words = shlex.split(line, comments=True)
+            if len(words) == 1 and (given := re.fullmatch(r"([A-Z]+)=(.*)", words[0])):
+                known[given[1]] = given[2]
+            elif words:
+                yield words
+
+
+def check_command(words: list[str], *, whole: bool) -> None:
+    """Raise unless `rejoint WORDS` names a command and options that it has; ``whole``: also all it needs."""
+    if not words or words[0].startswith("-"):
+        return
+    assert words[0] in COMMANDS, f"there is no command rejoint {words[0]}"
+    command = COMMANDS[words[0]]
+    options = {name for parameter in command.params for name in (*parameter.opts, *parameter.secondary_opts)}
+    used = {word.partition("=")[0] for word in words[1:] if word.startswith("--")} - {"--help"}
+    assert used <= options, f"rejoint {words[0]} has no {', '.join(sorted(used - options))}"
+    if whole and "--help" not in words:
+        command.make_context(words[0], words[1:])
+
+
+@each_page
+def test_python_runs(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The blocks of a page build on one another; they run in an empty folder, beside the modules of the examples."""
+    monkeypatch.chdir(tmp_path)
+    for folder in {path.parent for path in (ROOT / "examples").rglob("*.py")}:
+        monkeypatch.syspath_prepend(folder)
+    monkeypatch.setenv("MPLBACKEND", "agg")
+    names: dict[str, object] = {"__name__": "page"}
+    for head, text in blocks(page, "python"):
+        code = compile(text, page, "exec")
+        if f'title="{NOT_RUN}' not in head:
+            exec(code, names)
+
+
+@each_page
+def test_calls_take_what_they_are_given(page: str) -> None:
+    """Names and parameters of `rejoint` are right in blocks that are not run as well."""
+    for _, text in blocks(page, "python"):
+        for node in ast.walk(ast.parse(text)):
+            if isinstance(node, ast.Call) and re.match(r"rejoint\.", name := ast.unparse(node.func)):
+                parameters = inspect.signature(resolve(name)).parameters
+                assert {word.arg for word in node.keywords} <= set(parameters), ast.unparse(node)
+                assert len(node.args) <= len(parameters), ast.unparse(node)
+
+
+@each_page
+def test_commands_are_known(page: str) -> None:
+    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
+    for words in shell(page):
+        program = words[0].rpartition("/")[2]
+        if program == "rejoint":
+            check_command(words[1:], whole=True)
+        elif program == "make":
+            assert f"\n{words[1]}:" in makefile, words
+        else:
+            assert program in ("pip", "python", "source"), f"{page}: what is {program}?"
+    for code in inline(page):
+        words = shlex.split(code) if re.match(r"(rejoint|make|python) ", code) else []
+        if words[:1] == ["rejoint"]:
+            check_command(words[1:], whole=False)
+        elif words[:1] == ["make"]:
+            for target in words[1:]:
+                assert f"\n{target}:" in makefile or "=" in target, code
+        elif words[:3] == ["python", "-m", "benchmarks"] and words[3:] not in ([], ["NAME"]):
+            assert (ROOT / "benchmarks" / f"{words[3].lower()}.py").exists(), code
+
+
+@each_page
+def test_places_in_the_code_exist(page: str) -> None:
+    for name in re.findall(r"^::: (\S+)", PAGES[page], re.MULTILINE):
+        resolve(name)
+    tests = "".join(path.read_text(encoding="utf-8") for path in (ROOT / "tests").rglob("*.py"))
+    for code in inline(page):
+        if re.fullmatch(r"[\w/]+\.py", code):
+            at = (ROOT, ROOT / "src" / "rejoint")
+            assert any((root / code).exists() for root in at) or "/" not in code, f"there is no {code}"
+        elif re.fullmatch(r"test_\w+", code):
+            assert f"def {code}(" in tests, f"there is no test {code}"
+        elif re.fullmatch(r"rejoint(\.\w+)+", code) and code not in (METADATA_KEY, DIGEST_KEY):
+            resolve(code)
+
+
+def resolve(name: str) -> Any:
+    """Return the module, or what is in one, that a dotted name means."""
+    try:
+        return importlib.import_module(name)
+    except ModuleNotFoundError:
+        owner, _, attribute = name.rpartition(".")
+        assert owner, f"there is no {name}"
+        found = resolve(owner)
+        assert hasattr(found, attribute), f"there is no {name}"
+        return getattr(found, attribute)
+
+
+def slugs(text: str) -> set[str]:
+    """Anchors of a page's headings, as GitHub and MkDocs make them."""
+    titles = re.findall(r"^#+ (.+)$", FENCE.sub("", text), re.MULTILINE)
+    return {re.sub(r"[\s-]+", "-", re.sub(r"[^\w\s-]", "", title).strip().lower()) for title in titles}
+
+
+PRIVATE = ("told", "nobody", "goes? with", "crews?", "newcomers?", "seat", "burden", "patience", "calm", "lump(s|ed)?",
+           "weightless", "situation", "truth", "plays?")  # fmt: skip
+"""Words that the field does not use, or not so; docs/glossary.md has those that it does"""
+
+
+def check_words(text: str, where: str) -> None:
+    """Raise where prose holds a private word; code and names are no prose."""
+    prose = CODE.sub("", FENCE.sub("", text))
+    found = [match[0] for match in re.finditer(rf"\b(?:{'|'.join(PRIVATE)})\b", prose, re.IGNORECASE)]
+    assert not found, f"{where}: {', '.join(found)}"
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if page != "docs/glossary.md"])
+def test_pages_use_the_words_of_the_field(page: str) -> None:
+    check_words(PAGES[page], page)
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_help_uses_the_words_of_the_field(name: str) -> None:
+    texts = [COMMANDS[name].help, *(getattr(parameter, "help", None) for parameter in COMMANDS[name].params)]
+    check_words("\n\n".join(filter(None, texts)), name)
+
+
+def test_the_glossary_gives_a_word_one_meaning() -> None:
+    words = re.findall(r"^\| ([^|]+?) \| [^|]+ \|", PAGES["docs/glossary.md"], re.MULTILINE)
+    words = [word for word in words if word not in ("word", "---")]
+    assert len(words) >= 90
+    assert len(words) == len(set(words)), sorted(word for word in words if words.count(word) > 1)
+
+
+@each_page
+def test_links_lead_somewhere(page: str) -> None:
+    for link in re.findall(r"\]\(([^)\s]+)\)", FENCE.sub("", PAGES[page])):
+        if link.startswith("https://"):
+            continue
+        path, _, anchor = link.partition("#")
+        goal = (ROOT / page).parent / path if path else ROOT / page
+        assert goal.is_file(), f"{page}: there is no {link}"
+        if anchor:
+            assert anchor in slugs(goal.read_text(encoding="utf-8")), f"{page}: there is no heading for {link}"
+
+
+def test_every_page_is_in_the_navigation() -> None:
+    config = (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
+    assert sorted(re.findall(r": ([\w-]+\.md)$", config, re.MULTILINE)) == sorted(p.name for p in DOCS.glob("*.md"))
+
+
+def test_every_command_is_listed() -> None:
+    listed = {words.split()[1] for words in inline("docs/commands.md") if words.startswith("rejoint ")}
+    assert listed == set(COMMANDS)
+
+
+def test_arms_in_the_pages_can_be_loaded(tmp_path: Path) -> None:
+    found = [text for page in PAGES for _, text in blocks(page, "toml") if "[[joint]]" in text]
+    assert found
+    for text in found:
+        (tmp_path / "arm.toml").write_text(text, encoding="utf-8")
+        assert load_arm(str(tmp_path / "arm.toml")).joints == len(tomllib.loads(text)["joint"])
+
+
+def test_every_file_of_a_run_folder_is_described() -> None:
+    page = PAGES["docs/files.md"]
+    folder = RunFolder(Path())
+    files = [value for name in dir(RunFolder) if isinstance(value := getattr(folder, name, None), Path)]
+    files += [folder.outputs.curves, folder.outputs.checkpoint]
+    for path in set(files) - {folder.path}:
+        assert f"`{path}" in page, path
+
+
+def test_every_parameter_of_a_twin_is_described() -> None:
+    rows = {(p.name, "yes" if p.per_joint else "no") for p in PARAMETERS}
+    found = re.findall(r"^\| `(\w+)` \| [^|]+ \| (yes|no) \|", PAGES["docs/files.md"], re.MULTILINE)
+    assert set(found) == rows
