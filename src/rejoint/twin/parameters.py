@@ -16,7 +16,7 @@ Coulomb friction 0.25-0.8 N m, viscous friction 0.8-1.6 N m s/rad on an SO-101),
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -155,39 +155,87 @@ WRIST_INERTIA = 0.2
 """A joint is of the wrist below this fraction of the largest link inertia about a joint (chosen)."""
 
 
+@dataclass(frozen=True)
+class Layout:
+    """Where the parameters of a twin of n joints stand in its parameter vector of length k.
+
+    Parameter after parameter in the order of `PARAMETERS`, each with its value for every joint: first those of the
+    joints, then those of the whole arm. Nothing else computes places in such a vector.
+    """
+
+    joints: int
+
+    @staticmethod
+    def of_length(length: int) -> Layout:
+        """Return the layout of vectors of this ``length`` k."""
+        return Layout((length - len(ARM_PARAMETERS)) // len(JOINT_PARAMETERS))
+
+    @cached_property
+    def kind(self) -> NDArray[np.integer]:
+        """(k,) number in `PARAMETERS` of the parameter that stands at each place."""
+        return np.repeat(np.arange(len(PARAMETERS)), [self.joints if p.per_joint else 1 for p in PARAMETERS])
+
+    @cached_property
+    def owner(self) -> NDArray[np.integer]:
+        """(k,) joint that each place belongs to; -1 for the whole arm."""
+        return np.concatenate([np.arange(self.joints) if p.per_joint else np.array([-1]) for p in PARAMETERS])
+
+    @cached_property
+    def is_log(self) -> NDArray[np.bool_]:
+        """(k,) which places hold logarithms."""
+        return np.array([p.log for p in PARAMETERS])[self.kind]
+
+    @property
+    def size(self) -> int:
+        """Length k of the vector."""
+        return len(self.kind)
+
+    def at(self, name: str) -> slice:
+        """Return the places of one parameter, one for each joint or the single one of the arm."""
+        first, last = np.searchsorted(self.kind, [number(name), number(name) + 1])
+        return slice(int(first), int(last))
+
+    @property
+    def of_joints(self) -> slice:
+        """Places of all parameters of joints."""
+        return slice(0, len(JOINT_PARAMETERS) * self.joints)
+
+    @property
+    def of_arm(self) -> slice:
+        """Places of the parameters of the whole arm."""
+        return slice(len(JOINT_PARAMETERS) * self.joints, self.size)
+
+
+def number(name: str) -> int:
+    """Return the number of a parameter in `PARAMETERS`."""
+    return [p.name for p in PARAMETERS].index(name)
+
+
 def vector_names(joint_names: tuple[str, ...]) -> tuple[str, ...]:
     """Names of the elements of the parameter vector, such as ``stiffness.joint2`` and ``delay``."""
-    return (
-        *(f"{p.name}.{joint}" for p in JOINT_PARAMETERS for joint in joint_names),
-        *(p.name for p in ARM_PARAMETERS),
+    layout = Layout(len(joint_names))
+    return tuple(
+        PARAMETERS[kind].name + (f".{joint_names[joint]}" if joint >= 0 else "")
+        for kind, joint in zip(layout.kind, layout.owner, strict=True)
     )
-
-
-def vector_is_log(joints: int) -> NDArray[np.bool_]:
-    """(k,) which elements of the parameter vector are logarithms."""
-    return np.array([p.log for p in JOINT_PARAMETERS for _ in range(joints)] + [p.log for p in ARM_PARAMETERS])
 
 
 def pack(parameters: TwinParameters) -> Array:
     """Parameter vector (..., k): logarithms of the positive quantities, the others as they are."""
-    parts = [getattr(parameters, p.name) for p in JOINT_PARAMETERS]
-    parts += [getattr(parameters, p.name)[..., None] for p in ARM_PARAMETERS]
-    values = np.concatenate(parts, axis=-1)
-    log = vector_is_log(parameters.joints)
+    parts = [getattr(parameters, p.name) for p in PARAMETERS]
+    values = np.concatenate([v if p.per_joint else v[..., None] for p, v in zip(PARAMETERS, parts, strict=True)], -1)
+    log = Layout(parameters.joints).is_log
     return np.where(log, np.log(np.where(log, values, 1.0)), values)
 
 
 def unpack(vector: Array, joints: int) -> TwinParameters:
     """Parameters with the leading shape of ``vector`` (..., k); the inverse of `pack`."""
-    log = vector_is_log(joints)
-    if vector.shape[-1] != len(log):
-        raise InputError(f"twin: parameter vector of {vector.shape[-1]} elements, expected {len(log)}")
-    values = np.where(log, np.exp(np.where(log, vector, 0.0)), vector)
-    split = len(JOINT_PARAMETERS) * joints
-    per_joint = values[..., :split].reshape(*vector.shape[:-1], len(JOINT_PARAMETERS), joints)
-    joint_part = {p.name: per_joint[..., i, :] for i, p in enumerate(JOINT_PARAMETERS)}
-    arm_part = {p.name: values[..., split + i] for i, p in enumerate(ARM_PARAMETERS)}
-    return TwinParameters(**joint_part, **arm_part)
+    layout = Layout(joints)
+    if vector.shape[-1] != layout.size:
+        raise InputError(f"twin: parameter vector of {vector.shape[-1]} elements, expected {layout.size}")
+    values = np.where(layout.is_log, np.exp(np.where(layout.is_log, vector, 0.0)), vector)
+    parts = {p.name: values[..., layout.at(p.name)] for p in PARAMETERS}
+    return TwinParameters(**{p.name: parts[p.name] if p.per_joint else parts[p.name][..., 0] for p in PARAMETERS})
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
