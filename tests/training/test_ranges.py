@@ -145,18 +145,18 @@ def test_a_policy_says_which_twin_it_was_trained_on(tmp_path):
     assert load_policy(result.policy, ARM).contract.twin_digest == twin.digest()
 
 
-def test_play_is_met_where_motors_cross_it_slowly():
+def test_backlash_is_met_where_motors_cross_it_slowly():
     twin = make_twin()
     none = draws(BROAD.reaching(twin), 50)
-    assert not none.play.any()
+    assert not none.backlash.any()
     damped = dataclasses.replace(twin.parameters, damping=4.0 * twin.parameters.damping)
     draw = draws(BROAD.reaching(dataclasses.replace(twin, parameters=damped)))
-    seen = draw.play.any(axis=1)
+    seen = draw.backlash.any(axis=1)
     assert abs(seen.mean() - 0.6) < 0.03
-    assert np.degrees(draw.play.max()) == pytest.approx(1.8, abs=0.01)
+    assert np.degrees(draw.backlash.max()) == pytest.approx(1.8, abs=0.01)
     assert 0.02 <= draw.grease.min() < draw.grease.max() <= 0.2
     # what is drawn besides does not depend on it
-    moved = dataclasses.replace(BROAD.reaching(dataclasses.replace(twin, parameters=damped)), play=(0.0, 0.0))
+    moved = dataclasses.replace(BROAD.reaching(dataclasses.replace(twin, parameters=damped)), backlash=(0.0, 0.0))
     np.testing.assert_array_equal(draws(moved).twin.damping, draw.twin.damping)
 
 

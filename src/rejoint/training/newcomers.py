@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, gravity_torque, tcp_position
 from rejoint.control.guard import GuardLimits
-from rejoint.training.ranges import Draw, Ranges
+from rejoint.training.ranges import Ranges
+from rejoint.twin.simulation import Draw
 
 
 class Newcomers(NamedTuple):

@@ -25,14 +25,11 @@ from rejoint.control.guard import GuardLimits, guard
 from rejoint.control.observation import ALL, SUCCESS_DISTANCE, Layout, Observation, Observer, Rows
 from rejoint.control.residual import Commander, CommandLaw
 from rejoint.control.robot import JointState, Mask
-from rejoint.training.motion import SUBSTEPS, pass_period
 from rejoint.training.newcomers import Newcomers, draw_newcomers
-from rejoint.training.play import Play
 from rejoint.training.ranges import Ranges
 from rejoint.training.reward import paper_reward, residual_reward
 from rejoint.training.truth import fixed_truth, moving_truth, truth_size
-from rejoint.training.wire import Wire
-from rejoint.twin.batch import TwinBatch
+from rejoint.twin.simulation import Simulation
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,18 +93,14 @@ class ReachTask:
     ) -> None:
         n = arm.joints
         self.arm, self.ranges, self.settings, self.agents = arm, ranges, settings, agents
-        self.twins = TwinBatch(arm, agents, threads=threads)
+        self.simulation = Simulation(arm, agents, threads=threads)
         self.observer = Observer(arm, agents, settings.layout)
         self.commander = Commander(arm, settings.law)
-        self.wire = Wire(agents, n, SUBSTEPS)
-        self.play = Play(arm, agents)
         self.truth_size = truth_size(n)
         self._limits, self._no_speed = GuardLimits.of(arm).of_simulation(), np.zeros((agents, n))
         self._rng = np.random.default_rng(seed)
-        self._time, self._since, self._period = np.zeros(agents), np.zeros(agents), np.zeros(agents)
-        self._middle, self._ramp = np.zeros(agents), np.zeros(agents)
-        self._measured, self._sent = np.zeros((agents, n)), np.zeros((agents, n))
-        self._reference, self._tcp = np.zeros((agents, n)), np.zeros((agents, 3))
+        self._since, self._period, self._middle = np.zeros((3, agents))
+        self._sent, self._tcp = np.zeros((agents, n)), np.zeros((agents, 3))
         self._target, self._next_target = np.zeros((2, agents, 3))
         self._foreseen, self._newcomer = np.zeros(agents, dtype=bool), np.zeros(agents, dtype=np.int64)
         self._newcomers: Newcomers | None = None
@@ -148,9 +141,10 @@ class ReachTask:
         """Run one control cycle with actions (N, n)."""
         applied = np.clip(np.asarray(action, dtype=float), -1.0, 1.0)
         self._command(applied)
-        before = self.twins.qpos.copy()
+        before = self.simulation.twins.qpos.copy()
         self._advance()
-        tcp = tcp_position(self.arm, self.twins.qpos)
+        position = self.simulation.twins.qpos
+        tcp = tcp_position(self.arm, position)
         speed = np.linalg.norm(tcp - self._tcp, axis=-1) / self._period
         self._tcp = tcp
         distance = np.linalg.norm(self._target - tcp, axis=-1)
@@ -163,7 +157,7 @@ class ReachTask:
             reward = residual_reward(distance, speed, np.asarray(action, dtype=float))
             reward = reward - self.settings.posture_weight * (self.observer.view.homing**2).sum(axis=-1)
         else:
-            joint_speed = (self.twins.qpos - before) / self._period[:, None]
+            joint_speed = (position - before) / self._period[:, None]
             reward = paper_reward(distance, joint_speed, collided, reached, late)
         cut = late | (collided & ~reached)
         observation, truth = self._renew(reached | cut, collided, final, final_truth)
@@ -182,19 +176,17 @@ class ReachTask:
             value[...] = state[name]
 
     def _arrays(self) -> dict[str, Array]:
-        own = ("time", "since", "period", "middle", "ramp", "measured", "sent", "reference", "tcp", "target",
-               "step", "count", "fixed")  # fmt: skip
+        own = ("since", "period", "middle", "sent", "tcp", "target", "step", "count", "fixed")
         return {
             **{name: getattr(self, f"_{name}") for name in own},
-            **{f"wire.{name}": value for name, value in self.wire.state().items()},
-            **{f"play.{name}": value for name, value in self.play.state().items()},
             **{f"observer.{name}": value for name, value in self.observer.state().items()},
             **{f"commander.{name}": value for name, value in self.commander.memory().items()},
-            **{f"twins.{name}": value for name, value in self.twins.state().items()},
+            **{f"simulation.{name}": value for name, value in self.simulation.state().items()},
         }
 
     def _situation(self) -> Situation:
-        state = JointState(time=self._time, position=self._measured, age=np.zeros(self.agents))
+        now = self.simulation
+        state = JointState(time=now.time, position=now.measured, age=np.zeros(self.agents))
         return Situation(state=state, target=self._target, sent=self._sent, since_target=self._since)
 
     def _command(self, action: Array) -> None:
@@ -203,23 +195,20 @@ class ReachTask:
         observer.acted(action)
         wanted = self.commander.command(situation, observer.view, action)
         self._sent = guard(self._limits, wanted, self._sent, self._no_speed, situation.state, self._period).command
-        self.wire.send(self._sent, self._time)
+        self.simulation.send(self._sent)
 
     def _advance(self) -> None:
         """Let one control period pass."""
         s = self.settings
         spread = self._rng.uniform(1.0 - s.jitter, 1.0 + s.jitter, self.agents)
         self._period = np.clip(self._middle * spread, s.min_period, s.max_period)
-        self._reference = pass_period(
-            self.twins, self.play, self.wire, self._reference, ramp=self._ramp, time=self._time, period=self._period
-        )
-        self._time, self._since = self._time + self._period, self._since + self._period
-        self._measured = self._quantised(self.wire.read(self._time))
+        self.simulation.advance(self._period)
+        self._since = self._since + self._period
 
     def _collided(self) -> Mask:
         if not self.settings.collisions:
             return np.zeros(self.agents, dtype=bool)
-        return collides(self.arm, frames(self.arm, self.twins.qpos))
+        return collides(self.arm, frames(self.arm, self.simulation.twins.qpos))
 
     def _renew(
         self, ended: Mask, collided: Mask, final: Observation, final_truth: Observation
@@ -265,27 +254,19 @@ class ReachTask:
     def _seat(self, where: Mask, newcomers: Newcomers) -> None:
         """Put ``newcomers`` (m,) in the places of the arms in ``where`` (N,)."""
         draw, position, command = newcomers
-        self.twins.write(draw.twin, where, gravity_scale=draw.gravity_scale)
-        self.twins.restart(position, ids=where)
-        self.wire.command_delay[where], self.wire.readback_delay[where] = draw.command_delay, draw.readback_delay
-        self.wire.clear(where, command, position)
-        self.play.renew(draw, where)
-        self._sent[where] = self._reference[where] = command
-        self._measured[where] = self._quantised(position)
+        self.simulation.place(draw, position, command, where)
+        self._sent[where] = command
         self._tcp[where] = tcp_position(self.arm, position)
         self._middle[where] = self._period[where] = draw.period
-        self._ramp[where] = draw.twin.ramp_speed
-        self._time[where], self._count[where] = 0.0, 0
+        self._count[where] = 0
         self._fixed[where] = fixed_truth(self.arm, draw)
         self.observer.forget(where)
         self.commander.forget(self._situation(), where)
 
-    def _quantised(self, position: Array) -> Array:
-        return np.round(position / self.arm.encoder_step) * self.arm.encoder_step
-
     def _truth(self, distance: Array, speed: Array, rows: Rows = ALL) -> Observation:
         """Return what only the critic sees (N, truth) of all agents, or of some ``rows`` only."""
         truth = self._fixed[rows].copy()
-        lag = self._reference[rows] - self.twins.qpos[rows]
-        moving_truth(truth, distance, speed, self.twins.qvel[rows], lag, self._period[rows])
+        twins = self.simulation.twins
+        lag = self.simulation.reference.position[rows] - twins.qpos[rows]
+        moving_truth(truth, distance, speed, twins.qvel[rows], lag, self._period[rows])
         return truth

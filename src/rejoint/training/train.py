@@ -179,7 +179,7 @@ def know_stiffness(recipe: Preset, arm: Arm, twin: Twin | None) -> Preset:
     if law.anchor != "goal" or law.stiffness:
         return recipe
     stiffness = nominal_parameters(arm).stiffness if twin is None else twin.parameters.stiffness
-    patience = PATIENCE if twin is not None and BroadRanges(arm=arm).reaching(twin).play[1] > 0.0 else law.patience
+    patience = PATIENCE if twin is not None and BroadRanges(arm=arm).reaching(twin).backlash[1] > 0.0 else law.patience
     law = replace(law, stiffness=tuple(np.round(stiffness, 6).tolist()), patience=patience)
     return replace(recipe, task=replace(recipe.task, law=law))
 

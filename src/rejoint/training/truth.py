@@ -10,8 +10,8 @@ import numpy as np
 
 from rejoint.arms import Arm, Array
 from rejoint.control.observation import Observation
-from rejoint.training.ranges import Draw
 from rejoint.twin.parameters import nominal_parameters
+from rejoint.twin.simulation import Draw
 
 _MOVING_SCALARS = 4
 _FIXED_SCALARS = 4

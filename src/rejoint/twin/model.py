@@ -40,14 +40,6 @@ friction constraints, and of no others here, is proportional (chosen: below it n
 
 TCP_SITE = "tcp"
 
-STRIBECK_SPEED = 0.1
-"""[rad/s] at which friction has fallen to that of motion (chosen: two encoder steps in a control period)"""
-
-
-def stribeck_friction(coulomb: Array, stiction: float | Array, velocity: Array) -> Array:
-    """Dry friction [N m] at a joint velocity [rad/s] (Stribeck 1902, as in Armstrong-Helouvry et al. 1994)."""
-    return coulomb * (1.0 + (stiction - 1.0) * np.exp(-((velocity / STRIBECK_SPEED) ** 2)))
-
 
 def twin_model(
     arm: Arm,
