@@ -2,11 +2,9 @@
 
 import mujoco
 import numpy as np
-import pytest
 
 from rejoint.arms import gravity_torque
 from rejoint.twin.batch import TwinBatch
-from rejoint.twin.friction import STRIBECK_SPEED, dry_friction
 from rejoint.twin.model import twin_model
 from rejoint.twin.parameters import PARAMETERS, healthy_parameters, nominal_parameters, prior, unpack, vector_names
 from rejoint.twin.simulation import Draw, Simulation
@@ -84,12 +82,6 @@ def test_energy_is_kept_without_friction_and_only_lost_with_it(arm):
     rubbing = _energy(arm, changed(arm, stiffness=1e-12, damping=0.05, coulomb=0.05), 1000)
     assert (np.diff(rubbing) < 1e-9).all()
     assert rubbing[0] - rubbing[-1] > 10 * np.ptp(free)
-
-
-def test_stribeck_friction_falls_from_rest_to_motion():
-    terms = np.array([0.1, 1.5])
-    for speed, friction in ((0.0, 0.15), (STRIBECK_SPEED, 0.1 + 0.05 / np.e), (-1.0, 0.1)):
-        assert dry_friction(terms, np.array(speed)) == pytest.approx(friction)
 
 
 def test_a_joint_at_rest_sticks_under_a_load_that_a_moving_one_yields_to(arm):

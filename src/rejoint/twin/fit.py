@@ -27,11 +27,6 @@ from rejoint.twin.replay import Replay
 HUBER = np.radians(1.7)
 """[rad] where the loss turns from square to absolute; measured on logs of a real low-cost arm"""
 
-DIFFERENCE = {"offset": 0.005, "delay": 0.004}
-"""Finite-difference steps [rad], [s] of the parameters that are not logarithms (chosen)"""
-LOG_DIFFERENCE = 0.045
-"""Finite-difference step of logarithms: smaller ones drown in stick-slip (measured)"""
-
 POSTURES = 500
 """Rows that a mean gravity torque is taken from (chosen)"""
 
@@ -98,9 +93,7 @@ class Problem:
         self.memory = memory * (len(self.measured) - len(lengths)) / seconds  # rows
         self.layout = Layout(self.joints)
         self.owner = self.layout.owner
-        self.steps = (
-            stride * np.array([LOG_DIFFERENCE if p.log else DIFFERENCE[p.name] for p in PARAMETERS])[self.layout.kind]
-        )
+        self.steps = stride * np.array([p.difference for p in PARAMETERS])[self.layout.kind]
         self._live = [index for index, p in enumerate(PARAMETERS) if p.name not in frozen]
         self.frozen = ~np.isin(self.layout.kind, self._live)
 
@@ -144,7 +137,7 @@ class Problem:
         at, scaled = self.layout.at, np.tile(vector, (len(factors), 1))
         stiffness, armature = np.exp(vector[at("stiffness")]), np.exp(vector[at("armature")])
         for row, factor in zip(scaled, factors, strict=True):
-            for name in ("stiffness", "damping", "coulomb"):
+            for name in (p.name for p in PARAMETERS if p.scaled):
                 row[at(name)] += np.log(factor)
             motor = factor * (self.link_inertia + armature) - self.link_inertia
             row[at("armature")] = np.log(np.maximum(motor, np.exp(self.prior.lower[at("armature")])))

@@ -26,6 +26,7 @@ import numpy as np
 from rejoint.arms import Arm, Array
 from rejoint.arms.kinematics import GRAVITY
 from rejoint.system.errors import InputError
+from rejoint.twin.friction import friction_fields
 from rejoint.twin.parameters import TwinParameters
 from rejoint.twin.tablemodel import add_table
 
@@ -84,8 +85,7 @@ def model_fields(parameters: TwinParameters, timestep: Array, gravity_scale: Arr
     yield "actuator_gainprm", gain
     yield "actuator_biasprm", bias
     yield "actuator_forcerange", np.stack([-p.torque_limit, p.torque_limit], axis=-1)
-    yield "dof_damping", p.damping
-    yield "dof_frictionloss", p.coulomb
+    yield from friction_fields(p)
     yield "dof_armature", p.armature
     yield "dof_solref", np.broadcast_to(friction_solref(timestep)[..., None, :], (*shape, 2))
     yield "opt.timestep", timestep

@@ -24,6 +24,8 @@ from numpy.typing import NDArray
 from rejoint.arms import Arm, Array, gravity_torque
 from rejoint.arms.workspace import reach
 from rejoint.system.errors import InputError
+from rejoint.twin.declaration import Parameter as Parameter
+from rejoint.twin.friction import FRICTION
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -51,6 +53,8 @@ class TwinParameters:
         for parameter in PARAMETERS:
             array = np.array(getattr(self, parameter.name), dtype=float)
             expected = self.stiffness_shape if parameter.per_joint else self.stiffness_shape[:-1]
+            if array.shape == () and parameter.per_joint:  # one value for all joints
+                array = np.full(expected, array)
             if array.shape != expected:
                 raise InputError(f"twin: {parameter.name} has shape {array.shape}, expected {expected}")
             array.setflags(write=False)
@@ -88,52 +92,34 @@ class TwinParameters:
         )  # fmt: skip
 
 
-@dataclass(frozen=True, kw_only=True)
-class Parameter:
-    """One row of the table of parameters: what it is and what is believed before any data."""
-
-    name: str
-    unit: str
-    meaning: str
-    nominal: float
-    """prior median, for an arm of `REFERENCE_LOAD` and a joint near the base"""
-    sigma: float
-    """prior standard deviation: of the logarithm if `log`, else in `unit`"""
-    lower: float
-    upper: float
-    log: bool = True
-    """positive quantity, estimated as its logarithm"""
-    per_joint: bool = True
-    wrist: float = 1.0
-    """factor on the nominal value for joints with little inertia"""
-    by_load: bool = False
-    """whether nominal value and bounds grow with the weight of the arm"""
-    by_time: int = 0
-    """their power of the time that motion under gravity takes, which grows with the square root of the reach"""
-    by_speed: bool = False
-    """whether they grow with the arm's speed"""
-
-
 PARAMETERS: tuple[Parameter, ...] = (
     Parameter(name="stiffness", unit="N m/rad", meaning="servo torque per angle between command and joint",
-              nominal=7.0, sigma=0.7, lower=0.5, upper=200.0, wrist=0.8, by_load=True),
-    Parameter(name="damping", unit="N m s/rad", meaning="viscous friction and derivative gain together",
-              nominal=0.25, sigma=0.8, lower=0.005, upper=20.0, wrist=0.6, by_load=True,
-              by_time=1),
-    Parameter(name="coulomb", unit="N m", meaning="dry friction",
-              nominal=0.08, sigma=0.8, lower=0.002, upper=2.0, wrist=0.5, by_load=True),
+              nominal=7.0, sigma=0.7, lower=0.5, upper=200.0, wrist=0.8, by_load=True, scaled=True,
+              # chosen: geometric middle of worn (7) and healthy (35 N m/rad) hobby servos; stiffer within three sigma
+              wide={"nominal": 16.0, "sigma": 0.9, "upper": 1000.0, "wrist": 1.0}),
+    *FRICTION,
     Parameter(name="armature", unit="kg m^2", meaning="inertia of motor and gears at the joint",
-              nominal=0.02, sigma=0.4, lower=0.002, upper=0.1, by_load=True, by_time=2),
+              nominal=0.02, sigma=0.4, lower=0.002, upper=0.1, by_load=True, by_time=2,
+              # measured: 0.01 to 0.03 kg m^2 for geared hobby servos
+              wide={"nominal": 0.015, "sigma": 1.0, "lower": 5e-4, "upper": 1.0}),
     Parameter(name="torque_limit", unit="N m", meaning="largest torque of the servo",
-              nominal=0.92, sigma=0.35, lower=0.05, upper=5.0, wrist=0.5, by_load=True),
+              nominal=0.92, sigma=0.35, lower=0.05, upper=5.0, wrist=0.5, by_load=True,
+              # chosen: twice and more what the arm weighs, or no one would have recorded it moving
+              wide={"nominal": 3.0, "sigma": 0.7, "upper": 50.0, "wrist": 1.0}),
     Parameter(name="offset", unit="rad", meaning="unloaded joint position minus command",
-              nominal=0.0, sigma=0.01, lower=-0.1, upper=0.1, log=False),
+              nominal=0.0, sigma=0.01, lower=-0.1, upper=0.1, log=False, difference=0.005,
+              wide={"sigma": 0.02, "lower": -0.2, "upper": 0.2}),
     Parameter(name="delay", unit="s", meaning="command latency plus age of the answer",
-              nominal=0.025, sigma=0.012, lower=0.0, upper=0.1, log=False, per_joint=False),
+              nominal=0.025, sigma=0.012, lower=0.0, upper=0.1, log=False, difference=0.004, per_joint=False,
+              # chosen: a bus servo answers within a few periods; below zero where a position is read up to a period
+              # of 20 ms later than its row is stamped
+              wide={"nominal": 0.01, "sigma": 0.015, "lower": -0.02, "upper": 0.2}),
     Parameter(name="ramp_speed", unit="rad/s", meaning="speed of the servo's reference",
-              nominal=2.0, sigma=0.25, lower=0.5, upper=20.0, per_joint=False, by_speed=True),
+              nominal=2.0, sigma=0.25, lower=0.5, upper=20.0, per_joint=False, by_speed=True,
+              # chosen: faster than most motions, so that a ramp must show itself in the data
+              wide={"nominal": 8.0, "sigma": 0.7, "upper": 50.0, "by_speed": False}),
 )  # fmt: skip
-"""The table. The order is that of the parameter vector."""
+"""The table. The order is that of the parameter vector. Differences of offset and delay are chosen."""
 
 JOINT_PARAMETERS = tuple(p for p in PARAMETERS if p.per_joint)
 ARM_PARAMETERS = tuple(p for p in PARAMETERS if not p.per_joint)
