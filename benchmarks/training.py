@@ -59,11 +59,11 @@ def main() -> None:
         for _ in range(UPDATES):
             learner.iterate()
         whole.append((time.perf_counter() - start) / UPDATES)
-        tapes = [Tape(crew.task) for crew in learner.crews]
+        tapes = [Tape(worker.task) for worker in learner.workers]
         learner.iterate()
         raw.append(replay(twins, tapes))
-        for crew in learner.crews:
-            del crew.task.simulation.twins.step
+        for worker in learner.workers:
+            del worker.task.simulation.twins.step
     steps = learner.agents * ROLLOUT
     alone, training = float(np.median(raw)), float(np.median(whole))
     print(

@@ -164,7 +164,7 @@ def test_the_law_is_patient_on_such_arms_alone():
     twin = make_twin()
     damped = dataclasses.replace(twin.parameters, damping=4.0 * twin.parameters.damping)
     recipe = know_stiffness(DEFAULT, ARM, dataclasses.replace(twin, parameters=damped))
-    assert recipe.task.law.patience > 0.0
-    assert know_stiffness(DEFAULT, ARM, twin).task.law.patience == 0.0
-    assert know_stiffness(DEFAULT, ARM, None).task.law.patience == 0.0
+    assert recipe.task.law.decay_start > 0.0
+    assert know_stiffness(DEFAULT, ARM, twin).task.law.decay_start == 0.0
+    assert know_stiffness(DEFAULT, ARM, None).task.law.decay_start == 0.0
     assert know_stiffness(PAPER, ARM, dataclasses.replace(twin, parameters=damped)) == PAPER

@@ -10,10 +10,10 @@ from rejoint.control.policy import PolicyController
 from rejoint.control.residual import CommandLaw
 from rejoint.control.robot import JointState
 from rejoint.training.presets import PAPER
+from rejoint.training.privileged import privileged_size
 from rejoint.training.ranges import BroadRanges, PaperRanges
 from rejoint.training.reward import paper_reward, residual_reward
 from rejoint.training.task import ReachTask, TaskSettings
-from rejoint.training.truth import truth_size
 
 ARM = mycobot280()
 
@@ -156,10 +156,10 @@ def test_what_is_prepared_is_what_agents_are_given(monkeypatch):
         transition = task.step(np.zeros((40, 6)))
         ended |= transition.truncated
         now = transition.truncated & leaving
-        newcomers = task._newcomers.rows(task._newcomer[now])
-        np.testing.assert_array_equal(task._sent[now], newcomers.command)
+        states = task._prepared.rows(task._prepared_row[now])
+        np.testing.assert_array_equal(task._sent[now], states.command)
         np.testing.assert_array_equal(
-            task.simulation.twins._batch.expanded("dof_damping")[now], newcomers.draw.twin.damping
+            task.simulation.twins._batch.expanded("dof_damping")[now], states.draw.twin.damping
         )
     np.testing.assert_array_equal(ended, due)
     np.testing.assert_array_equal(task._target[due], target[due])
@@ -197,13 +197,13 @@ def test_same_seed_same_episode_and_state_can_be_restored():
 
 def test_truth_has_the_size_it_claims_and_is_finite():
     task = make(agents=30)
-    _, truth = task.reset()
-    assert truth.shape == (30, truth_size(6))
+    _, privileged = task.reset()
+    assert privileged.shape == (30, privileged_size(6))
     for _ in range(20):
         transition = task.step(np.random.default_rng(0).uniform(-1, 1, (30, 6)))
-    assert np.isfinite(transition.truth).all()
-    assert np.abs(transition.truth).max() < 20.0
-    np.testing.assert_allclose(transition.final_truth[:, 0], 10.0 * transition.distance, rtol=1e-6)
+    assert np.isfinite(transition.privileged).all()
+    assert np.abs(transition.privileged).max() < 20.0
+    np.testing.assert_allclose(transition.final_privileged[:, 0], 10.0 * transition.distance, rtol=1e-6)
 
 
 def test_a_policy_without_actions_already_reaches_most_targets():

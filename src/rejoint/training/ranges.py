@@ -28,11 +28,11 @@ TWIN_SHARE = 0.5
 the arm itself, with 0.5 a little steadier on one whose gears play inside the loop)."""
 
 SLOW_BACKLASH: Interval = (0.0, float(np.radians(1.8)))
-"""[rad] play of arms whose motors cross it slowly (chosen: new servos of this class show about a degree).
+"""[rad] backlash of arms whose motors cross it slowly (chosen: new servos of this class show about a degree).
 
-A motor crosses play in play times damping over spare torque: with the prior's damping within a control period or
-two, with that of an SO-101 in ten. There a policy that has never met it swings by a degree (measured); elsewhere
-training with it gained nothing where there was play in the loop (0.69 and 0.71 mm settled) and cost
+A motor crosses backlash in its width times damping over spare torque: with the prior's damping within a control
+period or two, with that of an SO-101 in ten. There a policy that has never met it swings by a degree (measured);
+elsewhere training with it gained nothing where there was backlash in the loop (0.69 and 0.71 mm settled) and cost
 accuracy where there was none (0.34 and 0.45 mm; one training each)."""
 
 
@@ -83,9 +83,9 @@ class BroadRanges:
     backlash: Interval = (0.0, 0.0)
     """[rad] of arms whose encoders sit behind the gears; see `SLOW_BACKLASH`"""
     backlash_free: float = 0.4
-    """fraction of the arms whose encoders sit before the gears, so that the servos see no play (chosen)"""
+    """fraction of the arms whose encoders sit before the gears, so that the servos see no backlash (chosen)"""
     grease: Interval = (0.02, 0.2)
-    """log-uniform; from a joint that coasts through a degree of play to one that hardly does (chosen)"""
+    """log-uniform; from a joint that coasts through a degree of backlash to one that hardly does (chosen)"""
 
     def draw(self, rng: np.random.Generator, count: int) -> Draw:
         """Draw ``count`` arms."""
@@ -115,7 +115,7 @@ class BroadRanges:
 
     def _draw_backlash(self, rng: np.random.Generator, count: int) -> dict[str, Array]:
         joints, whole = (count, self.arm.joints), (count,)
-        if self.backlash[1] == 0.0:  # nothing is drawn, so that ranges without play stay what they were
+        if self.backlash[1] == 0.0:  # nothing is drawn, so that ranges without backlash stay what they were
             return {"backlash": np.zeros(joints), "grease": np.ones(whole)}
         seen = rng.random((count, 1)) >= self.backlash_free
         return {"backlash": rng.uniform(*self.backlash, joints) * seen, "grease": _log_uniform(rng, self.grease, whole)}

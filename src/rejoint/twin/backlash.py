@@ -22,7 +22,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, link_inertia
-from rejoint.arms.size import weightless
+from rejoint.arms.size import unloaded_joints
 from rejoint.control.robot import Mask
 from rejoint.twin.batch import TwinBatch
 from rejoint.twin.friction import dry_friction
@@ -53,7 +53,7 @@ class Backlash:
     @cached_property
     def _unloaded(self) -> NDArray[np.bool_]:
         """(n,) joints that rest on no flank."""
-        return weightless(self._arm)
+        return unloaded_joints(self._arm)
 
     @cached_property
     def _link(self) -> Array:
