@@ -131,6 +131,19 @@ def test_broad_ranges_reach_out_to_a_twin_of_another_make_and_leave_others_alone
     assert drawn.coulomb.max() > 9.0 * nominal_parameters(ARM).coulomb.max()
 
 
+def test_an_identified_acceleration_is_trained_on_and_changes_nothing_else_of_those_arms():
+    twin = make_twin()
+    limited = dataclasses.replace(twin, acceleration=39.0)
+    free, bound = (draws(IdentifiedRanges(broad=BROAD, twin=t), 500) for t in (twin, limited))
+    assert (free.acceleration == np.inf).all()
+    assert np.log(bound.acceleration).mean() == pytest.approx(np.log(39.0), abs=0.01)
+    assert 0.03 < np.log(bound.acceleration).std() < 0.07
+    np.testing.assert_array_equal(pack(free.twin), pack(bound.twin))
+    np.testing.assert_array_equal(free.period, bound.period)
+    mixed = draws(training_ranges(ARM, limited, DEFAULT))
+    assert abs(np.isfinite(mixed.acceleration).mean() - 0.5) < 0.03  # the broad half limits speeds
+
+
 def test_ranges_follow_from_preset_and_twin():
     twin = make_twin()
     assert isinstance(training_ranges(ARM, None, DEFAULT), BroadRanges)

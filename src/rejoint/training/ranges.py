@@ -19,7 +19,7 @@ from rejoint.arms import Arm, Array
 from rejoint.arms.size import length_size, torque_size
 from rejoint.twin.parameters import PARAMETERS, TwinParameters, nominal_parameters
 from rejoint.twin.simulation import Draw
-from rejoint.twin.twin import Twin
+from rejoint.twin.twin import LEAST_SPREAD, Twin
 
 Interval = tuple[float, float]
 
@@ -169,12 +169,18 @@ class IdentifiedRanges:
             command_delay=share * twins.delay,
             readback_delay=(1.0 - share) * twins.delay,
             stiction=free.stiction,
-            acceleration=free.acceleration,
             gravity_scale=free.gravity_scale,
             period=free.period,
             backlash=free.backlash,
             grease=free.grease,
+            acceleration=self._accelerations(rng, count),
         )
+
+    def _accelerations(self, rng: np.random.Generator, count: int) -> Array:
+        """Limits (count,) [rad/s^2] of the servos' references, spread as `Twin.sample` spreads what it knows."""
+        if self.twin.acceleration == np.inf:  # nothing is drawn: other numbers stay what they were
+            return np.full(count, np.inf)
+        return self.twin.acceleration * np.exp(LEAST_SPREAD * rng.standard_normal(count))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
