@@ -106,3 +106,20 @@ def test_a_joint_at_rest_sticks_where_a_moving_one_slides():
     moved = simulation.twins.qpos[:, 0] - ARM.rest[0]
     assert abs(moved[0]) < 1e-4
     assert moved[1] > 2e-3
+
+
+def test_a_simulation_goes_on_from_its_state_bit_for_bit():
+    start, kinds = np.tile(ARM.rest, (2, 1)), np.array([np.inf, 25.0])
+    draw = dataclasses.replace(Draw.of(TWIN.repeat(2), 1.5), backlash=np.full((2, 6), 0.02), acceleration=kinds)
+    whole, resumed = Simulation(ARM, 2), Simulation(ARM, 2)
+    for simulation in (whole, resumed):
+        simulation.place(draw, start, start)
+    for cycle, row in enumerate(commands()):
+        if cycle == 12:
+            for name, value in resumed.state().items():
+                value[...] = whole.state()[name]
+        for simulation in (whole, resumed) if cycle >= 12 else (whole,):
+            simulation.send(np.tile(row, (2, 1)))
+            simulation.advance(np.full(2, PERIOD))
+    for name, value in resumed.state().items():
+        np.testing.assert_array_equal(value, whole.state()[name])
