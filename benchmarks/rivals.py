@@ -13,13 +13,13 @@ import numpy as np
 
 from benchmarks.learners import ROLLOUT, begin
 from rejoint.arms import mycobot280
-from rejoint.training.motion import SUBSTEPS
 from rejoint.training.presets import DEFAULT
 from rejoint.training.ranges import BroadRanges
 from rejoint.training.task import ReachTask
 from rejoint.training.train import know_stiffness
 from rejoint.twin.model import TCP_SITE, twin_model
 from rejoint.twin.parameters import nominal_parameters
+from rejoint.twin.simulation import SUBSTEPS
 
 ENVIRONMENTS, ROUNDS = 16, 3
 TRANSITIONS = 104 * ENVIRONMENTS

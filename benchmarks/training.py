@@ -6,9 +6,9 @@ import numpy as np
 
 from benchmarks.learners import ROLLOUT, begin
 from rejoint.arms import mycobot280
-from rejoint.training.motion import SUBSTEPS
 from rejoint.training.task import ReachTask
 from rejoint.twin.batch import TwinBatch
+from rejoint.twin.simulation import SUBSTEPS
 
 ROUNDS, UPDATES = 6, 3
 
@@ -20,10 +20,11 @@ class Tape:
     """Records every physics step of some agents: everything where arms are exchanged, else what drives them."""
 
     def __init__(self, task: ReachTask) -> None:
-        self._twins, self._step, self._arms = task.twins, task.twins.step, None
-        self._live = {**task.twins.state(), "ctrl": task.twins.ctrl}
+        twins = task.simulation.twins
+        self._step, self._arms = twins.step, None
+        self._live = {**twins.state(), "ctrl": twins.ctrl}
         self.steps: list[dict[str, np.ndarray]] = []
-        task.twins.step = self._record  # type: ignore[method-assign]
+        twins.step = self._record  # type: ignore[method-assign]
 
     def _record(self, substeps: int = 1, ids: None = None) -> None:
         arms = self._live["dof_armature"].copy()
@@ -58,11 +59,11 @@ def main() -> None:
         for _ in range(UPDATES):
             learner.iterate()
         whole.append((time.perf_counter() - start) / UPDATES)
-        tapes = [Tape(crew.task) for crew in learner.crews]
+        tapes = [Tape(worker.task) for worker in learner.workers]
         learner.iterate()
         raw.append(replay(twins, tapes))
-        for crew in learner.crews:
-            del crew.task.twins.step
+        for worker in learner.workers:
+            del worker.task.simulation.twins.step
     steps = learner.agents * ROLLOUT
     alone, training = float(np.median(raw)), float(np.median(whole))
     print(

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rejoint.arms import gravity_torque, mycobot280, so101, solve_position
-from rejoint.arms.size import heaviest_load, length_size, moves_tool, torque_size, weightless
+from rejoint.arms.size import heaviest_load, length_size, moves_tool, torque_size, unloaded_joints
 
 ARM = mycobot280()
 
@@ -39,8 +39,8 @@ def test_a_finer_grid_finds_what_random_targets_need(arm):
 
 
 def test_bases_and_wrist_rolls_carry_no_weight():
-    np.testing.assert_array_equal(weightless(ARM), [True, False, False, False, True, True])
-    np.testing.assert_array_equal(weightless(so101()), [True, False, False, False, True])
+    np.testing.assert_array_equal(unloaded_joints(ARM), [True, False, False, False, True, True])
+    np.testing.assert_array_equal(unloaded_joints(so101()), [True, False, False, False, True])
 
 
 @pytest.mark.parametrize("arm", [ARM, so101()], ids=lambda arm: arm.name)

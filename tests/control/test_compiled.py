@@ -81,15 +81,22 @@ def test_a_correction_that_is_no_number_stays_visible():
 @given(SEEDS, st.sampled_from([0.0, np.nan]))
 def test_steps_and_actions_are_shaped_as_the_law_says(seed, bad):
     rng = np.random.default_rng(seed)
-    law = CommandLaw(authority_slope=0.4, step_limit=0.1, burden_distance=0.004)
+    law = CommandLaw(authority_slope=0.4, step_limit=0.1, load_penalty_distance=0.004)
     scale = 10.0 ** rng.uniform(-6, 0, (5, 1))
     step, error, action = scale * rng.normal(size=(5, 6)), scale * rng.normal(size=(5, 3)), rng.normal(size=(5, 6))
     step[0, 1], action[1, 2] = bad, bad
     distance, moves, spared = np.linalg.norm(error, axis=-1), np.array([1.0, 1, 1, 1, 1, 0]), rng.uniform(0, 1, 6)
     out = np.empty((2, 5, 6))
-    given = law.authority_floor, law.authority_slope, law.authority_limit, law.step_limit, 0.0005, law.burden_distance
+    given = (
+        law.authority_floor,
+        law.authority_slope,
+        law.authority_limit,
+        law.step_limit,
+        0.0005,
+        law.load_penalty_distance,
+    )
     compiled.weigh(out, step, error, distance, action, moves, spared, *given)
-    near = 1.0 / (1.0 + (distance / law.burden_distance) ** 2)
+    near = 1.0 / (1.0 + (distance / law.load_penalty_distance) ** 2)
     wanted = fade(error, 0.0005) * clip_norm(step, law.step_limit) * (1.0 - near[:, None] * spared)
     np.testing.assert_array_equal(out[0], wanted)
     np.testing.assert_array_equal(out[1], law.authority(step) * moves * np.clip(action, -1.0, 1.0))

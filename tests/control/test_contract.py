@@ -32,7 +32,7 @@ COUNT, CYCLES = 24, 6
 STIFFNESS = (7.0,) * 6
 LAWS = {
     "ours": ("residual", dataclasses.replace(DEFAULT.task.law, stiffness=STIFFNESS)),
-    "ours, patient": ("residual", dataclasses.replace(DEFAULT.task.law, stiffness=STIFFNESS, patience=0.05)),
+    "ours, patient": ("residual", dataclasses.replace(DEFAULT.task.law, stiffness=STIFFNESS, decay_start=0.05)),
     "sent": ("residual", CommandLaw()),
     "sent, free": ("residual", CommandLaw(rest_gain=0.0, envelope_margin=float(np.radians(360.0)))),
     "paper": (PAPER.task.layout, PAPER.task.law),
@@ -199,6 +199,18 @@ def test_policies_of_format_1_are_read_for_arms_that_are_known():
     check_contract(read, ARM)
     assert not accepts(read, dataclasses.replace(ARM, mass=3.0 * ARM.mass))
     assert not accepts(read, dataclasses.replace(ARM, rest=ARM.rest + 0.1))
+
+
+def test_the_law_of_format_2_is_read_by_its_old_names():
+    layout, _ = LAWS["ours"]
+    law = dataclasses.replace(LAWS["ours"][1], load_penalty=3.0, load_penalty_distance=0.002, decay_start=0.7)
+    law = dataclasses.replace(law, decay_power=1.2, decay_step=0.03)
+    new = {"load_penalty": "burden", "decay_start": "patience", "decay_power": "patience_power"}
+    new |= {"load_penalty_distance": "burden_distance", "decay_step": "patience_step"}
+    content = json.loads(encode_contract(contract(law, layout)))
+    content["law"] = {new.get(name, name): value for name, value in content["law"].items()}
+    assert {"burden", "patience"} < set(content["law"])
+    assert decode_contract(json.dumps(content | {"format": 2})).law == law
 
 
 @pytest.mark.parametrize(

@@ -176,7 +176,7 @@ def test_a_network_of_another_size_is_refused(tmp_path):
         ({"lower": tuple((ARM.lower - 0.1).tolist())}, "lower joint limits"),
         ({"upper": tuple(ARM.upper[:5].tolist())}, "upper joint limits"),
         ({"arm_digests": {}}, "another offset, axis, tip"),
-        ({"law": CommandLaw(burden=-1.0, patience=1e300)}, "constants burden, patience"),
+        ({"law": CommandLaw(load_penalty=-1.0, decay_start=1e300)}, "constants load_penalty, decay_start"),
     ],
 )
 def test_policies_for_something_else_are_refused(tmp_path, changes, match):
@@ -202,7 +202,7 @@ def test_contracts_that_cannot_be_read(tmp_path):
     for text, match in (
         ("{", "cannot be read"),
         ("[]", "cannot be read"),
-        (msgspec.json.encode(complete | {"format": 99}).decode(), "format 99, expected 2"),
+        (msgspec.json.encode(complete | {"format": 99}).decode(), "format 99, expected 3"),
         (msgspec.json.encode(complete | {"law": 3}).decode(), "cannot be read"),
         (msgspec.json.encode({k: v for k, v in complete.items() if k != "probe"}).decode(), "cannot be read"),
     ):

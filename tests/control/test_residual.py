@@ -104,24 +104,24 @@ def test_the_stiffness_of_every_servo_is_needed() -> None:
 
 
 def test_joints_without_weight_are_corrected_by_ever_less_and_in_full_when_far() -> None:
-    law = replace(LAW, patience=1.5, patience_power=2.0)
+    law = replace(LAW, decay_start=1.5, decay_power=2.0)
     degree = np.radians(1.0)
     step = degree * np.array([[0.0, 0.0], [0.0, 0.5], [-2.0, 0.0]])
-    calm = law.calm(np.array([3.0, 3.0, 30.0]), step)
+    factor = law.decayed(np.array([3.0, 3.0, 30.0]), step)
     # after twice the time: a quarter; at half of a degree a quarter of the rest comes back; beyond a degree all
-    np.testing.assert_allclose(calm, [[0.25], [0.25 + 0.75 * 0.25], [1.0]])
-    np.testing.assert_allclose(law.calm(np.array([0.0, 1.5]), np.zeros((2, 6))), 1.0)
+    np.testing.assert_allclose(factor, [[0.25], [0.25 + 0.75 * 0.25], [1.0]])
+    np.testing.assert_allclose(law.decayed(np.array([0.0, 1.5]), np.zeros((2, 6))), 1.0)
 
 
-def test_only_those_joints_calm_down_and_only_where_the_law_says_so() -> None:
+def test_only_unloaded_joints_settle_and_only_where_the_law_says_so() -> None:
     rest = np.tile(ARM.rest, (2, 1))
     pushed = {}
-    for law in (LAW, replace(LAW, patience=2.0, patience_power=1.0)):
+    for law in (LAW, replace(LAW, decay_start=2.0, decay_power=1.0)):
         commander = Commander(ARM, law)
         now = situation(rest, tcp_position(ARM, rest))
         commander.reset(now, EVERY)
         late = replace(now, since_target=np.array([1.0, 8.0]))
-        pushed[law.patience] = command(commander, late, np.ones((2, 6)))
+        pushed[law.decay_start] = command(commander, late, np.ones((2, 6)))
     difference = pushed[2.0] - pushed[0.0]
     np.testing.assert_allclose(difference[0], 0.0, atol=1e-12)
     light = [0, 4, 5]  # base and wrist rolls; shoulder, elbow and wrist bend carry weight
@@ -134,11 +134,11 @@ def test_near_the_target_the_heaviest_joint_is_spared(distance: float, near: flo
     rest = np.tile(ARM.rest, (2, 1))
     target = tcp_position(ARM, rest) + np.array([0.6, 0.0, 0.8]) * distance
     moved = {}
-    for law in (LAW, replace(LAW, burden=3.0)):
+    for law in (LAW, replace(LAW, load_penalty=3.0)):
         commander = Commander(ARM, law)
         commander.reset(situation(rest, target), EVERY)
         first, second = (command(commander, situation(rest, target, t), np.zeros((2, 6))) for t in (0.0, 0.02))
-        moved[law.burden] = (second - first)[0]
+        moved[law.load_penalty] = (second - first)[0]
     share = heaviest_load(ARM) / heaviest_load(ARM)[1]  # the shoulder's is the largest
     expected = moved[0.0] * (1.0 - near * (1.0 - 1.0 / (1.0 + 3.0 * share)))
     np.testing.assert_allclose(moved[3.0], expected, rtol=1e-6, atol=1e-12)

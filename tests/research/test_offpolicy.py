@@ -69,7 +69,7 @@ def test_an_untrained_actor_leaves_the_classical_law_alone():
             assert float(actor.network()(torch.randn(100, 10)).abs().max()) < 0.05
 
 
-def test_the_critic_sees_action_and_truth():
+def test_the_critic_sees_action_and_privileged_observation():
     critic = ActionCritic(4, 3, 2, (8,))
     parts = {"observations": torch.zeros(1, 4), "states": torch.zeros(1, 3), "taken_actions": torch.zeros(1, 2)}
     before = critic.compute(parts)[0].item()

@@ -131,6 +131,19 @@ def test_broad_ranges_reach_out_to_a_twin_of_another_make_and_leave_others_alone
     assert drawn.coulomb.max() > 9.0 * nominal_parameters(ARM).coulomb.max()
 
 
+def test_an_identified_acceleration_is_trained_on_and_changes_nothing_else_of_those_arms():
+    twin = make_twin()
+    limited = dataclasses.replace(twin, acceleration=39.0)
+    free, bound = (draws(IdentifiedRanges(broad=BROAD, twin=t), 500) for t in (twin, limited))
+    assert (free.acceleration == np.inf).all()
+    assert np.log(bound.acceleration).mean() == pytest.approx(np.log(39.0), abs=0.01)
+    assert 0.03 < np.log(bound.acceleration).std() < 0.07
+    np.testing.assert_array_equal(pack(free.twin), pack(bound.twin))
+    np.testing.assert_array_equal(free.period, bound.period)
+    mixed = draws(training_ranges(ARM, limited, DEFAULT))
+    assert abs(np.isfinite(mixed.acceleration).mean() - 0.5) < 0.03  # the broad half limits speeds
+
+
 def test_ranges_follow_from_preset_and_twin():
     twin = make_twin()
     assert isinstance(training_ranges(ARM, None, DEFAULT), BroadRanges)
@@ -145,18 +158,18 @@ def test_a_policy_says_which_twin_it_was_trained_on(tmp_path):
     assert load_policy(result.policy, ARM).contract.twin_digest == twin.digest()
 
 
-def test_play_is_met_where_motors_cross_it_slowly():
+def test_backlash_is_met_where_motors_cross_it_slowly():
     twin = make_twin()
     none = draws(BROAD.reaching(twin), 50)
-    assert not none.play.any()
+    assert not none.backlash.any()
     damped = dataclasses.replace(twin.parameters, damping=4.0 * twin.parameters.damping)
     draw = draws(BROAD.reaching(dataclasses.replace(twin, parameters=damped)))
-    seen = draw.play.any(axis=1)
+    seen = draw.backlash.any(axis=1)
     assert abs(seen.mean() - 0.6) < 0.03
-    assert np.degrees(draw.play.max()) == pytest.approx(1.8, abs=0.01)
+    assert np.degrees(draw.backlash.max()) == pytest.approx(1.8, abs=0.01)
     assert 0.02 <= draw.grease.min() < draw.grease.max() <= 0.2
     # what is drawn besides does not depend on it
-    moved = dataclasses.replace(BROAD.reaching(dataclasses.replace(twin, parameters=damped)), play=(0.0, 0.0))
+    moved = dataclasses.replace(BROAD.reaching(dataclasses.replace(twin, parameters=damped)), backlash=(0.0, 0.0))
     np.testing.assert_array_equal(draws(moved).twin.damping, draw.twin.damping)
 
 
@@ -164,7 +177,7 @@ def test_the_law_is_patient_on_such_arms_alone():
     twin = make_twin()
     damped = dataclasses.replace(twin.parameters, damping=4.0 * twin.parameters.damping)
     recipe = know_stiffness(DEFAULT, ARM, dataclasses.replace(twin, parameters=damped))
-    assert recipe.task.law.patience > 0.0
-    assert know_stiffness(DEFAULT, ARM, twin).task.law.patience == 0.0
-    assert know_stiffness(DEFAULT, ARM, None).task.law.patience == 0.0
+    assert recipe.task.law.decay_start > 0.0
+    assert know_stiffness(DEFAULT, ARM, twin).task.law.decay_start == 0.0
+    assert know_stiffness(DEFAULT, ARM, None).task.law.decay_start == 0.0
     assert know_stiffness(PAPER, ARM, dataclasses.replace(twin, parameters=damped)) == PAPER

@@ -10,10 +10,10 @@ from rejoint.control.policy import PolicyController
 from rejoint.control.residual import CommandLaw
 from rejoint.control.robot import JointState
 from rejoint.training.presets import PAPER
+from rejoint.training.privileged import privileged_size
 from rejoint.training.ranges import BroadRanges, PaperRanges
 from rejoint.training.reward import paper_reward, residual_reward
 from rejoint.training.task import ReachTask, TaskSettings
-from rejoint.training.truth import truth_size
 
 ARM = mycobot280()
 
@@ -47,7 +47,7 @@ def test_training_and_deployment_see_and_command_the_same_bit_for_bit(law):
     controller, limits = Scripted(actions, law), GuardLimits.of(ARM).of_simulation()
     sent = task._sent.copy()
     for cycle, action in enumerate(actions):
-        state = JointState(time=task._time.copy(), position=task._measured.copy(), age=np.zeros(6))
+        state = JointState(time=task.simulation.time.copy(), position=task.simulation.measured.copy(), age=np.zeros(6))
         now = Situation(state=state, target=task._target.copy(), sent=sent, since_target=task._since.copy())
         if cycle == 0:
             controller.reset(now, np.ones(6, dtype=bool))
@@ -68,7 +68,7 @@ def test_a_new_target_begins_as_a_deployed_reset_does():
         transition = task.step(np.full((5, 6), 0.3))
         ended = transition.truncated
     controller = Scripted([np.zeros((5, 6))])
-    state = JointState(time=task._time, position=task._measured, age=np.zeros(5))
+    state = JointState(time=task.simulation.time, position=task.simulation.measured, age=np.zeros(5))
     now = Situation(state=state, target=task._target, sent=task._sent, since_target=task._since)
     controller.reset(now, np.ones(5, dtype=bool))
     controller.command(now)
@@ -84,27 +84,27 @@ def test_commands_reach_the_joints_after_the_delay_and_no_earlier():
     delayed = make(agents=2, settings=settings, command_delay=(0.040, 0.040), period=(0.020, 0.020))
     delayed.reset()
     delayed._target[:] = tcp_position(ARM, ARM.rest)
-    still = delayed._reference.copy()
+    still = delayed.simulation.reference.position.copy()
     action = np.ones((2, 6))
     for _ in range(2):  # 40 ms: nothing has arrived yet
         delayed.step(action)
-        np.testing.assert_array_equal(delayed._reference, still)
+        np.testing.assert_array_equal(delayed.simulation.reference.position, still)
     delayed.step(action)
-    assert (np.abs(delayed._reference - still).max(axis=1) > 0.0).all()
+    assert (np.abs(delayed.simulation.reference.position - still).max(axis=1) > 0.0).all()
 
 
 def test_measurements_are_old_and_quantised():
     settings = TaskSettings(hold_steps=10**9, jitter=0.0)
     task = make(agents=3, settings=settings, readback_delay=(0.020, 0.020), period=(0.020, 0.020))
     task.reset()
-    before = task.twins.qpos.copy()
+    before = task.simulation.twins.qpos.copy()
     for _ in range(10):
         task.step(np.full((3, 6), 0.5))
         # Exactly one period old: the positions at the end of the cycle before, in encoder steps.
-        counts = task._measured / ARM.encoder_step
+        counts = task.simulation.measured / ARM.encoder_step
         np.testing.assert_allclose(counts, np.round(counts), atol=1e-9)
-        assert np.abs(task._measured - before).max() <= 0.5 * ARM.encoder_step + 1e-12
-        before = task.twins.qpos.copy()
+        assert np.abs(task.simulation.measured - before).max() <= 0.5 * ARM.encoder_step + 1e-12
+        before = task.simulation.twins.qpos.copy()
 
 
 def test_every_agent_has_its_own_period():
@@ -112,10 +112,10 @@ def test_every_agent_has_its_own_period():
     task.reset()
     periods = []
     for _ in range(30):
-        before = task._time.copy()
+        before = task.simulation.time.copy()
         task.step(np.zeros((200, 6)))
-        np.testing.assert_allclose(task._time - before, task._period)
-        np.testing.assert_allclose(task.twins.timestep * 6, task._period)
+        np.testing.assert_allclose(task.simulation.time - before, task._period)
+        np.testing.assert_allclose(task.simulation.twins.timestep * 6, task._period)
         periods.append(task._period.copy())
     periods = np.array(periods)
     assert periods.min() >= 0.018
@@ -129,10 +129,10 @@ def test_targets_end_as_time_outs_and_arms_are_exchanged_after_three():
     task.reset()
     exchanged = np.zeros(40, dtype=int)
     for _ in range(30):
-        stiffness = task.twins._batch.expanded("actuator_gainprm")[:, 0, 0].copy()
+        stiffness = task.simulation.twins._batch.expanded("actuator_gainprm")[:, 0, 0].copy()
         transition = task.step(np.zeros((40, 6)))
         assert not transition.terminated.any()
-        changed = task.twins._batch.expanded("actuator_gainprm")[:, 0, 0] != stiffness
+        changed = task.simulation.twins._batch.expanded("actuator_gainprm")[:, 0, 0] != stiffness
         assert (transition.truncated | ~changed).all()
         exchanged += changed
     assert (exchanged == 2).all()  # 30 cycles are two episodes of 15, wherever an agent began
@@ -156,9 +156,11 @@ def test_what_is_prepared_is_what_agents_are_given(monkeypatch):
         transition = task.step(np.zeros((40, 6)))
         ended |= transition.truncated
         now = transition.truncated & leaving
-        newcomers = task._newcomers.rows(task._newcomer[now])
-        np.testing.assert_array_equal(task._sent[now], newcomers.command)
-        np.testing.assert_array_equal(task.twins._batch.expanded("dof_damping")[now], newcomers.draw.twin.damping)
+        states = task._prepared.rows(task._prepared_row[now])
+        np.testing.assert_array_equal(task._sent[now], states.command)
+        np.testing.assert_array_equal(
+            task.simulation.twins._batch.expanded("dof_damping")[now], states.draw.twin.damping
+        )
     np.testing.assert_array_equal(ended, due)
     np.testing.assert_array_equal(task._target[due], target[due])
     np.testing.assert_array_equal(task.commander.memory()["goal"][due], goals[due])
@@ -173,26 +175,6 @@ def test_nothing_is_prepared_where_success_ends_a_target():
     before = task.state()["random"]
     task.prepare(1000)
     assert task.state()["random"] == before
-
-
-def test_a_joint_at_rest_sticks_where_a_moving_one_slides():
-    settings = TaskSettings(hold_steps=10**9, jitter=0.0, start_spread=0.0, start_sag=False)
-    quiet = {"gravity_scale": (0.0, 0.0), "offset": 0.0, "frictionless": 0.0, "torque_limit": (9.0, 9.0)}
-    task = make(agents=2, settings=settings, stiffness=(1.0, 1.0), joint_spread=(1.0, 1.0), **quiet)
-    task.reset()
-    # The servo of the base (7 N m/rad) pushes with 0.15 N m: between friction in motion and at rest.
-    task.play._motor[..., 2], task.play._stiction[:] = 0.1, 2.0
-    task._target[:] = task._tcp  # nothing else asks for motion
-    lead = np.zeros((2, 6))
-    lead[:, 0] = 0.15 / 7.0
-    start = task.twins.qpos.copy()
-    task._sent = task._reference = start + lead
-    task.wire.clear(np.ones(2, dtype=bool), task._sent, start)
-    task.twins.qvel[1, 0] = 0.3
-    task._advance()
-    moved = task.twins.qpos[:, 0] - start[:, 0]
-    assert abs(moved[0]) < 1e-4
-    assert moved[1] > 2e-3
 
 
 def test_same_seed_same_episode_and_state_can_be_restored():
@@ -215,13 +197,13 @@ def test_same_seed_same_episode_and_state_can_be_restored():
 
 def test_truth_has_the_size_it_claims_and_is_finite():
     task = make(agents=30)
-    _, truth = task.reset()
-    assert truth.shape == (30, truth_size(6))
+    _, privileged = task.reset()
+    assert privileged.shape == (30, privileged_size(6))
     for _ in range(20):
         transition = task.step(np.random.default_rng(0).uniform(-1, 1, (30, 6)))
-    assert np.isfinite(transition.truth).all()
-    assert np.abs(transition.truth).max() < 20.0
-    np.testing.assert_allclose(transition.final_truth[:, 0], 10.0 * transition.distance, rtol=1e-6)
+    assert np.isfinite(transition.privileged).all()
+    assert np.abs(transition.privileged).max() < 20.0
+    np.testing.assert_allclose(transition.final_privileged[:, 0], 10.0 * transition.distance, rtol=1e-6)
 
 
 def test_a_policy_without_actions_already_reaches_most_targets():
@@ -276,8 +258,10 @@ def test_a_collision_costs_ten_and_ends_the_target_without_ending_the_return():
     task.reset(staggered=False)
     level, down = np.radians([0.0, -90, 0, 0, 0, 0]), np.radians([0.0, -135, 0, 0, 0, 0])
     for agent, posture in ((1, down), (2, level), (4, down)):
-        task.twins.qpos[agent] = task._reference[agent] = task._sent[agent] = task._measured[agent] = posture
-        task.wire.clear(np.arange(6) == agent, posture[None], posture[None])
+        task.simulation.twins.qpos[agent] = task.simulation.reference.position[agent] = task._sent[
+            agent
+        ] = task.simulation.measured[agent] = posture
+        task.simulation.latency.clear(np.arange(6) == agent, posture[None], posture[None])
     task._target[2] = tcp_position(ARM, level) + np.array([0.0, 0.0, 0.05])
     transition = task.step(np.zeros((6, 6)))
     expected = np.isin(np.arange(6), [1, 4])
@@ -287,14 +271,14 @@ def test_a_collision_costs_ten_and_ends_the_target_without_ending_the_return():
     assert (transition.reward[~expected] > -5.0).all()
     assert (transition.final_observation[expected, -2] == 1.0).all()  # the collision buffer of equation 16
     assert (transition.observation[:, -2] == 0.0).all()
-    np.testing.assert_array_equal(task.twins.qpos[expected], np.tile(ARM.rest, (2, 1)))  # initialised
-    assert (np.abs(task.twins.qpos[2] - ARM.rest).max()) > 1.0
+    np.testing.assert_array_equal(task.simulation.twins.qpos[expected], np.tile(ARM.rest, (2, 1)))  # initialised
+    assert (np.abs(task.simulation.twins.qpos[2] - ARM.rest).max()) > 1.0
 
 
 def test_our_task_does_not_look_at_collisions():
     task = make(agents=2, settings=TaskSettings(hold_steps=10**9))
     task.reset()
-    task.twins.qpos[:] = np.radians([0.0, -135, 0, 0, 0, 0])
+    task.simulation.twins.qpos[:] = np.radians([0.0, -135, 0, 0, 0, 0])
     transition = task.step(np.zeros((2, 6)))
     assert not transition.collided.any()
     assert not transition.truncated.any()

@@ -85,7 +85,7 @@ def test_threads_do_not_change_what_the_agents_do():
     assert (one.reward, one.error_mm) == (two.reward, two.error_mm)
 
 
-def test_crews_leave_python_s_switching_as_they_found_it():
+def test_workers_leave_python_s_switching_as_they_found_it():
     before, seen = sys.getswitchinterval(), []
     task = ReachTask(ARM, BroadRanges(arm=ARM), 4, SMALL.task, seed=0)
     learner, step = Learner([task], SMALL.ppo, seed=0), task.step
@@ -188,7 +188,7 @@ def test_torch_multiplies_coarsely_while_it_trains_and_not_a_moment_longer(tmp_p
     assert (torch.get_float32_matmul_precision(), torch.get_num_threads()) == ("highest", 2)
     for hook in hooks:
         hook.remove()
-    learner.crews[0].task.step = lambda _: 1 / 0
+    learner.workers[0].task.step = lambda _: 1 / 0
     with pytest.raises(ZeroDivisionError):
         learner.iterate()
     assert (torch.get_float32_matmul_precision(), torch.get_num_threads()) == ("highest", 2)
@@ -237,12 +237,12 @@ def test_the_density_of_actions_is_that_of_the_noise():
     np.testing.assert_allclose(actions.std(dim=0).numpy(), np.exp(-0.7), rtol=0.05)
 
 
-def test_the_critic_sees_the_truth():
+def test_the_critic_sees_privileged_observations():
     critic = Critic(50, 56, 6, (16,))
-    observations, truth = torch.zeros(1, 50), torch.zeros(1, 56)
-    other = truth.clone()
+    observations, privileged = torch.zeros(1, 50), torch.zeros(1, 56)
+    other = privileged.clone()
     other[0, 7] = 1.0
-    first, second = critic.value(observations, truth), critic.value(observations, other)
+    first, second = critic.value(observations, privileged), critic.value(observations, other)
     assert first.shape == (1,)
     assert first.item() != second.item()
 
@@ -252,8 +252,8 @@ def rollout(cycles, agents, **tensors) -> Rollout:
     shape = (cycles, agents)
     zeros = {name: torch.zeros(shape) for name in ("log_density", "value", "final_value", "reward", "distance")}
     zeros |= {name: torch.zeros(shape, dtype=torch.bool) for name in ("terminated", "truncated")}
-    zeros |= {name: torch.zeros((*shape, 2)) for name in ("observation", "truth", "action")}
-    zeros |= {name: torch.zeros((1, agents, 2)) for name in ("next_observation", "next_truth")}
+    zeros |= {name: torch.zeros((*shape, 2)) for name in ("observation", "privileged", "action")}
+    zeros |= {name: torch.zeros((1, agents, 2)) for name in ("next_observation", "next_privileged")}
     return Rollout(**(zeros | tensors))
 
 
@@ -290,7 +290,7 @@ def test_success_has_no_value_beyond_it():
     np.testing.assert_allclose(returns(seen, 8.0, discount=0.5, gae_lambda=1.0), [[0.0, 2.0], [4.0, 4.0]])
 
 
-def test_agents_of_crews_stand_side_by_side():
+def test_agents_of_workers_stand_side_by_side():
     mark = lambda first: first + 10.0 * torch.arange(3)[:, None] + torch.arange(2)  # noqa: E731 - agent + 10 cycle
     both = join([rollout(3, 2, reward=mark(0.0)), rollout(3, 2, reward=mark(2.0))])
     np.testing.assert_array_equal(both.reward, np.arange(4) + 10.0 * np.arange(3)[:, None])
@@ -299,16 +299,16 @@ def test_agents_of_crews_stand_side_by_side():
 
 def test_time_outs_are_bootstrapped_from_the_state_before_the_new_target():
     learner = small_learner()
-    crew, seen = learner.crews[0], []
-    step = crew.task.step
-    crew.task.step = lambda action: seen.append(step(action)) or seen[-1]
-    rolled = crew.roll(learner.actor, learner.critic, SMALL.ppo.rollout)
+    worker, seen = learner.workers[0], []
+    step = worker.task.step
+    worker.task.step = lambda action: seen.append(step(action)) or seen[-1]
+    rolled = worker.roll(learner.actor, learner.critic, SMALL.ppo.rollout)
     assert rolled.truncated.any()
     assert not rolled.terminated.any()
     for t, n in rolled.truncated.nonzero().tolist():
         with torch.no_grad():
             value = learner.critic.value(
-                *(torch.from_numpy(a[n]) for a in (seen[t].final_observation, seen[t].final_truth))
+                *(torch.from_numpy(a[n]) for a in (seen[t].final_observation, seen[t].final_privileged))
             )
         np.testing.assert_allclose(rolled.final_value[t, n].item(), value.item(), rtol=1e-4)
         assert (seen[t].final_observation[n] != seen[t].observation[n]).any()
@@ -317,17 +317,17 @@ def test_time_outs_are_bootstrapped_from_the_state_before_the_new_target():
 
 def test_a_rollout_holds_what_was_seen_done_and_got():
     learner = small_learner()
-    crew, actions, seen = learner.crews[1], [], []
-    step = crew.task.step
-    first = crew.state()["observation"].clone()
+    worker, actions, seen = learner.workers[1], [], []
+    step = worker.task.step
+    first = worker.state()["observation"].clone()
 
     def watch(action):
         actions.append(action.copy())
         seen.append(step(action))
         return seen[-1]
 
-    crew.task.step = watch
-    rolled = crew.roll(learner.actor, learner.critic, SMALL.ppo.rollout)
+    worker.task.step = watch
+    rolled = worker.roll(learner.actor, learner.critic, SMALL.ppo.rollout)
     np.testing.assert_array_equal(rolled.observation[0], first)
     np.testing.assert_array_equal(rolled.observation[1:], [transition.observation for transition in seen[:-1]])
     np.testing.assert_array_equal(rolled.action, actions)

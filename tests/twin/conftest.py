@@ -5,9 +5,9 @@ import pytest
 
 from rejoint.arms import mycobot280
 from rejoint.logs.runlog import RunLog
-from rejoint.twin.batch import TwinBatch
 from rejoint.twin.parameters import STICTION, TwinParameters
 from rejoint.twin.reference import Reference
+from rejoint.twin.simulation import Draw, Simulation
 
 
 def _commands(arm, rng, seconds):
@@ -36,11 +36,10 @@ def simulate_log(arm, truth, rng, seconds, jitter=0.002):
     reference = Reference(time, command, np.atleast_1d(truth.ramp_speed), command[0])
     grid = time[0] + np.arange(int((time[-1] - time[0]) / timestep) + 2) * timestep
     control = reference.sample(grid, np.atleast_1d(truth.delay))
-    batch = TwinBatch(arm, 1, timestep)
-    batch.write(truth)
-    batch.restart(command[:1])
-    batch.rollout(np.repeat(control[:, :1], 400, axis=1), STICTION)
-    path = np.vstack([batch.qpos.copy(), batch.rollout(control, STICTION)[0]])
+    simulation = Simulation(arm, 1, timestep=timestep)
+    simulation.place(Draw.of(truth.repeat(1), STICTION), command[:1], command[:1])
+    simulation.rollout(np.repeat(control[:, :1], 400, axis=1))
+    path = np.vstack([simulation.twins.qpos.copy(), simulation.rollout(control)[0]])
     clock = time[0] + np.arange(len(path)) * timestep
     read = np.clip(time + rng.uniform(-jitter, jitter, len(time)), clock[0], clock[-1])
     position = np.stack([np.interp(read, clock, column) for column in path.T], axis=1)

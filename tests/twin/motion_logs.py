@@ -4,11 +4,10 @@ import numpy as np
 
 from rejoint.arms import so101
 from rejoint.logs.runlog import RunLog
-from rejoint.twin.batch import TwinBatch
-from rejoint.twin.model import stribeck_friction
 from rejoint.twin.parameters import TwinParameters
 from rejoint.twin.profile import Profile
 from rejoint.twin.reference import Reference
+from rejoint.twin.simulation import Draw, Simulation
 
 ARM = so101()
 STEP, PERIOD = 0.005, 0.02
@@ -47,25 +46,19 @@ def chirp(seed, seconds, highest=3.6, size=0.13, centre=(0.0, -0.4, 0.2, 0.3, 0.
 
 def record(label, time, command, truth=TRUTH, stiction=1.25, table=None, acceleration=np.inf):
     """Run log of the arm whose twin is ``truth`` under commands that are in force from each row on."""
-    batch = TwinBatch(ARM, 1, STEP, table=table is not None)
-    batch.write(truth)
+    arm = Simulation(ARM, 1, timestep=STEP, table=table is not None)
+    arm.place(Draw.of(truth.repeat(1), stiction), command[:1], command[:1])
     if table is not None:
-        batch.put_tables([table])
-    batch.restart(command[:1])
+        arm.twins.put_tables([table])
     reference = Reference(time, command, np.atleast_1d(truth.ramp_speed), command[0])
     if acceleration < np.inf:
         reference = Profile(time, command, acceleration)
     grid = np.arange(int((time[-1] - time[0]) / STEP) + 2) * STEP + time[0]
     control = reference.sample(grid, np.atleast_1d(truth.delay))[0]
-    batch.rollout(np.tile(control[:1], (1, 400, 1)).reshape(1, 400, -1), stiction)
-    path = [batch.qpos[0].copy()]
-    for row in control:
-        batch.ctrl[:] = row
-        batch.set_friction(stribeck_friction(truth.coulomb, stiction, batch.qvel))
-        batch.step()
-        path.append(batch.qpos[0].copy())
+    arm.rollout(np.tile(control[:1], (1, 400, 1)))
+    path = np.vstack([arm.twins.qpos.copy(), arm.rollout(control[None])[0]])
     clock = time[0] + np.arange(len(path)) * STEP
-    position = np.stack([np.interp(time, clock, column) for column in np.array(path).T], axis=1)
+    position = np.stack([np.interp(time, clock, column) for column in path.T], axis=1)
     position = np.round(position / ARM.encoder_step) * ARM.encoder_step
     return as_log(label, time, position, command)
 

@@ -2,12 +2,12 @@
 
 import mujoco
 import numpy as np
-import pytest
 
 from rejoint.arms import gravity_torque
 from rejoint.twin.batch import TwinBatch
-from rejoint.twin.model import STRIBECK_SPEED, stribeck_friction, twin_model
+from rejoint.twin.model import twin_model
 from rejoint.twin.parameters import PARAMETERS, healthy_parameters, nominal_parameters, prior, unpack, vector_names
+from rejoint.twin.simulation import Draw, Simulation
 
 
 def changed(arm, **values):
@@ -84,22 +84,15 @@ def test_energy_is_kept_without_friction_and_only_lost_with_it(arm):
     assert rubbing[0] - rubbing[-1] > 10 * np.ptp(free)
 
 
-def test_stribeck_friction_falls_from_rest_to_motion():
-    assert stribeck_friction(np.array(0.1), 1.5, np.array(0.0)) == pytest.approx(0.15)
-    assert stribeck_friction(np.array(0.1), 1.5, np.array(STRIBECK_SPEED)) == pytest.approx(0.1 + 0.05 / np.e)
-    assert stribeck_friction(np.array(0.1), 1.5, np.array(-1.0)) == pytest.approx(0.1)
-
-
 def test_a_joint_at_rest_sticks_under_a_load_that_a_moving_one_yields_to(arm):
     parameters = changed(arm, coulomb=0.1, stiffness=5.0, damping=0.2, torque_limit=5.0)
     lead = np.zeros(6)
     lead[5] = 0.12 / 5.0  # 0.12 N m on the joint that gravity does not load: between 0.10 and 0.15
     moved = []
     for stiction in (1.0, 1.5):
-        batch = TwinBatch(arm, 1)
-        batch.write(parameters)
-        batch.restart(arm.rest[None])
-        moved.append(np.abs(batch.rollout(np.tile(arm.rest + lead, (1, 100, 1)), stiction)[0, -1, 5] - arm.rest[5]))
+        simulation = Simulation(arm, 1)
+        simulation.place(Draw.of(parameters.repeat(1), stiction), arm.rest[None], arm.rest[None])
+        moved.append(np.abs(simulation.rollout(np.tile(arm.rest + lead, (1, 100, 1)))[0, -1, 5] - arm.rest[5]))
     assert moved[0] > 1e-3
     assert moved[1] < 1e-5
 

@@ -17,7 +17,7 @@ from rejoint.arms.kinematics import gravity_torque, position_kinematics
 from rejoint.arms.mycobot280 import mycobot280
 from rejoint.arms.workspace import reach
 
-WEIGHTLESS = 0.03
+UNLOADED = 0.03
 """A joint whose load is nowhere above this share of the largest joint's carries no weight (chosen: less than the
 friction of worn gears; bases and wrist rolls have 0 to 0.3 %, the first wrist of a UR5e 2.5 %, what bends a myCobot 280
 or an SO-101 10 % and more, measured)"""
@@ -44,10 +44,10 @@ def _postures(arm: Arm, per_edge: int) -> Array:
 
 
 @lru_cache(maxsize=32)
-def weightless(arm: Arm) -> NDArray[np.bool_]:
+def unloaded_joints(arm: Arm) -> NDArray[np.bool_]:
     """Tell which joints (n,) carry no weight anywhere in the region of targets, and so rest on no flank of a gear."""
     load = heaviest_load(arm)
-    mask: NDArray[np.bool_] = load < WEIGHTLESS * load.max()
+    mask: NDArray[np.bool_] = load < UNLOADED * load.max()
     mask.setflags(write=False)
     return mask
 

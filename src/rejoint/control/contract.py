@@ -20,8 +20,15 @@ from rejoint.control.observation import Layout, Slot, layout_slots
 from rejoint.control.residual import CommandLaw
 from rejoint.system.errors import ContractError, first_line
 
-FORMAT = 2
-"""Version of the contract. A reader refuses others, but for policies of format 1 for arms of the catalogue of then."""
+FORMAT = 3
+"""Version of the contract. A reader refuses others, but for format 2, whose law has other names, and policies of
+format 1 for arms of the catalogue of then."""
+
+_RENAMED = {
+    "burden": "load_penalty", "burden_distance": "load_penalty_distance", "patience": "decay_start",
+    "patience_power": "decay_power", "patience_step": "decay_step",
+}  # fmt: skip
+"""Constants of the law by their names before format 3"""
 
 METADATA_KEY, DIGEST_KEY = "rejoint.contract", "rejoint.digest"
 """Of the contract, and of the digest over contract and network (`rejoint.control.onnxfile.content_digest`), by which a
@@ -147,7 +154,7 @@ def encode_contract(contract: PolicyContract) -> str:
 
 
 def decode_contract(text: str) -> PolicyContract:
-    """Read what `encode_contract` wrote, now or in format 1; ContractError if it is something else."""
+    """Read what `encode_contract` wrote, now or in formats 1 and 2; ContractError if it is something else."""
     if len(text) > LARGEST_TEXT:
         raise ContractError(f"the policy's contract has {len(text)} characters, expected at most {LARGEST_TEXT}")
     try:
@@ -155,10 +162,12 @@ def decode_contract(text: str) -> PolicyContract:
         version = content.get("format")
         if version == 1:
             content |= {"arm_digests": arm_of_format_1(content.get("arm"), content.get("arm_digest"))}
-        elif version != FORMAT:
+        elif version not in (2, FORMAT):
             raise ContractError(
                 f"the policy's contract has format {shown(repr(version))}, expected {FORMAT}; train it again"
             )
+        if version != FORMAT and isinstance(content.get("law"), dict):
+            content["law"] = {_RENAMED.get(name, name): value for name, value in content["law"].items()}
         return msgspec.convert(content, type=PolicyContract)
     except (msgspec.MsgspecError, UnicodeError, RecursionError) as error:
         reason = shown(first_line(error))

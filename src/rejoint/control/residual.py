@@ -21,7 +21,7 @@ from typing import Literal
 import numpy as np
 
 from rejoint.arms import Arm, Array, clip_norm, solve_position
-from rejoint.arms.size import heaviest_load, moves_tool, weightless
+from rejoint.arms.size import heaviest_load, moves_tool, unloaded_joints
 from rejoint.control.controller import Situation
 from rejoint.control.feedforward import FeedforwardController, FeedforwardGains
 from rejoint.control.law import GAIN, STEP_LIMIT, between, limit_lead, limit_position, plain
@@ -63,19 +63,19 @@ class CommandLaw:
     rest_distance: float = 0.01
     """[m] TCP distance below which that pull fades, so that it does not disturb a settled arm"""
 
-    burden: float = 0.0
+    load_penalty: float = 0.0
     """by which the anchor ``goal`` spares joints that carry weight, near the target: the one with the largest load is
-    moved 1 + burden times less there. Load rubs: such a joint breaks loose late, jumps over the target and does
+    moved by 1 + this times less there. Load rubs: such a joint breaks loose late, jumps over the target and does
     so for ever, where lighter ones can do its work"""
-    burden_distance: float = 0.003
+    load_penalty_distance: float = 0.003
     """[m] TCP distance at which half of that holds (chosen: what such a jump covers)"""
-    patience: float = 0.0
+    decay_start: float = 0.0
     """[s] since the target was set after which the anchor ``goal`` corrects joints that carry no weight by ever less,
     as a power of the time; 0: never. In the play of its gear such a joint answers late and coasts on, and what ends
     its swinging is a gain that falls (after Robbins and Monro 1951)"""
-    patience_power: float = 1.5
+    decay_power: float = 1.5
     """of that fall (chosen: with 1 some joints still swing after 8 s, with 2 more stop short)"""
-    patience_step: float = float(np.radians(1.0))
+    decay_step: float = float(np.radians(1.0))
     """[rad] largest element of the damped least-squares step from which on corrections are in full again"""
 
     envelope_margin: float = float(np.radians(35.0))
@@ -87,14 +87,14 @@ class CommandLaw:
         largest = np.maximum.reduce(np.abs(step), axis=-1, keepdims=True)
         return np.minimum(self.authority_floor + self.authority_slope * largest, self.authority_limit)
 
-    def calm(self, since_target: Array, step: Array) -> Array:
-        """Factor (B, 1) on the corrections of weightless joints, (B,) [s] after the target was set.
+    def decayed(self, since_target: Array, step: Array) -> Array:
+        """Factor (B, 1) on the corrections of unloaded joints, (B,) [s] after the target was set.
 
         ``step`` (B, n) [rad] is the damped least-squares step.
         """
-        late = (self.patience / np.maximum(since_target, self.patience)[:, None]) ** self.patience_power
+        late = (self.decay_start / np.maximum(since_target, self.decay_start)[:, None]) ** self.decay_power
         largest = np.abs(step).max(axis=-1, keepdims=True)
-        return late + (1.0 - late) * np.minimum(largest / self.patience_step, 1.0) ** 2
+        return late + (1.0 - late) * np.minimum(largest / self.decay_step, 1.0) ** 2
 
     def command(self, arm: Arm, view: View, position: Array, sent: Array, action: Array) -> Array:
         """Return the wanted joint positions (B, n) [rad] of the anchors ``sent`` and ``measured``.
@@ -121,7 +121,7 @@ class Commander:
         self._base: FeedforwardController | None = None
         load = heaviest_load(arm)
         self._moves = moves_tool(arm).astype(float)
-        self._spared = 1.0 - 1.0 / (1.0 + law.burden * load / max(load.max(), 1e-9))
+        self._spared = 1.0 - 1.0 / (1.0 + law.load_penalty * load / max(load.max(), 1e-9))
         if law.anchor == "goal":
             if len(law.stiffness) != arm.joints:
                 raise InputError(f"the law needs the stiffness of {arm.joints} servos, got {list(law.stiffness)}")
@@ -151,11 +151,11 @@ class Commander:
         compiled.weigh(
             out, plain(view.step), plain(view.error), plain(view.distance), plain(action), self._moves,
             self._spared, law.authority_floor, law.authority_slope, law.authority_limit,
-            law.step_limit, law.learning.fade, law.burden_distance,
+            law.step_limit, law.learning.fade, law.load_penalty_distance,
         )  # fmt: skip
-        if law.patience > 0.0:
-            calm = np.where(weightless(self._arm), law.calm(situation.since_target, view.step), 1.0)
-            step, extra = calm * step, calm * extra
+        if law.decay_start > 0.0:
+            factor = np.where(unloaded_joints(self._arm), law.decayed(situation.since_target, view.step), 1.0)
+            step, extra = factor * step, factor * extra
         wanted = self._base.correct(situation, step, extra)
         lower, upper = working_envelope(self._arm, law.envelope_margin)
         return between(wanted, lower, upper)

@@ -1,8 +1,8 @@
 """SAC, TD3 and DDPG on the very task that PPO learns: skrl's algorithms, our task, networks and export.
 
 Soft actor-critic (Haarnoja et al. 2018, arXiv:1812.05905), twin delayed DDPG (Fujimoto et al. 2018,
-arXiv:1802.09477) and DDPG (Lillicrap et al. 2016, arXiv:1509.02971). As in PPO's training the critics see the
-twin's truth besides the observation, time-outs are bootstrapped, and the untrained policy is the classical law.
+arXiv:1802.09477) and DDPG (Lillicrap et al. 2016, arXiv:1509.02971). As in PPO's training the critics see a
+privileged observation as well, time-outs are bootstrapped, and the untrained policy is the classical law.
 """
 
 from __future__ import annotations
@@ -97,7 +97,7 @@ class OffPolicyLearner:
         self.agent.enable_training_mode(True)
         self.curve: list[CurvePoint] = []
         self._cycle = 0
-        self._observation, self._truth = (torch.from_numpy(array) for array in task.reset())
+        self._observation, self._privileged = (torch.from_numpy(array) for array in task.reset())
 
     @property
     def cycle(self) -> int:
@@ -136,19 +136,22 @@ class OffPolicyLearner:
 
     def _interact(self) -> Transition:
         clock = {"timestep": self._cycle, "timesteps": self.settings.cycles}
-        observation, truth = self._observation, self._truth
+        observation, privileged = self._observation, self._privileged
         with torch.no_grad():
-            action, _ = self.agent.act(observation, truth, **clock)
+            action, _ = self.agent.act(observation, privileged, **clock)
             transition = self.task.step(action.numpy())
             scaled = (self.settings.preset.ppo.reward_scale * transition.reward).astype(np.float32)
             self.agent.record_transition(
-                observations=observation, states=truth, actions=action, rewards=torch.from_numpy(scaled)[:, None],
+                observations=observation, states=privileged, actions=action, rewards=torch.from_numpy(scaled)[:, None],
                 next_observations=torch.from_numpy(transition.final_observation),
-                next_states=torch.from_numpy(transition.final_truth),
+                next_states=torch.from_numpy(transition.final_privileged),
                 terminated=torch.from_numpy(transition.terminated)[:, None],
                 truncated=torch.from_numpy(transition.truncated)[:, None], infos={}, **clock,
             )  # fmt: skip
-        self._observation, self._truth = torch.from_numpy(transition.observation), torch.from_numpy(transition.truth)
+        self._observation, self._privileged = (
+            torch.from_numpy(transition.observation),
+            torch.from_numpy(transition.privileged),
+        )
         self.agent.post_interaction(**clock)
         self._cycle += 1
         return transition
@@ -199,7 +202,7 @@ def noise_at(settings: OffPolicySettings, cycle: int) -> float:
 
 
 def _make_agent(task: ReachTask, settings: OffPolicySettings) -> Agent:
-    n, size, truth = task.arm.joints, task.observer.size, task.truth_size
+    n, size, privileged = task.arm.joints, task.observer.size, task.privileged_size
     ppo, kind = settings.preset.ppo, settings.algorithm
     actor: Model = (SquashedActor if kind == "sac" else BoundedActor)(size, n, ppo.actor_layers)
     critics = 1 if kind == "ddpg" else 2
@@ -207,14 +210,14 @@ def _make_agent(task: ReachTask, settings: OffPolicySettings) -> Agent:
     models: dict[str, Model] = {"policy": actor}
     for suffix in suffixes:
         for role in ("critic", "target_critic"):
-            models[f"{role}{suffix}"] = ActionCritic(size, truth, n, ppo.critic_layers)
+            models[f"{role}{suffix}"] = ActionCritic(size, privileged, n, ppo.critic_layers)
     if kind != "sac":
         models["target_policy"] = BoundedActor(size, n, ppo.actor_layers)
     algorithm = {"sac": SAC, "td3": TD3, "ddpg": DDPG}[kind]
     return algorithm(
         models=models,
         memory=RandomMemory(memory_size=settings.memory, num_envs=task.agents, device="cpu"),
-        observation_space=unbounded(size), state_space=unbounded(truth), action_space=bounded(n), device="cpu",
+        observation_space=unbounded(size), state_space=unbounded(privileged), action_space=bounded(n), device="cpu",
         cfg=_configuration(settings),
     )  # fmt: skip
 

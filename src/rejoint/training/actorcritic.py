@@ -79,15 +79,15 @@ class SquashedActor(Model):  # type: ignore[misc]
 
 
 class ActionCritic(DeterministicMixin, Model):  # type: ignore[misc]
-    """Value of an action, an observation and the twin's truth together."""
+    """Value of an action, an observation and a privileged observation together."""
 
-    def __init__(self, observation_size: int, truth_size: int, joints: int, layers: Sequence[int]) -> None:
+    def __init__(self, observation_size: int, privileged_size: int, joints: int, layers: Sequence[int]) -> None:
         Model.__init__(
-            self, observation_space=unbounded(observation_size), state_space=unbounded(truth_size),
+            self, observation_space=unbounded(observation_size), state_space=unbounded(privileged_size),
             action_space=bounded(joints), device="cpu",
         )  # fmt: skip
         DeterministicMixin.__init__(self)
-        self.net = perceptron((observation_size + truth_size + joints, *layers, 1))
+        self.net = perceptron((observation_size + privileged_size + joints, *layers, 1))
 
     def compute(self, inputs: dict[str, Tensor], role: str = "") -> tuple[Tensor, dict[str, Any]]:  # noqa: ARG002
         """Values (N, 1), as skrl asks for them."""

@@ -1,4 +1,4 @@
-"""The training as a loop: crews of agents act, skrl's PPO learns, and it can be interrupted after every update."""
+"""The training as a loop: rollout workers act, skrl's PPO learns, and it can be interrupted after every update."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ import torch
 from rejoint.system.errors import FileError, first_line
 from rejoint.system.files import MEGABYTE, digest, read_bounded, write_whole
 from rejoint.training.arithmetic import PRECISION, on_threads, products
-from rejoint.training.crew import Crew
 from rejoint.training.networks import Actor, Critic
 from rejoint.training.ppo import Losses, Ppo, Rollout, join
 from rejoint.training.presets import PpoSettings
 from rejoint.training.task import ReachTask
+from rejoint.training.worker import RolloutWorker
 
 REACHED_DISTANCE = 0.010
 """[m] a target counts as reached below this distance at its end; Park et al. 2024, section IV-A."""
 
 SWITCH_INTERVAL = 1e-4
-"""[s] after which a crew that waits for Python's lock gets it (chosen: about what Python does between two physics
-steps; with its default of 5 ms a crew whose step is done waits for all that the other one computes)"""
+"""[s] after which a worker that waits for Python's lock gets it (chosen: about what Python does between two physics
+steps; with its default of 5 ms a worker whose step is done waits for all that the other one computes)"""
 
-_CHECKPOINT_FORMAT = 4
+_CHECKPOINT_FORMAT = 5
 
 _MAGIC = b"rejoint checkpoint "
 _RESTART = "delete it, or train with --restart"
@@ -67,14 +67,14 @@ class Learner:
     """Networks, algorithm and agents of one training."""
 
     def __init__(self, tasks: Sequence[ReachTask], settings: PpoSettings, *, seed: int, threads: int = 1) -> None:
-        """Take the task of each crew; ``threads`` of them act at the same time, and as many threads learn."""
+        """Take the task of each worker; ``threads`` of them act at the same time, and as many threads learn."""
         torch.manual_seed(seed)
         size, self.threads = tasks[0].observer.size, threads
         self.settings, self.agents = settings, sum(task.agents for task in tasks)
         self.ends_on_success = tasks[0].settings.ends_on_success
         self.actor = Actor(size, tasks[0].arm.joints, settings.actor_layers, settings.log_std)
-        self.critic = Critic(size, tasks[0].truth_size, tasks[0].arm.joints, settings.critic_layers)
-        self.crews = [Crew(task, seed=len(tasks) * seed + k) for k, task in enumerate(tasks)]
+        self.critic = Critic(size, tasks[0].privileged_size, tasks[0].arm.joints, settings.critic_layers)
+        self.workers = [RolloutWorker(task, seed=len(tasks) * seed + k) for k, task in enumerate(tasks)]
         self.ppo = Ppo(self.actor, self.critic, settings, agents=self.agents)
         self.curve: list[CurvePoint] = []
 
@@ -97,10 +97,13 @@ class Learner:
         return point
 
     def _roll(self) -> Rollout:
-        """Let all crews act, each on one thread; torch's number of threads is each thread's own."""
-        workers = ThreadPoolExecutor(self.threads, initializer=partial(torch.set_num_threads, 1))
-        with workers, _switching(SWITCH_INTERVAL):
-            rolled = workers.map(lambda crew: crew.roll(self.actor, self.critic, self.settings.rollout), self.crews)
+        """Let all workers act, each on one thread; torch's number of threads is each thread's own."""
+        pool, cycles = (
+            ThreadPoolExecutor(self.threads, initializer=partial(torch.set_num_threads, 1)),
+            self.settings.rollout,
+        )
+        with pool, _switching(SWITCH_INTERVAL):
+            rolled = pool.map(lambda worker: worker.roll(self.actor, self.critic, cycles), self.workers)
             return join(list(rolled))
 
     def save(self, path: Path, identity: dict[str, Any]) -> None:
@@ -110,7 +113,7 @@ class Learner:
             "identity": identity,
             "modules": {name: module.state_dict() for name, module in self._modules().items()},
             "random": torch.get_rng_state(),
-            "crews": [_tensors(crew.state()) for crew in self.crews],
+            "workers": [_tensors(worker.state()) for worker in self.workers],
             "curve": [asdict(point) for point in self.curve],
         }
         write_whole(path, lambda temporary: _save(content, temporary))
@@ -127,8 +130,8 @@ class Learner:
             for name, module in self._modules().items():
                 module.load_state_dict(content["modules"][name])
             torch.set_rng_state(content["random"])
-            for crew, state in zip(self.crews, content["crews"], strict=True):
-                crew.load_state(state | {"task": _arrays(state["task"])})
+            for worker, state in zip(self.workers, content["workers"], strict=True):
+                worker.load_state(state | {"task": _arrays(state["task"])})
             self.curve = [CurvePoint(**point) for point in content["curve"]]
         except (OSError, LookupError, RuntimeError, TypeError, ValueError, AttributeError, EOFError,
                 pickle.UnpicklingError) as error:  # fmt: skip

@@ -74,21 +74,21 @@ class Actor(Model):  # type: ignore[misc]
 
 
 class Critic(DeterministicMixin, Model):  # type: ignore[misc]
-    """Value of an observation together with the twin's truth."""
+    """Value of an observation together with a privileged observation."""
 
-    def __init__(self, observation_size: int, truth_size: int, joints: int, layers: Sequence[int]) -> None:
+    def __init__(self, observation_size: int, privileged_size: int, joints: int, layers: Sequence[int]) -> None:
         spaces = {"observation_space": unbounded(observation_size), "action_space": unbounded(joints)}
-        Model.__init__(self, **spaces, state_space=unbounded(truth_size), device="cpu")
+        Model.__init__(self, **spaces, state_space=unbounded(privileged_size), device="cpu")
         DeterministicMixin.__init__(self)
-        self.net = perceptron((observation_size + truth_size, *layers, 1))
+        self.net = perceptron((observation_size + privileged_size, *layers, 1))
 
     def compute(self, inputs: dict[str, Tensor], role: str = "") -> tuple[Tensor, dict[str, Any]]:  # noqa: ARG002
         """Values (..., 1), as skrl asks for them."""
         return self.net(torch.cat([inputs["observations"], inputs["states"]], dim=-1)), {}
 
-    def value(self, observation: Tensor, truth: Tensor) -> Tensor:
+    def value(self, observation: Tensor, privileged: Tensor) -> Tensor:
         """Values (...); several threads may ask at the same time."""
-        values: Tensor = self.compute({"observations": observation, "states": truth})[0][..., 0]
+        values: Tensor = self.compute({"observations": observation, "states": privileged})[0][..., 0]
         return values
 
 

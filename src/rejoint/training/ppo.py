@@ -1,6 +1,6 @@
 """Proximal policy optimisation (Schulman et al. 2017, arXiv:1707.06347) by skrl, from whole rollouts.
 
-skrl's agent acts and records cycle by cycle, all agents in one. Here crews of agents do so at the same time, each with
+skrl's agent acts and records cycle by cycle, all agents in one. Here rollout workers do so at the same time, each with
 its own random numbers; what they did is put into skrl's memory at once, and skrl learns from it.
 """
 
@@ -26,7 +26,7 @@ class Rollout:
     """T control cycles of N agents; tensors have the leading shape (T, N) where nothing else is said."""
 
     observation: Tensor
-    truth: Tensor
+    privileged: Tensor
     action: Tensor
     log_density: Tensor
     """logarithm of the density of the action when it was taken"""
@@ -35,7 +35,7 @@ class Rollout:
     """value of the state in which a target timed out, before the next one appeared; 0 elsewhere"""
     next_observation: Tensor
     """(1, N, size) after the last cycle"""
-    next_truth: Tensor
+    next_privileged: Tensor
     """(1, N, size)"""
     reward: Tensor
     terminated: Tensor
@@ -93,7 +93,7 @@ class Ppo(PPO):  # type: ignore[misc]
     def learn(self, rollout: Rollout, learning_rate: float, *, iteration: int) -> Losses:
         """Improve both networks by one rollout, whose ``iteration``-th update this is."""
         columns = {
-            "observations": rollout.observation, "states": rollout.truth, "actions": rollout.action,
+            "observations": rollout.observation, "states": rollout.privileged, "actions": rollout.action,
             "log_prob": rollout.log_density[..., None], "values": rollout.value[..., None],
             "rewards": self._rewards(rollout)[..., None],
             "terminated": rollout.terminated[..., None], "truncated": rollout.truncated[..., None],
@@ -102,7 +102,7 @@ class Ppo(PPO):  # type: ignore[misc]
             self.memory.set_tensor_by_name(name, column)
         self.memory.filled = True
         self._current_next_observations = rollout.next_observation[0]
-        self._current_next_states = rollout.next_truth[0]
+        self._current_next_states = rollout.next_privileged[0]
         self.optimizer.param_groups[0]["lr"] = learning_rate
         self.enable_models_training_mode(True)
         self.update(timestep=iteration, timesteps=self.settings.iterations)

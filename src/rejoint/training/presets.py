@@ -69,12 +69,12 @@ FADE = 0.0005
 """[m] distance at which the steps of the law under our policy have faded to half (chosen: the feed-forward controller's
 own leaves too little to it, with none arms hunt at a control period of 50 ms)"""
 
-BURDEN = 3.0
+LOAD_PENALTY = 3.0
 """How far the law under our policy spares joints with weight (chosen: with it fewer holds settle above 1 mm)"""
 
 DEFAULT = Preset(
     name="default",
-    task=TaskSettings(law=CommandLaw(anchor="goal", learning=FeedforwardGains(fade=FADE), burden=BURDEN)),
+    task=TaskSettings(law=CommandLaw(anchor="goal", learning=FeedforwardGains(fade=FADE), load_penalty=LOAD_PENALTY)),
 )
 
 PAPER = Preset(

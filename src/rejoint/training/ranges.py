@@ -14,12 +14,12 @@ from dataclasses import dataclass, fields, replace
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array
 from rejoint.arms.size import length_size, torque_size
 from rejoint.twin.parameters import PARAMETERS, TwinParameters, nominal_parameters
-from rejoint.twin.twin import Twin
+from rejoint.twin.simulation import Draw
+from rejoint.twin.twin import LEAST_SPREAD, Twin
 
 Interval = tuple[float, float]
 
@@ -27,39 +27,13 @@ TWIN_SHARE = 0.5
 """Fraction of the arms that are drawn around the identified twin (chosen: with 0.8 the policy is a little faster on
 the arm itself, with 0.5 a little steadier on one whose gears play inside the loop)."""
 
-SLOW_PLAY: Interval = (0.0, float(np.radians(1.8)))
-"""[rad] play of arms whose motors cross it slowly (chosen: new servos of this class show about a degree).
+SLOW_BACKLASH: Interval = (0.0, float(np.radians(1.8)))
+"""[rad] backlash of arms whose motors cross it slowly (chosen: new servos of this class show about a degree).
 
-A motor crosses play in play times damping over spare torque: with the prior's damping within a control period or
-two, with that of an SO-101 in ten. There a policy that has never met it swings by a degree (measured); elsewhere
-training with it gained nothing where there was play in the loop (0.69 and 0.71 mm settled) and cost
+A motor crosses backlash in its width times damping over spare torque: with the prior's damping within a control
+period or two, with that of an SO-101 in ten. There a policy that has never met it swings by a degree (measured);
+elsewhere training with it gained nothing where there was backlash in the loop (0.69 and 0.71 mm settled) and cost
 accuracy where there was none (0.34 and 0.45 mm; one training each)."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Draw:
-    """N arms to train on."""
-
-    twin: TwinParameters
-    """parameters with the leading shape (N,)"""
-    command_delay: Array
-    """(N,) [s] from sending a command to its arrival"""
-    readback_delay: Array
-    """(N,) [s] age of a measured position when it arrives"""
-    stiction: Array
-    """(N, n) friction of a joint at rest over that of a moving one"""
-    gravity_scale: Array
-    """(N,) factor on gravity: unknown masses and payload"""
-    period: Array
-    """(N,) [s] middle of the control periods"""
-    play: Array
-    """(N, n) [rad] free motion of the gears inside the servo loop"""
-    grease: Array
-    """(N,) damping of a joint inside that play by that of its motor"""
-
-    def rows(self, index: NDArray[np.integer]) -> Draw:
-        """Return some of the arms."""
-        return Draw(**{field.name: getattr(self, field.name)[index] for field in fields(self)})
 
 
 class Ranges(Protocol):
@@ -106,12 +80,12 @@ class BroadRanges:
     """[s]"""
     period: Interval = (0.018, 0.055)
     """[s] what the wires of hobby arms allow, from an idle bus to 50 ms over TCP"""
-    play: Interval = (0.0, 0.0)
-    """[rad] of arms whose encoders sit behind the gears; see `SLOW_PLAY`"""
-    playless: float = 0.4
-    """fraction of the arms whose encoders sit before the gears, so that the servos see no play (chosen)"""
+    backlash: Interval = (0.0, 0.0)
+    """[rad] of arms whose encoders sit behind the gears; see `SLOW_BACKLASH`"""
+    backlash_free: float = 0.4
+    """fraction of the arms whose encoders sit before the gears, so that the servos see no backlash (chosen)"""
     grease: Interval = (0.02, 0.2)
-    """log-uniform; from a joint that coasts through a degree of play to one that hardly does (chosen)"""
+    """log-uniform; from a joint that coasts through a degree of backlash to one that hardly does (chosen)"""
 
     def draw(self, rng: np.random.Generator, count: int) -> Draw:
         """Draw ``count`` arms."""
@@ -133,24 +107,25 @@ class BroadRanges:
             command_delay=rng.uniform(*self.command_delay, whole),
             readback_delay=rng.uniform(*self.readback_delay, whole),
             stiction=rng.uniform(*self.stiction, joints),
+            acceleration=np.full(count, np.inf),
             gravity_scale=rng.uniform(*self.gravity_scale, whole),
             period=rng.uniform(*self.period, whole),
-            **self._draw_play(rng, count),
+            **self._draw_backlash(rng, count),
         )
 
-    def _draw_play(self, rng: np.random.Generator, count: int) -> dict[str, Array]:
+    def _draw_backlash(self, rng: np.random.Generator, count: int) -> dict[str, Array]:
         joints, whole = (count, self.arm.joints), (count,)
-        if self.play[1] == 0.0:  # nothing is drawn, so that ranges without play stay what they were
-            return {"play": np.zeros(joints), "grease": np.ones(whole)}
-        seen = rng.random((count, 1)) >= self.playless
-        return {"play": rng.uniform(*self.play, joints) * seen, "grease": _log_uniform(rng, self.grease, whole)}
+        if self.backlash[1] == 0.0:  # nothing is drawn, so that ranges without backlash stay what they were
+            return {"backlash": np.zeros(joints), "grease": np.ones(whole)}
+        seen = rng.random((count, 1)) >= self.backlash_free
+        return {"backlash": rng.uniform(*self.backlash, joints) * seen, "grease": _log_uniform(rng, self.grease, whole)}
 
     def reaching(self, twin: Twin) -> BroadRanges:
         """Shift the intervals of all torques until each holds the twin's geometric mean over the joints.
 
         Arms of another make than the prior's, such as one with much more friction, lie far outside of it; a
         broad half that has none like them would teach the policy to shake them. One with more damping than any of
-        the prior's gets `SLOW_PLAY`.
+        the prior's gets `SLOW_BACKLASH`.
         """
         base = nominal_parameters(self.arm)
         moved: dict[str, Any] = {}
@@ -160,7 +135,7 @@ class BroadRanges:
             shift = ratio / np.clip(ratio, low, high)
             moved[name] = (float(low * shift), float(high * shift))
         if moved["damping"][1] > self.damping[1]:
-            moved["play"] = SLOW_PLAY
+            moved["backlash"] = SLOW_BACKLASH
         return replace(self, **moved)
 
     def weaken(self, rng: np.random.Generator, count: int) -> Array:
@@ -196,9 +171,16 @@ class IdentifiedRanges:
             stiction=free.stiction,
             gravity_scale=free.gravity_scale,
             period=free.period,
-            play=free.play,
+            backlash=free.backlash,
             grease=free.grease,
+            acceleration=self._accelerations(rng, count),
         )
+
+    def _accelerations(self, rng: np.random.Generator, count: int) -> Array:
+        """Limits (count,) [rad/s^2] of the servos' references, spread as `Twin.sample` spreads what it knows."""
+        if self.twin.acceleration == np.inf:  # nothing is drawn: other numbers stay what they were
+            return np.full(count, np.inf)
+        return self.twin.acceleration * np.exp(LEAST_SPREAD * rng.standard_normal(count))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -266,11 +248,7 @@ class PaperRanges:
         d = rng.uniform(p / self.damping_divisor[1], p / self.damping_divisor[0])
         noise = rng.normal(0.0, self.joint_noise, (count, self.arm.joints))
         twin = replace(self.twins(p, d), offset=noise)
-        zero, none = np.zeros(count), np.zeros(noise.shape)
-        return Draw(
-            twin=twin, command_delay=zero, readback_delay=zero, gravity_scale=zero + 1.0, stiction=none + 1.0,
-            period=1.0 / rng.uniform(*self.frequency, count), play=none, grease=zero + 1.0,
-        )  # fmt: skip
+        return replace(Draw.of(twin), period=1.0 / rng.uniform(*self.frequency, count))
 
     def twins(self, p: Array, d: Array) -> TwinParameters:
         """Return twins with the paper's P and D (count, 1): PD servos of ample torque, without friction or delay."""

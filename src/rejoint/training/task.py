@@ -25,14 +25,11 @@ from rejoint.control.guard import GuardLimits, guard
 from rejoint.control.observation import ALL, SUCCESS_DISTANCE, Layout, Observation, Observer, Rows
 from rejoint.control.residual import Commander, CommandLaw
 from rejoint.control.robot import JointState, Mask
-from rejoint.training.motion import SUBSTEPS, pass_period
-from rejoint.training.newcomers import Newcomers, draw_newcomers
-from rejoint.training.play import Play
+from rejoint.training.privileged import fill_privileged, privileged_constants, privileged_size
 from rejoint.training.ranges import Ranges
+from rejoint.training.reset import ResetStates, draw_reset_states
 from rejoint.training.reward import paper_reward, residual_reward
-from rejoint.training.truth import fixed_truth, moving_truth, truth_size
-from rejoint.training.wire import Wire
-from rejoint.twin.batch import TwinBatch
+from rejoint.twin.simulation import Simulation
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,11 +68,11 @@ class Transition(NamedTuple):
 
     observation: Observation
     """(N, size) what the next decision is made on"""
-    truth: Observation
-    """(N, truth) what only the critic sees"""
+    privileged: Observation
+    """(N, p) what only the critic sees"""
     final_observation: Observation
     """(N, size) the end of this cycle; differs from ``observation`` where a target or episode ended"""
-    final_truth: Observation
+    final_privileged: Observation
     reward: Array
     """(N,)"""
     terminated: Mask
@@ -96,26 +93,22 @@ class ReachTask:
     ) -> None:
         n = arm.joints
         self.arm, self.ranges, self.settings, self.agents = arm, ranges, settings, agents
-        self.twins = TwinBatch(arm, agents, threads=threads)
+        self.simulation = Simulation(arm, agents, threads=threads)
         self.observer = Observer(arm, agents, settings.layout)
         self.commander = Commander(arm, settings.law)
-        self.wire = Wire(agents, n, SUBSTEPS)
-        self.play = Play(arm, agents)
-        self.truth_size = truth_size(n)
+        self.privileged_size = privileged_size(n)
         self._limits, self._no_speed = GuardLimits.of(arm).of_simulation(), np.zeros((agents, n))
         self._rng = np.random.default_rng(seed)
-        self._time, self._since, self._period = np.zeros(agents), np.zeros(agents), np.zeros(agents)
-        self._middle, self._ramp = np.zeros(agents), np.zeros(agents)
-        self._measured, self._sent = np.zeros((agents, n)), np.zeros((agents, n))
-        self._reference, self._tcp = np.zeros((agents, n)), np.zeros((agents, 3))
+        self._since, self._period, self._middle = np.zeros((3, agents))
+        self._sent, self._tcp = np.zeros((agents, n)), np.zeros((agents, 3))
         self._target, self._next_target = np.zeros((2, agents, 3))
-        self._foreseen, self._newcomer = np.zeros(agents, dtype=bool), np.zeros(agents, dtype=np.int64)
-        self._newcomers: Newcomers | None = None
+        self._foreseen, self._prepared_row = np.zeros(agents, dtype=bool), np.zeros(agents, dtype=np.int64)
+        self._prepared: ResetStates | None = None
         self._step, self._count = np.zeros(agents, dtype=np.int64), np.zeros(agents, dtype=np.int64)
-        self._fixed = np.zeros((agents, truth_size(n)), dtype=np.float32)
+        self._constants = np.zeros((agents, privileged_size(n)), dtype=np.float32)
 
     def reset(self, *, staggered: bool = True) -> tuple[Observation, Observation]:
-        """Begin everywhere, ``staggered`` each agent at another point of its episode; returns observation and truth."""
+        """Begin everywhere, ``staggered`` each agent at another point of its episode; returns both observations."""
         everyone = np.ones(self.agents, dtype=bool)
         self._new_arms(everyone)
         self._new_targets(everyone)
@@ -123,7 +116,7 @@ class ReachTask:
             self._step[:] = self._rng.integers(0, self.settings.hold_steps, self.agents)
             self._count[:] = self._rng.integers(0, self.settings.targets, self.agents)
         distance = np.linalg.norm(self._target - self._tcp, axis=-1)
-        return self.observer.observe(self._situation()), self._truth(distance, np.zeros(self.agents))
+        return self.observer.observe(self._situation()), self._privileged(distance, np.zeros(self.agents))
 
     def prepare(self, cycles: int) -> None:
         """Draw the targets and arms of all agents whose targets time out within so many cycles.
@@ -136,26 +129,27 @@ class ReachTask:
             return  # nobody knows when
         due = self._step + cycles >= self.settings.hold_steps
         leaving = due & (self._count + 1 >= self.settings.targets)
-        self._newcomers = self._draw_newcomers(int(leaving.sum()))
-        self._newcomer[leaving] = np.arange(leaving.sum())
+        self._prepared = self._draw_reset_states(int(leaving.sum()))
+        self._prepared_row[leaving] = np.arange(leaving.sum())
         self._next_target[due] = self.arm.targets.sample(self._rng, (int(due.sum()),))
         self._foreseen = due
         sent = self._sent.copy()
-        sent[leaving] = self._newcomers.command
+        sent[leaving] = self._prepared.command
         self.commander.foresee(self._next_target, sent, due)
 
     def step(self, action: NDArray[np.floating]) -> Transition:
         """Run one control cycle with actions (N, n)."""
         applied = np.clip(np.asarray(action, dtype=float), -1.0, 1.0)
         self._command(applied)
-        before = self.twins.qpos.copy()
+        before = self.simulation.twins.qpos.copy()
         self._advance()
-        tcp = tcp_position(self.arm, self.twins.qpos)
+        position = self.simulation.twins.qpos
+        tcp = tcp_position(self.arm, position)
         speed = np.linalg.norm(tcp - self._tcp, axis=-1) / self._period
         self._tcp = tcp
         distance = np.linalg.norm(self._target - tcp, axis=-1)
         self._step += 1
-        final, final_truth = self.observer.observe(self._situation()), self._truth(distance, speed)
+        final, final_privileged = self.observer.observe(self._situation()), self._privileged(distance, speed)
         reached = (distance < SUCCESS_DISTANCE) & self.settings.ends_on_success
         collided = self._collided()
         late = (self._step >= self.settings.hold_steps) & ~reached
@@ -163,11 +157,11 @@ class ReachTask:
             reward = residual_reward(distance, speed, np.asarray(action, dtype=float))
             reward = reward - self.settings.posture_weight * (self.observer.view.homing**2).sum(axis=-1)
         else:
-            joint_speed = (self.twins.qpos - before) / self._period[:, None]
+            joint_speed = (position - before) / self._period[:, None]
             reward = paper_reward(distance, joint_speed, collided, reached, late)
         cut = late | (collided & ~reached)
-        observation, truth = self._renew(reached | cut, collided, final, final_truth)
-        return Transition(observation, truth, final, final_truth, reward, reached, cut, collided, distance)
+        observation, privileged = self._renew(reached | cut, collided, final, final_privileged)
+        return Transition(observation, privileged, final, final_privileged, reward, reached, cut, collided, distance)
 
     def state(self) -> dict[str, Any]:
         """Everything that a checkpoint must keep; copies."""
@@ -182,19 +176,17 @@ class ReachTask:
             value[...] = state[name]
 
     def _arrays(self) -> dict[str, Array]:
-        own = ("time", "since", "period", "middle", "ramp", "measured", "sent", "reference", "tcp", "target",
-               "step", "count", "fixed")  # fmt: skip
+        own = ("since", "period", "middle", "sent", "tcp", "target", "step", "count", "constants")
         return {
             **{name: getattr(self, f"_{name}") for name in own},
-            **{f"wire.{name}": value for name, value in self.wire.state().items()},
-            **{f"play.{name}": value for name, value in self.play.state().items()},
             **{f"observer.{name}": value for name, value in self.observer.state().items()},
             **{f"commander.{name}": value for name, value in self.commander.memory().items()},
-            **{f"twins.{name}": value for name, value in self.twins.state().items()},
+            **{f"simulation.{name}": value for name, value in self.simulation.state().items()},
         }
 
     def _situation(self) -> Situation:
-        state = JointState(time=self._time, position=self._measured, age=np.zeros(self.agents))
+        now = self.simulation
+        state = JointState(time=now.time, position=now.measured, age=np.zeros(self.agents))
         return Situation(state=state, target=self._target, sent=self._sent, since_target=self._since)
 
     def _command(self, action: Array) -> None:
@@ -203,41 +195,38 @@ class ReachTask:
         observer.acted(action)
         wanted = self.commander.command(situation, observer.view, action)
         self._sent = guard(self._limits, wanted, self._sent, self._no_speed, situation.state, self._period).command
-        self.wire.send(self._sent, self._time)
+        self.simulation.send(self._sent)
 
     def _advance(self) -> None:
         """Let one control period pass."""
         s = self.settings
         spread = self._rng.uniform(1.0 - s.jitter, 1.0 + s.jitter, self.agents)
         self._period = np.clip(self._middle * spread, s.min_period, s.max_period)
-        self._reference = pass_period(
-            self.twins, self.play, self.wire, self._reference, ramp=self._ramp, time=self._time, period=self._period
-        )
-        self._time, self._since = self._time + self._period, self._since + self._period
-        self._measured = self._quantised(self.wire.read(self._time))
+        self.simulation.advance(self._period)
+        self._since = self._since + self._period
 
     def _collided(self) -> Mask:
         if not self.settings.collisions:
             return np.zeros(self.agents, dtype=bool)
-        return collides(self.arm, frames(self.arm, self.twins.qpos))
+        return collides(self.arm, frames(self.arm, self.simulation.twins.qpos))
 
     def _renew(
-        self, ended: Mask, collided: Mask, final: Observation, final_truth: Observation
+        self, ended: Mask, collided: Mask, final: Observation, final_privileged: Observation
     ) -> tuple[Observation, Observation]:
         """Give new targets where a target has ended, and new arms after the last one or a collision."""
         if not ended.any():
-            return final, final_truth
+            return final, final_privileged
         self._count[ended] += 1
         exchanged = ended & ((self._count >= self.settings.targets) | collided)
         if exchanged.any():
             self._new_arms(exchanged)
         self._new_targets(ended)
         rows = np.flatnonzero(ended)
-        observation, truth = final.copy(), final_truth.copy()
+        observation, privileged = final.copy(), final_privileged.copy()
         observation[rows] = self.observer.observe(self._situation(), rows)
         distance = np.linalg.norm(self._target[rows] - self._tcp[rows], axis=-1)
-        truth[rows] = self._truth(distance, np.zeros(len(rows)), rows)
-        return observation, truth
+        privileged[rows] = self._privileged(distance, np.zeros(len(rows)), rows)
+        return observation, privileged
 
     def _new_targets(self, where: Mask) -> None:
         unforeseen = where & ~self._foreseen
@@ -252,40 +241,34 @@ class ReachTask:
     def _new_arms(self, where: Mask) -> None:
         """Exchange arms for others, standing at a posture near rest."""
         foreseen, unforeseen = where & self._foreseen, where & ~self._foreseen
-        if foreseen.any() and self._newcomers is not None:
-            self._seat(foreseen, self._newcomers.rows(self._newcomer[foreseen]))
+        if foreseen.any() and self._prepared is not None:
+            self._place(foreseen, self._prepared.rows(self._prepared_row[foreseen]))
         if unforeseen.any():
-            self._seat(unforeseen, self._draw_newcomers(int(unforeseen.sum())))
+            self._place(unforeseen, self._draw_reset_states(int(unforeseen.sum())))
 
-    def _draw_newcomers(self, count: int) -> Newcomers:
+    def _draw_reset_states(self, count: int) -> ResetStates:
         s = self.settings
         lead_limit = s.law.lead_limit if s.start_sag else 0.0
-        return draw_newcomers(self.ranges, self._limits, self._rng, count, spread=s.start_spread, lead_limit=lead_limit)
+        return draw_reset_states(
+            self.ranges, self._limits, self._rng, count, spread=s.start_spread, lead_limit=lead_limit
+        )
 
-    def _seat(self, where: Mask, newcomers: Newcomers) -> None:
-        """Put ``newcomers`` (m,) in the places of the arms in ``where`` (N,)."""
-        draw, position, command = newcomers
-        self.twins.write(draw.twin, where, gravity_scale=draw.gravity_scale)
-        self.twins.restart(position, ids=where)
-        self.wire.command_delay[where], self.wire.readback_delay[where] = draw.command_delay, draw.readback_delay
-        self.wire.clear(where, command, position)
-        self.play.renew(draw, where)
-        self._sent[where] = self._reference[where] = command
-        self._measured[where] = self._quantised(position)
+    def _place(self, where: Mask, states: ResetStates) -> None:
+        """Put arms in their reset ``states`` (m,) in the places of the arms in ``where`` (N,)."""
+        draw, position, command = states
+        self.simulation.place(draw, position, command, where)
+        self._sent[where] = command
         self._tcp[where] = tcp_position(self.arm, position)
         self._middle[where] = self._period[where] = draw.period
-        self._ramp[where] = draw.twin.ramp_speed
-        self._time[where], self._count[where] = 0.0, 0
-        self._fixed[where] = fixed_truth(self.arm, draw)
+        self._count[where] = 0
+        self._constants[where] = privileged_constants(self.arm, draw)
         self.observer.forget(where)
         self.commander.forget(self._situation(), where)
 
-    def _quantised(self, position: Array) -> Array:
-        return np.round(position / self.arm.encoder_step) * self.arm.encoder_step
-
-    def _truth(self, distance: Array, speed: Array, rows: Rows = ALL) -> Observation:
-        """Return what only the critic sees (N, truth) of all agents, or of some ``rows`` only."""
-        truth = self._fixed[rows].copy()
-        lag = self._reference[rows] - self.twins.qpos[rows]
-        moving_truth(truth, distance, speed, self.twins.qvel[rows], lag, self._period[rows])
-        return truth
+    def _privileged(self, distance: Array, speed: Array, rows: Rows = ALL) -> Observation:
+        """Return what only the critic sees (N, p) of all agents, or of some ``rows`` only."""
+        privileged = self._constants[rows].copy()
+        twins = self.simulation.twins
+        lag = self.simulation.reference.position[rows] - twins.qpos[rows]
+        fill_privileged(privileged, distance, speed, twins.qvel[rows], lag, self._period[rows])
+        return privileged

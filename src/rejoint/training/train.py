@@ -30,11 +30,11 @@ from rejoint.training.task import ReachTask
 from rejoint.twin.parameters import nominal_parameters
 from rejoint.twin.twin import Twin
 
-CREWS = 2
-"""Crews that the agents are split into, whatever the number of threads: what they do does not depend on it."""
+WORKERS = 2
+"""Rollout workers that share the agents, whatever the number of threads: what they do does not depend on it."""
 
-PATIENCE = 0.7
-"""[s] of the law on arms whose motors cross play slowly (chosen: within it such a joint comes near and swings once)"""
+DECAY_START = 0.7
+"""[s] of the law where motors cross backlash slowly (chosen: within it such a joint comes near and swings once)"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -160,28 +160,29 @@ def write_curves(path: Path, curve: Sequence[CurvePoint]) -> None:
 
 def make_learner(arm: Arm, twin: Twin | None, recipe: Preset, options: TrainingOptions) -> Learner:
     """Set up what a training works on, at its beginning."""
-    ranges, crews = training_ranges(arm, twin, recipe), min(CREWS, recipe.ppo.agents)
-    sizes = [len(part) for part in np.array_split(np.arange(recipe.ppo.agents), crews)]
+    ranges, workers = training_ranges(arm, twin, recipe), min(WORKERS, recipe.ppo.agents)
+    sizes = [len(part) for part in np.array_split(np.arange(recipe.ppo.agents), workers)]
     tasks = [
         ReachTask(
-            arm, ranges, size, recipe.task, seed=crews * options.seed + k, threads=max(options.threads // crews, 1)
+            arm, ranges, size, recipe.task, seed=workers * options.seed + k, threads=max(options.threads // workers, 1)
         )
         for k, size in enumerate(sizes)
     ]
-    return Learner(tasks, recipe.ppo, seed=options.seed, threads=min(options.threads, crews))
+    return Learner(tasks, recipe.ppo, seed=options.seed, threads=min(options.threads, workers))
 
 
 def know_stiffness(recipe: Preset, arm: Arm, twin: Twin | None) -> Preset:
     """Tell a law that raises its goals against gravity how soft the servos are: as the twin has it, else the prior.
 
-    Where play may make joints swing, the law learns to be patient as well.
+    Where backlash may make joints swing, the law also lets the gains of unloaded joints decay.
     """
     law = recipe.task.law
     if law.anchor != "goal" or law.stiffness:
         return recipe
     stiffness = nominal_parameters(arm).stiffness if twin is None else twin.parameters.stiffness
-    patience = PATIENCE if twin is not None and BroadRanges(arm=arm).reaching(twin).play[1] > 0.0 else law.patience
-    law = replace(law, stiffness=tuple(np.round(stiffness, 6).tolist()), patience=patience)
+    law = replace(law, stiffness=tuple(np.round(stiffness, 6).tolist()))
+    if twin is not None and BroadRanges(arm=arm).reaching(twin).backlash[1] > 0.0:
+        law = replace(law, decay_start=DECAY_START)
     return replace(recipe, task=replace(recipe.task, law=law))
 
 

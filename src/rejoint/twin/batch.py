@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array
 from rejoint.system.errors import InputError
-from rejoint.twin.model import FRICTION_SOFTNESS, TIMESTEP, friction_solref, model_fields, stribeck_friction, twin_model
+from rejoint.twin.model import FRICTION_SOFTNESS, TIMESTEP, friction_solref, model_fields, twin_model
 from rejoint.twin.parameters import TwinParameters, nominal_parameters
 from rejoint.twin.table import Table
 from rejoint.twin.tablemodel import TIP, table_fields, table_pose
@@ -125,22 +125,9 @@ class TwinBatch:
         """Advance the simulations in ``ids`` (all by default) under the present ``ctrl``."""
         self._batch.step(ids, nstep=substeps)
 
-    def rollout(self, control: Array, stiction: float = 1.0) -> Array:
-        """Advance by ``control`` (nsim, steps, n) [rad], one row a step; return positions (nsim, steps, n).
-
-        With ``stiction`` above 1 the dry friction follows the speed (`stribeck_friction`).
-        """
-        steps = control.shape[1]
-        if stiction == 1.0:
-            return self._batch.rollout(steps, control, record=("qpos",))["qpos"]
-        coulomb, positions = self._batch.expand("dof_frictionloss").copy(), np.empty(control.shape)
-        for k in range(steps):
-            self.ctrl[:] = control[:, k]
-            self.set_friction(stribeck_friction(coulomb, stiction, self.qvel))
-            self._batch.step()
-            positions[:, k] = self.qpos
-        self.set_friction(coulomb)
-        return positions
+    def rollout(self, control: Array) -> Array:
+        """Advance by ``control`` (nsim, steps, n) [rad], one row a step; return positions (nsim, steps, n)."""
+        return self._batch.rollout(control.shape[1], control, record=("qpos",))["qpos"]
 
     def model(self, index: int) -> mujoco.MjModel:
         """Copy of one simulation's model, for rendering or inspection."""

@@ -22,7 +22,7 @@ from tomlkit.items import Table as TomlTable
 from rejoint.arms import Arm, Array
 from rejoint.system.errors import FileError, InputError, first_line
 from rejoint.system.files import CHANGED, TOML_MOST, digest, read_bounded, write_whole
-from rejoint.twin.parameters import PARAMETERS, STICTION, TwinParameters
+from rejoint.twin.parameters import PARAMETERS, STICTION, Layout, TwinParameters
 from rejoint.twin.prediction import PredictionError
 from rejoint.twin.table import Table
 from rejoint.twin.twin import HeldOut, Twin
@@ -80,10 +80,8 @@ def _document(twin: Twin) -> tomlkit.TOMLDocument:
         limit = tomlkit.item(twin.acceleration).comment("rad/s^2, of the reference while commands keep changing")
         document.add("acceleration", limit)
     document.add("held_out", _held_out_table(twin.held_out))
-    place = 0
     for p in PARAMETERS:
-        count = len(twin.joint_names) if p.per_joint else 1
-        here = slice(place, place + count)
+        here = Layout(len(twin.joint_names)).at(p.name)
         table = tomlkit.table()
         table.comment(f"{p.unit}: {p.meaning}")
         table.add("value", _numbers(getattr(twin.parameters, p.name)))
@@ -95,7 +93,6 @@ def _document(twin: Twin) -> tomlkit.TOMLDocument:
         table.add("upper", _numbers(twin.upper[here]))
         table.add("narrowing", _numbers(twin.narrowing[here]).comment("standard deviation over that of the prior"))
         document.add(p.name, table)
-        place += count
     document.add("covariance", _covariance_table(twin))
     if twin.table is not None:
         document.add("table", _table_table(twin.table))

@@ -21,22 +21,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Array, gravity_torque, link_inertia
-from rejoint.twin.parameters import ARM_PARAMETERS, JOINT_PARAMETERS, Prior, unpack
+from rejoint.twin.parameters import PARAMETERS, Layout, Prior, number, unpack
 from rejoint.twin.replay import Replay
 
 HUBER = np.radians(1.7)
 """[rad] where the loss turns from square to absolute; measured on logs of a real low-cost arm"""
 
-DIFFERENCE = {"offset": 0.005, "delay": 0.004}
-"""Finite-difference steps [rad], [s] of the parameters that are not logarithms (chosen)"""
-LOG_DIFFERENCE = 0.045
-"""Finite-difference step of logarithms: smaller ones drown in stick-slip (measured)"""
-
 POSTURES = 500
 """Rows that a mean gravity torque is taken from (chosen)"""
 
-STIFFNESS = 0
-"""Place of the stiffness among a joint's parameters"""
+STIFFNESS = number("stiffness")
+"""Row of the perturbations, and column of the sensitivities, that are the stiffness's"""
 
 SCALES = (0.5, 0.7, 0.85, 1.18, 1.41, 2.0)
 """Factors of a joint's common scale that are tried where logs hardly fix it (chosen: steps of 20 to 40 %)"""
@@ -96,19 +91,11 @@ class Problem:
         self.floor = replay.arm.encoder_step / np.sqrt(12.0)
         seconds = sum(float(replay.times(i)[-1]) for i in range(len(lengths)))
         self.memory = memory * (len(self.measured) - len(lengths)) / seconds  # rows
-        n, split = self.joints, len(JOINT_PARAMETERS) * self.joints
-        self.owner = np.concatenate([np.tile(np.arange(n), len(JOINT_PARAMETERS)), np.full(len(ARM_PARAMETERS), -1)])
-        self.steps = np.full(len(prior.mean), LOG_DIFFERENCE)
-        for index, p in enumerate((*JOINT_PARAMETERS, *ARM_PARAMETERS)):
-            if not p.log:
-                place = slice(index * n, (index + 1) * n) if p.per_joint else split + index - len(JOINT_PARAMETERS)
-                self.steps[place] = DIFFERENCE[p.name]
-        self.steps *= stride
-        table = (*JOINT_PARAMETERS, *ARM_PARAMETERS)
-        self._live = [index for index, p in enumerate(table) if p.name not in frozen]
-        self.frozen = np.ones(len(prior.mean), dtype=bool)
-        for index in self._live:
-            self.frozen[self._groups()[index]] = False
+        self.layout = Layout(self.joints)
+        self.owner = self.layout.owner
+        self.steps = stride * np.array([p.difference for p in PARAMETERS])[self.layout.kind]
+        self._live = [index for index, p in enumerate(PARAMETERS) if p.name not in frozen]
+        self.frozen = ~np.isin(self.layout.kind, self._live)
 
     def residuals(self, vectors: Array) -> Array:
         """Predicted minus measured positions (m, rows, n) [rad] for parameter vectors (m, k)."""
@@ -122,10 +109,9 @@ class Problem:
     def costs(self, vectors: Array, residuals: Array, weights: Weights) -> tuple[Array, Array]:
         """Costs by joint (m, n) with the prior of its parameters, and in total (m,)."""
         pull = 0.5 * ((vectors - self.prior.mean) / self.prior.sigma) ** 2
-        split = len(JOINT_PARAMETERS) * self.joints
-        by_joint = pull[:, :split].reshape(len(vectors), -1, self.joints).sum(axis=1)
+        by_joint = pull[:, self.layout.of_joints].reshape(len(vectors), -1, self.joints).sum(axis=1)
         by_joint += loss(residuals).sum(axis=1) * weights.precision
-        return by_joint, by_joint.sum(axis=1) + pull[:, split:].sum(axis=1)
+        return by_joint, by_joint.sum(axis=1) + pull[:, self.layout.of_arm].sum(axis=1)
 
     def perturbations(self, vector: Array, signs: Array) -> Array:
         """Parameter vectors (p, k): in each, one parameter of every joint, or one of the arm, is moved.
@@ -148,15 +134,14 @@ class Problem:
         The offset makes up for what gravity then bends less or more in the mean posture. Links keep their inertia, so
         that of the motor takes all of the change, as far as it can.
         """
-        at = {p.name: slice(i * self.joints, (i + 1) * self.joints) for i, p in enumerate(JOINT_PARAMETERS)}
-        scaled = np.tile(vector, (len(factors), 1))
-        stiffness, armature = np.exp(vector[at["stiffness"]]), np.exp(vector[at["armature"]])
+        at, scaled = self.layout.at, np.tile(vector, (len(factors), 1))
+        stiffness, armature = np.exp(vector[at("stiffness")]), np.exp(vector[at("armature")])
         for row, factor in zip(scaled, factors, strict=True):
-            for name in ("stiffness", "damping", "coulomb"):
-                row[at[name]] += np.log(factor)
+            for name in (p.name for p in PARAMETERS if p.scaled):
+                row[at(name)] += np.log(factor)
             motor = factor * (self.link_inertia + armature) - self.link_inertia
-            row[at["armature"]] = np.log(np.maximum(motor, np.exp(self.prior.lower[at["armature"]])))
-            row[at["offset"]] += self.gravity / stiffness * (1.0 / factor - 1.0)
+            row[at("armature")] = np.log(np.maximum(motor, np.exp(self.prior.lower[at("armature")])))
+            row[at("offset")] += self.gravity / stiffness * (1.0 / factor - 1.0)
         return np.clip(np.where(self.frozen, vector, scaled), self.prior.lower, self.prior.upper)
 
     @cached_property
@@ -214,12 +199,10 @@ class Problem:
 
     def _scaled(self) -> list[int]:
         """Rows of the live joint parameters that share the stiffness's direction: it scales all torques."""
-        return [i for i in self._live if i != STIFFNESS and i < len(JOINT_PARAMETERS) and JOINT_PARAMETERS[i].log]
+        return [i for i in self._live if i != STIFFNESS and PARAMETERS[i].per_joint and PARAMETERS[i].log]
 
     def _groups(self) -> list[NDArray[np.integer]]:
-        n, split = self.joints, len(JOINT_PARAMETERS) * self.joints
-        joint_groups = [np.arange(i * n, (i + 1) * n) for i in range(len(JOINT_PARAMETERS))]
-        return joint_groups + [np.array([split + i]) for i in range(len(ARM_PARAMETERS))]
+        return [np.flatnonzero(self.layout.kind == index) for index in range(len(PARAMETERS))]
 
 
 def fit(problem: Problem, start: Array, iterations: int, scales: Sequence[float] = ()) -> Fit:
@@ -283,7 +266,8 @@ def search(problem: Problem, starts: Array, rng: np.random.Generator, rounds: in
 
 
 def _alternating(problem: Problem, iteration: int) -> Array:
-    parity = iteration + np.arange(len(problem.owner)) // problem.joints + np.maximum(problem.owner, 0)
+    kind = np.where(problem.owner >= 0, problem.layout.kind, problem.layout.kind[problem.layout.of_arm][0])
+    parity = iteration + kind + np.maximum(problem.owner, 0)
     return np.where(parity % 2 == 0, 1.0, -1.0)
 
 

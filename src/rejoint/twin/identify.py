@@ -19,7 +19,7 @@ from rejoint.system.progress import Progress, no_progress
 from rejoint.twin.fit import Fit, Problem, fit, search
 from rejoint.twin.model import TIMESTEP
 from rejoint.twin.parameters import (
-    JOINT_PARAMETERS,
+    Layout,
     Prior,
     TwinParameters,
     healthy_parameters,
@@ -32,7 +32,7 @@ from rejoint.twin.prediction import PredictionError, prediction_error
 from rejoint.twin.replay import Replay, cut, divide, measured_velocity
 from rejoint.twin.table import Table
 from rejoint.twin.twin import HeldOut, Twin
-from rejoint.twin.uncertainty import TORQUE_LIMIT, Uncertainty, uncertainty
+from rejoint.twin.uncertainty import Uncertainty, uncertainty
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -131,7 +131,8 @@ def fitted_twin(
 def _starts(arm: Arm, belief: Prior, count: int, rng: np.random.Generator) -> Array:
     drawn = belief.mean + belief.sigma * rng.standard_normal((max(count - 2, 1), len(belief.mean)))
     starts = np.vstack([belief.mean, pack(healthy_parameters(arm)), drawn])
-    starts[2:, len(JOINT_PARAMETERS) * arm.joints :] = belief.mean[len(JOINT_PARAMETERS) * arm.joints :]
+    of_arm = Layout(arm.joints).of_arm
+    starts[2:, of_arm] = belief.mean[of_arm]
     return np.clip(starts, belief.lower, belief.upper)
 
 
@@ -174,7 +175,7 @@ def torque_bounds(problem: Problem, logs: Sequence[RunLog], twin: Twin) -> Array
     limit was not reached, and it is no lower than the torques that were.
     """
     arm, n = problem.replay.arm, problem.joints
-    limited = twin.identified[TORQUE_LIMIT * n : (TORQUE_LIMIT + 1) * n]
+    limited = twin.identified[problem.layout.at("torque_limit")]
     static = largest_static_torque(arm, logs, twin.parameters.coulomb)
     shown = np.where(limited, static, np.maximum(static, largest_drive_torque(problem, twin.parameters)))
     lower = unpack(twin.lower, n)

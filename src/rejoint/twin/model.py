@@ -26,6 +26,7 @@ import numpy as np
 from rejoint.arms import Arm, Array
 from rejoint.arms.kinematics import GRAVITY
 from rejoint.system.errors import InputError
+from rejoint.twin.friction import friction_fields
 from rejoint.twin.parameters import TwinParameters
 from rejoint.twin.tablemodel import add_table
 
@@ -39,14 +40,6 @@ FRICTION_SOFTNESS = 0.01
 friction constraints, and of no others here, is proportional (chosen: below it nothing changes)"""
 
 TCP_SITE = "tcp"
-
-STRIBECK_SPEED = 0.1
-"""[rad/s] at which friction has fallen to that of motion (chosen: two encoder steps in a control period)"""
-
-
-def stribeck_friction(coulomb: Array, stiction: float | Array, velocity: Array) -> Array:
-    """Dry friction [N m] at a joint velocity [rad/s] (Stribeck 1902, as in Armstrong-Helouvry et al. 1994)."""
-    return coulomb * (1.0 + (stiction - 1.0) * np.exp(-((velocity / STRIBECK_SPEED) ** 2)))
 
 
 def twin_model(
@@ -92,8 +85,7 @@ def model_fields(parameters: TwinParameters, timestep: Array, gravity_scale: Arr
     yield "actuator_gainprm", gain
     yield "actuator_biasprm", bias
     yield "actuator_forcerange", np.stack([-p.torque_limit, p.torque_limit], axis=-1)
-    yield "dof_damping", p.damping
-    yield "dof_frictionloss", p.coulomb
+    yield from friction_fields(p)
     yield "dof_armature", p.armature
     yield "dof_solref", np.broadcast_to(friction_solref(timestep)[..., None, :], (*shape, 2))
     yield "opt.timestep", timestep

@@ -16,7 +16,7 @@ Coulomb friction 0.25-0.8 N m, viscous friction 0.8-1.6 N m s/rad on an SO-101),
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,8 @@ from numpy.typing import NDArray
 from rejoint.arms import Arm, Array, gravity_torque
 from rejoint.arms.workspace import reach
 from rejoint.system.errors import InputError
+from rejoint.twin.declaration import Parameter as Parameter
+from rejoint.twin.friction import FRICTION
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -51,6 +53,8 @@ class TwinParameters:
         for parameter in PARAMETERS:
             array = np.array(getattr(self, parameter.name), dtype=float)
             expected = self.stiffness_shape if parameter.per_joint else self.stiffness_shape[:-1]
+            if array.shape == () and parameter.per_joint:  # one value for all joints
+                array = np.full(expected, array)
             if array.shape != expected:
                 raise InputError(f"twin: {parameter.name} has shape {array.shape}, expected {expected}")
             array.setflags(write=False)
@@ -88,52 +92,34 @@ class TwinParameters:
         )  # fmt: skip
 
 
-@dataclass(frozen=True, kw_only=True)
-class Parameter:
-    """One row of the table of parameters: what it is and what is believed before any data."""
-
-    name: str
-    unit: str
-    meaning: str
-    nominal: float
-    """prior median, for an arm of `REFERENCE_LOAD` and a joint near the base"""
-    sigma: float
-    """prior standard deviation: of the logarithm if `log`, else in `unit`"""
-    lower: float
-    upper: float
-    log: bool = True
-    """positive quantity, estimated as its logarithm"""
-    per_joint: bool = True
-    wrist: float = 1.0
-    """factor on the nominal value for joints with little inertia"""
-    by_load: bool = False
-    """whether nominal value and bounds grow with the weight of the arm"""
-    by_time: int = 0
-    """their power of the time that motion under gravity takes, which grows with the square root of the reach"""
-    by_speed: bool = False
-    """whether they grow with the arm's speed"""
-
-
 PARAMETERS: tuple[Parameter, ...] = (
     Parameter(name="stiffness", unit="N m/rad", meaning="servo torque per angle between command and joint",
-              nominal=7.0, sigma=0.7, lower=0.5, upper=200.0, wrist=0.8, by_load=True),
-    Parameter(name="damping", unit="N m s/rad", meaning="viscous friction and derivative gain together",
-              nominal=0.25, sigma=0.8, lower=0.005, upper=20.0, wrist=0.6, by_load=True,
-              by_time=1),
-    Parameter(name="coulomb", unit="N m", meaning="dry friction",
-              nominal=0.08, sigma=0.8, lower=0.002, upper=2.0, wrist=0.5, by_load=True),
+              nominal=7.0, sigma=0.7, lower=0.5, upper=200.0, wrist=0.8, by_load=True, scaled=True,
+              # chosen: geometric middle of worn (7) and healthy (35 N m/rad) hobby servos; stiffer within three sigma
+              wide={"nominal": 16.0, "sigma": 0.9, "upper": 1000.0, "wrist": 1.0}),
+    *FRICTION,
     Parameter(name="armature", unit="kg m^2", meaning="inertia of motor and gears at the joint",
-              nominal=0.02, sigma=0.4, lower=0.002, upper=0.1, by_load=True, by_time=2),
+              nominal=0.02, sigma=0.4, lower=0.002, upper=0.1, by_load=True, by_time=2,
+              # measured: 0.01 to 0.03 kg m^2 for geared hobby servos
+              wide={"nominal": 0.015, "sigma": 1.0, "lower": 5e-4, "upper": 1.0}),
     Parameter(name="torque_limit", unit="N m", meaning="largest torque of the servo",
-              nominal=0.92, sigma=0.35, lower=0.05, upper=5.0, wrist=0.5, by_load=True),
+              nominal=0.92, sigma=0.35, lower=0.05, upper=5.0, wrist=0.5, by_load=True,
+              # chosen: twice and more what the arm weighs, or no one would have recorded it moving
+              wide={"nominal": 3.0, "sigma": 0.7, "upper": 50.0, "wrist": 1.0}),
     Parameter(name="offset", unit="rad", meaning="unloaded joint position minus command",
-              nominal=0.0, sigma=0.01, lower=-0.1, upper=0.1, log=False),
+              nominal=0.0, sigma=0.01, lower=-0.1, upper=0.1, log=False, difference=0.005,
+              wide={"sigma": 0.02, "lower": -0.2, "upper": 0.2}),
     Parameter(name="delay", unit="s", meaning="command latency plus age of the answer",
-              nominal=0.025, sigma=0.012, lower=0.0, upper=0.1, log=False, per_joint=False),
+              nominal=0.025, sigma=0.012, lower=0.0, upper=0.1, log=False, difference=0.004, per_joint=False,
+              # chosen: a bus servo answers within a few periods; below zero where a position is read up to a period
+              # of 20 ms later than its row is stamped
+              wide={"nominal": 0.01, "sigma": 0.015, "lower": -0.02, "upper": 0.2}),
     Parameter(name="ramp_speed", unit="rad/s", meaning="speed of the servo's reference",
-              nominal=2.0, sigma=0.25, lower=0.5, upper=20.0, per_joint=False, by_speed=True),
+              nominal=2.0, sigma=0.25, lower=0.5, upper=20.0, per_joint=False, by_speed=True,
+              # chosen: faster than most motions, so that a ramp must show itself in the data
+              wide={"nominal": 8.0, "sigma": 0.7, "upper": 50.0, "by_speed": False}),
 )  # fmt: skip
-"""The table. The order is that of the parameter vector."""
+"""The table. The order is that of the parameter vector. Differences of offset and delay are chosen."""
 
 JOINT_PARAMETERS = tuple(p for p in PARAMETERS if p.per_joint)
 ARM_PARAMETERS = tuple(p for p in PARAMETERS if not p.per_joint)
@@ -155,39 +141,87 @@ WRIST_INERTIA = 0.2
 """A joint is of the wrist below this fraction of the largest link inertia about a joint (chosen)."""
 
 
+@dataclass(frozen=True)
+class Layout:
+    """Where the parameters of a twin of n joints stand in its parameter vector of length k.
+
+    Parameter after parameter in the order of `PARAMETERS`, each with its value for every joint: first those of the
+    joints, then those of the whole arm. Nothing else computes places in such a vector.
+    """
+
+    joints: int
+
+    @staticmethod
+    def of_length(length: int) -> Layout:
+        """Return the layout of vectors of this ``length`` k."""
+        return Layout((length - len(ARM_PARAMETERS)) // len(JOINT_PARAMETERS))
+
+    @cached_property
+    def kind(self) -> NDArray[np.integer]:
+        """(k,) number in `PARAMETERS` of the parameter that stands at each place."""
+        return np.repeat(np.arange(len(PARAMETERS)), [self.joints if p.per_joint else 1 for p in PARAMETERS])
+
+    @cached_property
+    def owner(self) -> NDArray[np.integer]:
+        """(k,) joint that each place belongs to; -1 for the whole arm."""
+        return np.concatenate([np.arange(self.joints) if p.per_joint else np.array([-1]) for p in PARAMETERS])
+
+    @cached_property
+    def is_log(self) -> NDArray[np.bool_]:
+        """(k,) which places hold logarithms."""
+        return np.array([p.log for p in PARAMETERS])[self.kind]
+
+    @property
+    def size(self) -> int:
+        """Length k of the vector."""
+        return len(self.kind)
+
+    def at(self, name: str) -> slice:
+        """Return the places of one parameter, one for each joint or the single one of the arm."""
+        first, last = np.searchsorted(self.kind, [number(name), number(name) + 1])
+        return slice(int(first), int(last))
+
+    @property
+    def of_joints(self) -> slice:
+        """Places of all parameters of joints."""
+        return slice(0, len(JOINT_PARAMETERS) * self.joints)
+
+    @property
+    def of_arm(self) -> slice:
+        """Places of the parameters of the whole arm."""
+        return slice(len(JOINT_PARAMETERS) * self.joints, self.size)
+
+
+def number(name: str) -> int:
+    """Return the number of a parameter in `PARAMETERS`."""
+    return [p.name for p in PARAMETERS].index(name)
+
+
 def vector_names(joint_names: tuple[str, ...]) -> tuple[str, ...]:
     """Names of the elements of the parameter vector, such as ``stiffness.joint2`` and ``delay``."""
-    return (
-        *(f"{p.name}.{joint}" for p in JOINT_PARAMETERS for joint in joint_names),
-        *(p.name for p in ARM_PARAMETERS),
+    layout = Layout(len(joint_names))
+    return tuple(
+        PARAMETERS[kind].name + (f".{joint_names[joint]}" if joint >= 0 else "")
+        for kind, joint in zip(layout.kind, layout.owner, strict=True)
     )
-
-
-def vector_is_log(joints: int) -> NDArray[np.bool_]:
-    """(k,) which elements of the parameter vector are logarithms."""
-    return np.array([p.log for p in JOINT_PARAMETERS for _ in range(joints)] + [p.log for p in ARM_PARAMETERS])
 
 
 def pack(parameters: TwinParameters) -> Array:
     """Parameter vector (..., k): logarithms of the positive quantities, the others as they are."""
-    parts = [getattr(parameters, p.name) for p in JOINT_PARAMETERS]
-    parts += [getattr(parameters, p.name)[..., None] for p in ARM_PARAMETERS]
-    values = np.concatenate(parts, axis=-1)
-    log = vector_is_log(parameters.joints)
+    parts = [getattr(parameters, p.name) for p in PARAMETERS]
+    values = np.concatenate([v if p.per_joint else v[..., None] for p, v in zip(PARAMETERS, parts, strict=True)], -1)
+    log = Layout(parameters.joints).is_log
     return np.where(log, np.log(np.where(log, values, 1.0)), values)
 
 
 def unpack(vector: Array, joints: int) -> TwinParameters:
     """Parameters with the leading shape of ``vector`` (..., k); the inverse of `pack`."""
-    log = vector_is_log(joints)
-    if vector.shape[-1] != len(log):
-        raise InputError(f"twin: parameter vector of {vector.shape[-1]} elements, expected {len(log)}")
-    values = np.where(log, np.exp(np.where(log, vector, 0.0)), vector)
-    split = len(JOINT_PARAMETERS) * joints
-    per_joint = values[..., :split].reshape(*vector.shape[:-1], len(JOINT_PARAMETERS), joints)
-    joint_part = {p.name: per_joint[..., i, :] for i, p in enumerate(JOINT_PARAMETERS)}
-    arm_part = {p.name: values[..., split + i] for i, p in enumerate(ARM_PARAMETERS)}
-    return TwinParameters(**joint_part, **arm_part)
+    layout = Layout(joints)
+    if vector.shape[-1] != layout.size:
+        raise InputError(f"twin: parameter vector of {vector.shape[-1]} elements, expected {layout.size}")
+    values = np.where(layout.is_log, np.exp(np.where(layout.is_log, vector, 0.0)), vector)
+    parts = {p.name: values[..., layout.at(p.name)] for p in PARAMETERS}
+    return TwinParameters(**{p.name: parts[p.name] if p.per_joint else parts[p.name][..., 0] for p in PARAMETERS})
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -24,7 +24,7 @@ from rejoint.arms import Arm, Array
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import TOML_MOST, read_bounded
 from rejoint.twin.judge import Candidate
-from rejoint.twin.parameters import PARAMETERS, TwinParameters, pack
+from rejoint.twin.parameters import PARAMETERS, TwinParameters, pack, unpack
 from rejoint.twin.unknown import unknown_prior
 
 _OPTIONAL = {"offset": 0.0, "delay": 0.0}
@@ -60,8 +60,7 @@ def _value(path: Path, data: dict[str, Any], name: str, joints: int | None, arm:
     elif name in _OPTIONAL:
         given = _OPTIONAL[name]
     elif name in _LIMITLESS:  # where the wide ranges end, a limit is out of reach
-        place = [p.name for p in PARAMETERS].index(name)
-        given = float(np.exp(unknown_prior(arm).upper[-1 if joints is None else place * arm.joints]))
+        given = float(np.ravel(getattr(unpack(unknown_prior(arm).upper, arm.joints), name))[0])
     else:
         raise FileError(path, f"no {name}", _REMEDY)
     try:

@@ -2,14 +2,22 @@
 
 A position servo of this class does not jump to a new command: its reference moves there at a set speed.
 The command is constant between two sendings, so the reference is a straight line and then a rest, and
-both effects are computed exactly, outside of the simulation, at any time and for many twins at once.
+both effects are computed exactly, outside of the simulation, at any time and for many twins at once (`Reference`;
+`rejoint.twin.profile` for servos that limit their acceleration). Where commands come one by one, references are
+followed from step to step of the simulation (`LiveReference`).
 """
+
+# mypy: disallow-untyped-defs=False, disallow-untyped-calls=False, disallow-untyped-decorators=False
 
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 
 from rejoint.arms import Array
+from rejoint.control.robot import Mask
+from rejoint.twin.latency import Latency
+from rejoint.twin.profile import move
 
 REACHED = 1e-12
 """[rad] from its command at which a reference has arrived: rounding"""
@@ -49,3 +57,75 @@ class Reference:
 def approach(reference: Array, goal: Array, step: Array | float) -> Array:
     """Move ``reference`` towards ``goal`` by at most ``step``; all broadcast."""
     return reference + np.clip(goal - reference, -step, step)
+
+
+class LiveReference:
+    """References of N arms of n joints, as commands come; some limit their speed, others their acceleration."""
+
+    def __init__(self, count: int, joints: int) -> None:
+        self.position, self.velocity = np.zeros((2, count, joints))
+        """(N, n) [rad], [rad/s]; the velocity is that of references with limited acceleration"""
+        self._speed, self._acceleration = np.ones(count), np.full(count, np.inf)
+
+    def restart(self, where: Mask, position: Array, *, speed: Array, acceleration: Array) -> None:
+        """Rest at ``position`` (m, n) [rad] in ``where`` (N,); limits (m,) [rad/s] or, if finite, (m,) [rad/s^2]."""
+        self.position[where], self.velocity[where] = position, 0.0
+        self._speed[where], self._acceleration[where] = speed, acceleration
+
+    def follow(self, latency: Latency, starts: Array, step: Array) -> Array:
+        """Follow the commands in force at ``starts`` (N, s) [s] for a ``step`` (N,) [s] each; returns (N, s, n) [rad].
+
+        A goal that is sent again ends the plan of a servo that limits its acceleration (`rejoint.twin.profile`).
+        """
+        goals, reach = latency.in_force(starts), self._speed * step
+        if (self._acceleration == np.inf).all():
+            path = follow(self.position, goals, reach)
+        else:
+            path, self.velocity = _follow_limited(
+                self.position, self.velocity, goals, latency.sent_again(starts), reach, self._acceleration, step
+            )
+        self.position = path[:, -1].copy()
+        return path
+
+    def state(self) -> dict[str, Array]:
+        """Everything that a checkpoint must keep, as live arrays."""
+        return {
+            "position": self.position, "velocity": self.velocity, "speed": self._speed,
+            "acceleration": self._acceleration,
+        }  # fmt: skip
+
+
+@njit(cache=True, nogil=True, boundscheck=True)
+def follow(reference, goals, reach):  # noqa: ANN001, ANN201
+    """Move references (N, n) [rad] towards the ``goals`` (N, s, n) of s steps; returns where they are after each.
+
+    In each of the s steps they move by at most ``reach`` (N,) [rad], as by `approach`.
+    """
+    agents, steps, joints = goals.shape
+    path = np.empty(goals.shape)
+    for i in range(agents):
+        for j in range(joints):
+            now = reference[i, j]
+            for k in range(steps):
+                now += min(max(goals[i, k, j] - now, -reach[i]), reach[i])
+                path[i, k, j] = now
+    return path
+
+
+@njit(cache=True, nogil=True, boundscheck=True)
+def _follow_limited(position, velocity, goals, again, reach, acceleration, step):  # noqa: ANN001, ANN202
+    agents, steps, joints = goals.shape
+    path, speed = np.empty(goals.shape), np.zeros(velocity.shape)
+    for i in range(agents):
+        for j in range(joints):
+            now, v = position[i, j], velocity[i, j]
+            for k in range(steps):
+                if acceleration[i] == np.inf:
+                    now += min(max(goals[i, k, j] - now, -reach[i]), reach[i])
+                elif again[i, k, j]:
+                    now, v = goals[i, k, j], 0.0
+                else:
+                    now, v = move(now, v, goals[i, k, j], acceleration[i], step[i])
+                path[i, k, j] = now
+            speed[i, j] = v
+    return path, speed

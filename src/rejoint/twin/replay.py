@@ -18,11 +18,11 @@ import numpy as np
 from rejoint.arms import Arm, Array
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
-from rejoint.twin.batch import TwinBatch
 from rejoint.twin.model import TIMESTEP
 from rejoint.twin.parameters import STICTION, TwinParameters
 from rejoint.twin.profile import Profile
 from rejoint.twin.reference import Reference
+from rejoint.twin.simulation import Draw, Simulation
 from rejoint.twin.table import Table
 
 
@@ -82,7 +82,7 @@ class Replay:
         self._velocity = [measured_velocity(log) for log in self.logs]
         spans = [self._log(w).time[w.last - 1] - self._log(w).time[w.first] for w in self.windows]
         self.steps = int(np.ceil(max(spans) / timestep)) + 1
-        self._batches: dict[int, TwinBatch] = {}
+        self._simulations: dict[int, Simulation] = {}
 
     def predict(self, parameters: TwinParameters, tables: Sequence[Table] = ()) -> list[Array]:
         """Positions (m, rows, n) [rad] for each window, for twins of leading shape (m,).
@@ -90,16 +90,15 @@ class Replay:
         A replay that is made ``on_table`` needs m ``tables``.
         """
         m, count = parameters.shape[0], len(self.windows)
-        batch = self._simulations(m * count)
+        simulation = self._simulation(m * count)
         which = np.tile(np.arange(m), count)  # simulation = window * m + twin
-        batch.write(parameters[which])
+        start = np.repeat(np.stack([self._log(w).position[w.first] for w in self.windows]), m, axis=0)
+        velocity = np.repeat(np.stack([self._velocity[w.log][w.first] for w in self.windows]), m, axis=0)
+        simulation.place(Draw.of(parameters[which], self.stiction), start, start)
+        simulation.twins.qvel[:] = velocity
         if self.on_table:
-            batch.put_tables([tables[i] for i in which])
-        start = np.stack([self._log(w).position[w.first] for w in self.windows])
-        velocity = np.stack([self._velocity[w.log][w.first] for w in self.windows])
-        batch.restart(np.repeat(start, m, axis=0), np.repeat(velocity, m, axis=0))
-        recorded = batch.rollout(self._control(parameters), self.stiction)
-        path = np.concatenate([np.repeat(start, m, axis=0)[:, None], recorded], axis=1)
+            simulation.twins.put_tables([tables[i] for i in which])
+        path = np.concatenate([start[:, None], simulation.rollout(self._control(parameters))], axis=1)
         return [
             _interpolate(path[i * m : (i + 1) * m], self.timestep, self._log(w).time[w.first : w.last])
             for i, w in enumerate(self.windows)
@@ -132,10 +131,12 @@ class Replay:
     def _log(self, window: Window) -> RunLog:
         return self.logs[window.log]
 
-    def _simulations(self, count: int) -> TwinBatch:
-        if count not in self._batches:
-            self._batches[count] = TwinBatch(self.arm, count, self.timestep, self.threads, self.on_table)
-        return self._batches[count]
+    def _simulation(self, count: int) -> Simulation:
+        if count not in self._simulations:
+            self._simulations[count] = Simulation(
+                self.arm, count, timestep=self.timestep, threads=self.threads, table=self.on_table
+            )
+        return self._simulations[count]
 
     def _control(self, parameters: TwinParameters) -> Array:
         """Compute references (windows * m, steps, n) at the start of each simulation step.

@@ -12,11 +12,10 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rejoint.arms import Array
 from rejoint.twin.fit import SCALES, Problem, fit, line_up, loss, search
-from rejoint.twin.parameters import ARM_PARAMETERS, JOINT_PARAMETERS, PARAMETERS, Prior
+from rejoint.twin.parameters import Layout, Prior, number
 from rejoint.twin.replay import Window
 
 STICTIONS = (1.25, 1.0, 1.5, 2.0)
@@ -136,7 +135,7 @@ def find_acceleration(make: Callable[[Structure], Problem], simple: Structure, s
     def fitted(acceleration: float) -> tuple[Problem, Array]:
         problem = make(replace(simple, acceleration=acceleration))
         y = start.copy()
-        y[_places(problem, "delay")] += EARLIER * (float(known < np.inf) - float(acceleration < np.inf))
+        y[problem.layout.at("delay")] += EARLIER * (float(known < np.inf) - float(acceleration < np.inf))
         return problem, fit(problem, y, SHORT).vector
 
     unlimited = replace(simple, acceleration=np.inf)
@@ -163,7 +162,7 @@ def find_acceleration(make: Callable[[Structure], Problem], simple: Structure, s
 def _by_delay(problem: Problem, x: Array) -> Array:
     """Give vectors (m, k) that differ from ``x`` in the delay, which makes up for the lag of a lower acceleration."""
     around = np.tile(x, (len(DELAYS), 1))
-    around[:, _places(problem, "delay")] += np.array(DELAYS)[:, None]
+    around[:, problem.layout.at("delay")] += np.array(DELAYS)[:, None]
     return np.clip(around, problem.prior.lower, problem.prior.upper)
 
 
@@ -225,7 +224,7 @@ def _climb(
         problem = make(stickier)
         # A joint that sticks more at rest has less friction in motion for the same hysteresis.
         guess = x.copy()
-        guess[_places(problem, "coulomb")] -= np.log(stiction / structure.stiction)
+        guess[problem.layout.at("coulomb")] -= np.log(stiction / structure.stiction)
         y = fit(problem, guess, FURTHER, SCALES).vector
         losses = _losses(problem, y)
         tried.append((f"stiction {stiction:g}", _ratio(losses, start)))
@@ -244,13 +243,13 @@ def _ladders(stictions: Sequence[float]) -> tuple[list[float], list[float]]:
 def _with_limit(problem: Problem, x: Array, limit: str) -> tuple[Array, Array]:
     """Optimum with one limit freed, and its losses (n,); the descent is spared where no limit helps at all."""
     candidates = [x]
-    place = _places(problem, limit)
+    place = problem.layout.at(limit)
     if limit == "torque_limit":
         torque = _drive_torque(problem, x)
         values = [np.log(share * torque) for share in _TORQUES]
     else:
         values = [np.full(1, np.log(speed)) for speed in _RAMPS]
-    damping = _places(problem, "damping")
+    damping = problem.layout.at("damping")
     for value in values:
         for less in (0.0, np.log(2.0)):  # damping has stood for the limit so far
             candidate = x.copy()
@@ -270,23 +269,13 @@ def _with_limit(problem: Problem, x: Array, limit: str) -> tuple[Array, Array]:
 def _drive_torque(problem: Problem, x: Array) -> Array:
     """(n,) [N m] torques exceeded in one row of 200 by servos without limit, from what they leave to the arm."""
     lead = np.concatenate(problem.replay.commands()) - problem.measured
-    return np.asarray(np.quantile(np.abs(np.exp(x[_places(problem, "stiffness")]) * lead), 0.995, axis=0))
+    return np.asarray(np.quantile(np.abs(np.exp(x[problem.layout.at("stiffness")]) * lead), 0.995, axis=0))
 
 
 def _without_limits(belief: Prior, names: Sequence[str]) -> Prior:
     """Put the medians of limits where they do nothing: at the upper bound."""
-    n = (len(belief.mean) - len(ARM_PARAMETERS)) // len(JOINT_PARAMETERS)
-    off = np.concatenate([np.full(n if p.per_joint else 1, p.name in names) for p in PARAMETERS])
+    off = np.isin(Layout.of_length(len(belief.mean)).kind, [number(name) for name in names])
     return replace(belief, mean=np.where(off, belief.upper, belief.mean))
-
-
-def _places(problem: Problem, name: str) -> NDArray[np.integer]:
-    """Places of one parameter in the vector."""
-    n, names = problem.joints, [p.name for p in PARAMETERS]
-    index = names.index(name)
-    if index < len(JOINT_PARAMETERS):
-        return np.arange(index * n, (index + 1) * n)
-    return np.array([len(JOINT_PARAMETERS) * n + index - len(JOINT_PARAMETERS)])
 
 
 def _losses(problem: Problem, x: Array) -> Array:

@@ -18,10 +18,10 @@ from rejoint.twin.parameters import (
     JOINT_PARAMETERS,
     PARAMETERS,
     STICTION,
+    Layout,
     TwinParameters,
     pack,
     unpack,
-    vector_is_log,
     vector_names,
 )
 from rejoint.twin.prediction import PredictionError
@@ -149,11 +149,10 @@ class Twin:
 
         Only gravity and link inertia fix that factor, and a joint near the flange feels little of either.
         """
-        n = len(self.joint_names)
-        sigma = np.sqrt(np.diag(self.covariance)) / self.narrowing
+        layout, sigma = Layout(len(self.joint_names)), np.sqrt(np.diag(self.covariance)) / self.narrowing
         unknown = []
         for joint, name in enumerate(self.joint_names):
-            scaled = np.array([i * n + joint for i, p in enumerate(JOINT_PARAMETERS) if p.log])
+            scaled = np.flatnonzero((layout.owner == joint) & layout.is_log)
             information = np.linalg.pinv(self.covariance[np.ix_(scaled, scaled)]).sum()
             if information < SCALE_KNOWN * (sigma[scaled] ** -2).sum():
                 unknown.append(name)
@@ -218,7 +217,7 @@ def _root(twin: Twin, widen: float, least_spread: float) -> Array:
     """
     scale = np.where(twin.identified, widen, 1.0)
     covariance = twin.covariance * np.outer(scale, scale)
-    covariance = covariance + np.diag(np.where(vector_is_log(len(twin.joint_names)), least_spread**2, 0.0))
+    covariance = covariance + np.diag(np.where(Layout(len(twin.joint_names)).is_log, least_spread**2, 0.0))
     values, vectors = np.linalg.eigh(covariance)
     root: Array = vectors * np.sqrt(np.maximum(values, 0.0))
     return root

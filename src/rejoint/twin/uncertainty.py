@@ -24,13 +24,13 @@ from numpy.typing import NDArray
 from rejoint.arms import Array
 from rejoint.system.statistics import NORMAL95, student95
 from rejoint.twin.fit import SCALES, STIFFNESS, Fit, Problem, influence, loss
-from rejoint.twin.parameters import JOINT_PARAMETERS, Prior
+from rejoint.twin.parameters import Prior, number
 
 CLUSTER = 3.0
 """[s] longer than a stick-slip cycle and than the slowest oscillation of a worn arm (chosen)"""
 
-TORQUE_LIMIT = next(i for i, p in enumerate(JOINT_PARAMETERS) if p.name == "torque_limit")
-"""Place of the torque limit among a joint's parameters"""
+TORQUE_LIMIT = number("torque_limit")
+"""Column of the sensitivities that is the torque limit's"""
 
 REACH = 2.0
 """Standard deviations to either side from which the loss's own curvature is taken (chosen: the ends of an interval)"""

@@ -7,8 +7,9 @@ from rejoint.arms import mycobot280, tcp_position
 from rejoint.control.loop import Schedule, run
 from rejoint.research.rivals.mpc import MpcController, MpcSettings
 from rejoint.research.rivals.twinrobot import TwinRobot
-from rejoint.training.ranges import BroadRanges, Draw
+from rejoint.training.ranges import BroadRanges
 from rejoint.twin.parameters import TwinParameters
+from rejoint.twin.simulation import Draw
 
 ARM = mycobot280()
 RANGES = BroadRanges(arm=ARM, weak_joints=0.0, torque_limit=(2.0, 3.0), coulomb=(0.0, 0.4), period=(0.024, 0.026))
@@ -51,9 +52,9 @@ def test_the_shadow_of_the_right_model_is_the_arm():
 
     def watch(cycle):
         if len(missed) > 0 or cycle.since_target[0] > 0.0:
-            missed.append(np.abs(controller._shadow.qpos - cycle.position).max())
+            missed.append(np.abs(controller._shadow.twins.qpos - cycle.position).max())
 
-    schedule = Schedule(dwell=1.0, keep_going=True, sent=robot._reference.copy())
+    schedule = Schedule(dwell=1.0, keep_going=True, sent=robot.simulation.reference.position.copy())
     run(robot, controller, TARGETS, schedule, on_cycle=watch)
     # Encoder counts, and another number of physics steps per cycle.
     assert np.max(missed) < np.radians(1.0)

@@ -9,10 +9,10 @@ from rejoint.control.robot import JointState, Robot
 from rejoint.research.rivals.adaptive import AdaptiveController, AdaptiveGains
 from rejoint.research.rivals.catalogue import RIVALS, make_rival
 from rejoint.research.rivals.scheduled import ScheduledController, ScheduledGains
-from rejoint.research.rivals.tuning import TuningSettings, candidate_costs, repeat, tune
+from rejoint.research.rivals.tuning import TuningSettings, candidate_costs, tune
 from rejoint.research.rivals.twinrobot import TwinRobot
 from rejoint.system.errors import InputError
-from rejoint.training.ranges import SLOW_PLAY, BroadRanges
+from rejoint.training.ranges import BroadRanges
 from rejoint.training.task import ReachTask, TaskSettings
 
 ARM = mycobot280()
@@ -83,35 +83,22 @@ def test_the_adaptive_law_learns_what_its_regressor_spans():
     np.testing.assert_allclose(law._estimate[0][loaded], 1.4, atol=0.02)
 
 
-@pytest.mark.parametrize("ranges", [RANGES, BroadRanges(arm=ARM, play=SLOW_PLAY)], ids=["tight", "with play"])
-def test_twins_move_as_in_training(ranges):
-    task = ReachTask(ARM, ranges, 6, TaskSettings(jitter=0.0, targets=10**6, hold_steps=10**6), seed=3)
-    task.reset()
-    draw = ranges.draw(np.random.default_rng(1), 6)
-    robot = TwinRobot(ARM, draw, seed=0, jitter=0.0)
+def test_a_robot_of_twins_steps_the_simulation_of_the_training():
+    task = ReachTask(ARM, RANGES, 4, TaskSettings(hold_steps=10**6), seed=3)
+    robot = TwinRobot(ARM, RANGES.draw(np.random.default_rng(1), 4), seed=0)
     assert isinstance(robot, Robot)
-    task.twins.write(draw.twin, gravity_scale=draw.gravity_scale)
-    task.twins.restart(np.tile(ARM.rest, (6, 1)))
-    task.wire.command_delay[:], task.wire.readback_delay[:] = draw.command_delay, draw.readback_delay
-    task.wire.clear(np.ones(6, dtype=bool), robot._reference, np.tile(ARM.rest, (6, 1)))
-    task._reference[:] = task._sent[:] = robot._reference
-    task._measured[:], task._time[:] = robot.read().position, 0.0
-    task._middle[:], task._period[:], task._ramp[:] = draw.period, draw.period, draw.twin.ramp_speed
-    task.play.renew(draw, np.ones(6, dtype=bool))
-    task.commander.forget(task._situation(), np.ones(6, dtype=bool))
-    rng = np.random.default_rng(5)
-    for _ in range(40):
-        task.step(rng.uniform(-1, 1, (6, 6)))
-        robot.step(task._sent.copy())
-        np.testing.assert_array_equal(robot.read().position, task._measured)
-        np.testing.assert_array_equal(robot.read().time, task._time)
+    assert type(robot.simulation) is type(task.simulation)
+    before = robot.read()
+    after = robot.step(robot.simulation.reference.position.copy(), np.array([True, False, True, True]))
+    assert (after.time > before.time).all()
+    np.testing.assert_array_equal(after.position[1], before.position[1])
 
 
 def test_twins_rest_where_their_first_command_holds_them():
     draw = RANGES.draw(np.random.default_rng(2), 8)
     strong = TwinRobot(ARM, draw, seed=0)
     for _ in range(40):
-        strong.step(strong._reference.copy())
+        strong.step(strong.simulation.reference.position.copy())
     able = (draw.twin.torque_limit > 1.2 * np.abs(gravity_torque(ARM, ARM.rest))).all(axis=1)
     assert able.any()
     assert np.abs(strong.read().position - ARM.rest)[able].max() < np.radians(0.5)
@@ -124,13 +111,6 @@ def test_candidates_meet_the_same_arms():
     rates["far_rate"] = rates["near_rate"] = np.array([4.0, 1.0, 4.0])
     costs = candidate_costs(ARM, RANGES, rates, RIVALS["tuned-feedforward"].make, settings, 0)
     assert costs[0] == costs[2] != costs[1]
-
-
-def test_repeated_draws_are_whole_copies():
-    draw = RANGES.draw(np.random.default_rng(0), 3)
-    twice = repeat(draw, 2)
-    np.testing.assert_array_equal(twice.period, np.concatenate([draw.period, draw.period]))
-    np.testing.assert_array_equal(twice.twin.coulomb[3:], draw.twin.coulomb)
 
 
 def test_the_tuning_finds_the_bottom_of_a_known_valley(monkeypatch):

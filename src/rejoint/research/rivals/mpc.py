@@ -20,10 +20,9 @@ from rejoint.control.goal import Goal
 from rejoint.control.law import limit_lead, limit_position
 from rejoint.control.pace import Pace
 from rejoint.control.robot import Mask
-from rejoint.training.wire import Wire, follow
-from rejoint.twin.batch import TwinBatch
 from rejoint.twin.parameters import TwinParameters
-from rejoint.twin.reference import approach
+from rejoint.twin.reference import follow
+from rejoint.twin.simulation import Draw, Simulation
 
 _OVERDRIVE = np.array([-0.5, 0.0, 0.5, 1.0, 2.0, 4.0])
 """Shares of the way to the goal that are added to the goal's command, as candidates (chosen)"""
@@ -100,17 +99,13 @@ class MpcController:
         self._count, n = situation.sent.shape
         settings = self._settings
         self._twin = self._given.repeat(self._count) if self._given.shape == () else self._given
-        self._shadow = TwinBatch(self._arm, self._count)
-        self._shadow.write(self._twin)
-        self._shadow.restart(situation.state.position)
-        self._rollouts = TwinBatch(self._arm, self._count * settings.samples, settings.timestep)
+        arms, start = Draw.of(self._twin), situation.state.position
+        self._shadow = Simulation(self._arm, self._count, substeps=_SHADOW_STEPS)
+        self._shadow.place(arms, start, situation.sent)
+        self._shadow.time = situation.state.time.copy()
+        self._rollouts = Simulation(self._arm, self._count * settings.samples, timestep=settings.timestep)
         each = np.repeat(np.arange(self._count), settings.samples)
-        self._rollouts.write(self._twin[each])
-        self._wire = Wire(self._count, n, _SHADOW_STEPS)
-        self._wire.command_delay[:] = self._twin.delay
-        self._wire.clear(np.ones(self._count, dtype=bool), situation.sent, situation.state.position)
-        self._reference = situation.sent.copy()
-        self._time = situation.state.time.copy()
+        self._rollouts.place(arms.rows(each), start[each], situation.sent[each])
         self._jacobian = np.zeros((self._count, 3, n))
         self._holding, self._offset = np.zeros((2, self._count, n))
         self._plan = np.zeros((self._count, 2, n))  # first command, and the one after `bend`
@@ -119,28 +114,22 @@ class MpcController:
         """Bring the shadow twins to now, and learn from what they missed."""
         settings, now = self._settings, situation.state.time
         elapsed = self._pace.tick(now)
-        if (now <= self._time).all():
+        shadow = self._shadow
+        if (now <= shadow.time).all():
             return
-        self._wire.send(situation.sent, self._time)
-        substep = np.maximum(elapsed, 1e-4) / _SHADOW_STEPS
-        self._shadow.set_timestep(substep)
-        goals = self._wire.in_force(self._time[:, None] + substep[:, None] * np.arange(_SHADOW_STEPS))
-        references = follow(self._reference, goals, self._twin.ramp_speed * substep)
-        for k in range(_SHADOW_STEPS):
-            self._shadow.ctrl[:] = references[:, k] + self._offset
-            self._shadow.step()
-        self._reference = references[:, -1].copy()
-        missed = situation.state.position - self._shadow.qpos
-        self._shadow.qpos[:] += settings.correction * missed
-        self._shadow.qvel[:] += 0.5 * settings.correction**2 * missed / np.maximum(elapsed, 1e-3)[:, None]
+        shadow.send(situation.sent)
+        shadow.advance(np.maximum(elapsed, 1e-4), self._offset)
+        shadow.time = now.copy()
+        missed = situation.state.position - shadow.twins.qpos
+        shadow.twins.qpos[:] += settings.correction * missed
+        shadow.twins.qvel[:] += 0.5 * settings.correction**2 * missed / np.maximum(elapsed, 1e-3)[:, None]
         learned = self._offset + settings.offset_rate * elapsed[:, None] * missed
         self._offset = np.clip(learned, -settings.offset_limit, settings.offset_limit)
-        self._time = now.copy()
 
     def _candidates(self, situation: Situation) -> Array:
         """Commands (B, K, 2, n) [rad]: first, and after the bend."""
         settings, measured = self._settings, situation.state.position
-        way = self._goal.position - self._shadow.qpos
+        way = self._goal.position - self._shadow.twins.qpos
         holding = self._holding - self._offset
         driven = holding[:, None] + _OVERDRIVE[:, None] * way[:, None]
         fixed = np.stack([driven, np.broadcast_to(holding[:, None], driven.shape)], axis=2)
@@ -158,20 +147,17 @@ class MpcController:
         delay, timestep = self._twin.delay, settings.timestep
         steps = int(np.ceil((float(delay.max()) + settings.horizon) / timestep))
         ahead = np.linspace(0.0, (steps - 1) * timestep, steps)
-        sent = self._wire.in_force(situation.state.time[:, None] + ahead)  # without new commands
+        sent = self._shadow.latency.in_force(situation.state.time[:, None] + ahead)  # without new commands
         since = ahead - delay[:, None]
         share = np.clip(since / settings.bend, 0.0, 1.0)[:, None, :, None]
         first, last = candidates[:, :, 0, None], candidates[:, :, 1, None]
         wanted = np.where((since >= 0.0)[:, None, :, None], first + share * (last - first), sent[:, None])
-        control = np.empty((count, samples, steps, n))
-        reference, reach = self._reference[:, None], (self._twin.ramp_speed * timestep)[:, None, None]
-        for k in range(steps):
-            reference = approach(reference, wanted[:, :, k], reach)
-            control[:, :, k] = reference
-        control += self._offset[:, None, None]
-        self._rollouts.restart(np.repeat(self._shadow.qpos, samples, axis=0))
-        self._rollouts.qvel[:] = np.repeat(self._shadow.qvel, samples, axis=0)
-        passed = self._rollouts.rollout(control.reshape(-1, steps, n)).reshape(count, samples, steps, n)
+        each, now = np.repeat(np.arange(count), samples), self._shadow.twins
+        reach = self._twin.ramp_speed[each] * timestep
+        control = follow(self._shadow.reference.position[each], wanted.reshape(-1, steps, n), reach)
+        control += self._offset[each, None]
+        self._rollouts.twins.restart(now.qpos[each], now.qvel[each])
+        passed = self._rollouts.rollout(control).reshape(count, samples, steps, n)
         return self._judge(situation, candidates, passed)
 
     def _judge(self, situation: Situation, candidates: Array, passed: Array) -> Array:

@@ -9,7 +9,7 @@ the time to come and stay within 2 mm, and the settled error.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
@@ -21,8 +21,7 @@ from rejoint.control.loop import run
 from rejoint.research.rivals.twinrobot import TwinRobot
 from rejoint.runs.comparison.protocols import Holds, measure_holds, schedule
 from rejoint.runs.comparison.result import Protocol
-from rejoint.training.ranges import Draw, Ranges
-from rejoint.twin.parameters import PARAMETERS, TwinParameters
+from rejoint.training.ranges import Ranges
 
 T = TypeVar("T")
 Interval = tuple[float, float]
@@ -86,7 +85,7 @@ def candidate_costs(
     """Cost (P,) of candidates with ``gains`` (P,) by name, all on the same arms and targets."""
     count = len(next(iter(gains.values())))
     rng = np.random.default_rng([settings.seed, draw_seed])
-    drawn = repeat(ranges.draw(rng, settings.arms), count)
+    drawn = ranges.draw(rng, settings.arms).rows(np.tile(np.arange(settings.arms), count))
     targets = np.tile(arm.targets.sample(rng, (settings.arms, settings.targets)), (count, 1, 1))
     robot = TwinRobot(arm, drawn, seed=draw_seed, copies=count)
     each = {name: np.repeat(value, settings.arms)[:, None] for name, value in gains.items()}
@@ -100,14 +99,3 @@ def cost(holds: Holds, settings: TuningSettings) -> Array:
     late = np.minimum(np.nan_to_num(holds.stay[0], nan=np.inf), settings.hold)
     error = np.minimum(np.nan_to_num(holds.settled, nan=np.inf), settings.settled_cap)
     return late + settings.settled_weight * 1e3 * error
-
-
-def repeat(draw: Draw, count: int) -> Draw:
-    """Give every one of ``count`` candidates the same arms."""
-
-    def tiled(value: Array) -> Array:
-        return np.tile(value, (count, *[1] * (value.ndim - 1)))
-
-    twin = TwinParameters(**{p.name: tiled(getattr(draw.twin, p.name)) for p in PARAMETERS})
-    others = [field.name for field in fields(Draw) if field.name != "twin"]
-    return Draw(twin=twin, **{name: tiled(getattr(draw, name)) for name in others})

@@ -1,7 +1,4 @@
-"""Randomised twins behind the interface of a robot, so that controllers are tuned on what the policy is trained on.
-
-The motion of one cycle is that of `rejoint.training.task.ReachTask`; a test holds the two together bit for bit.
-"""
+"""Simulated twins behind the interface of a robot, so that controllers are tuned on what the policy is trained on."""
 
 from __future__ import annotations
 
@@ -9,11 +6,7 @@ import numpy as np
 
 from rejoint.arms import Arm, Array, gravity_torque, tcp_position
 from rejoint.control.robot import JointState, Mask
-from rejoint.training.motion import SUBSTEPS, pass_period
-from rejoint.training.play import Play
-from rejoint.training.ranges import Draw
-from rejoint.training.wire import Wire
-from rejoint.twin.batch import TwinBatch
+from rejoint.twin.simulation import Draw, Simulation
 
 
 class TwinRobot:
@@ -26,21 +19,13 @@ class TwinRobot:
 
         ``copies``: the batch holds the same arms that many times over, with the same jitter.
         """
-        count, n = len(draw.period), arm.joints
-        self._arm, self._draw, self._jitter, self._copies = arm, draw, jitter, copies
+        count = len(draw.period)
+        self._arm, self._period, self._jitter, self._copies = arm, draw.period, jitter, copies
         self._rng = np.random.default_rng(seed)
-        self.twins = TwinBatch(arm, count, threads=threads)
-        self.twins.write(draw.twin, gravity_scale=draw.gravity_scale)
-        self.play = Play(arm, count)
-        self.play.renew(draw, np.ones(count, dtype=bool))
-        self.wire = Wire(count, n, SUBSTEPS)
-        self.wire.command_delay[:], self.wire.readback_delay[:] = draw.command_delay, draw.readback_delay
+        self.simulation = Simulation(arm, count, threads=threads)
         position = np.tile(arm.rest, (count, 1))
         held = draw.gravity_scale[:, None] * gravity_torque(arm, position) / draw.twin.stiffness - draw.twin.offset
-        self.twins.restart(position)
-        self._reference = position + held
-        self.wire.clear(np.ones(count, dtype=bool), self._reference, position)
-        self._time, self._measured = np.zeros(count), self._quantised(position)
+        self.simulation.place(draw, position, position + held)
 
     @property
     def arm(self) -> Arm:
@@ -55,35 +40,29 @@ class TwinRobot:
     @property
     def count(self) -> int:
         """Number B of twins."""
-        return len(self._time)
+        return len(self._period)
 
     def read(self) -> JointState:
         """Return the newest joint state."""
-        return JointState(time=self._time.copy(), position=self._measured.copy(), age=np.zeros(self.count))
+        now = self.simulation
+        return JointState(time=now.time.copy(), position=now.measured.copy(), age=np.zeros(self.count))
 
     def step(self, command: Array, active: Mask | None = None) -> JointState:
         """Send ``command`` (B, n) [rad] and let one period pass; twins that are not ``active`` move on unseen."""
-        news = np.ones(self.count, dtype=bool) if active is None else active
-        self.wire.send(command, self._time)
+        simulation, before = self.simulation, self.simulation.measured
+        simulation.send(command)
         spread = self._rng.uniform(1.0 - self._jitter, 1.0 + self._jitter, self.count // self._copies)
-        period = self._draw.period * np.tile(spread, self._copies)
-        self._reference = pass_period(
-            self.twins, self.play, self.wire, self._reference,
-            ramp=self._draw.twin.ramp_speed, time=self._time, period=period,
-        )  # fmt: skip
-        self._time = self._time + period
-        self._measured = np.where(news[:, None], self._quantised(self.wire.read(self._time)), self._measured)
+        simulation.advance(self._period * np.tile(spread, self._copies))
+        if active is not None:
+            simulation.measured = np.where(active[:, None], simulation.measured, before)
         return self.read()
 
     def true_tcp(self) -> Array:
-        """(B, 3) [m] of the twins' links; what play they have lies inside the loop, so the encoders see it."""
-        return tcp_position(self._arm, self.twins.qpos)
+        """(B, 3) [m] of the twins' links; what backlash they have is inside the loop, so the encoders see it."""
+        return tcp_position(self._arm, self.simulation.twins.qpos)
 
     def stop(self) -> None:
         """Hold where they are; nobody reads twins that have stopped."""
 
     def close(self) -> None:
         """Nothing to release."""
-
-    def _quantised(self, position: Array) -> Array:
-        return np.round(position / self._arm.encoder_step) * self._arm.encoder_step

@@ -1,6 +1,6 @@
-"""The wire between policy and twin in training: commands arrive late, positions are old when they come.
+"""Latency between a controller and twins: commands arrive late, positions are old when they come.
 
-Every agent has delays and a control period of its own. Times are those of each agent's own clock.
+Every arm has delays and a control period of its own. Times are those of each arm's own clock.
 """
 
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False, disallow-untyped-decorators=False
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from rejoint.arms import Array
 from rejoint.control.robot import Mask
@@ -17,18 +18,18 @@ DEPTH = 4
 """Commands that are remembered: 40 ms of delay at the shortest period of 18 ms."""
 
 
-class Wire:
-    """Commands on their way out and positions on their way back, for N agents of n joints."""
+class Latency:
+    """Commands on their way out and positions on their way back, for N arms of n joints."""
 
-    def __init__(self, agents: int, joints: int, substeps: int) -> None:
-        self.command_delay = np.zeros(agents)
+    def __init__(self, count: int, joints: int, substeps: int) -> None:
+        self.command_delay = np.zeros(count)
         """(N,) [s]"""
-        self.readback_delay = np.zeros(agents)
+        self.readback_delay = np.zeros(count)
         """(N,) [s]"""
-        self._commands = np.zeros((agents, DEPTH, joints))  # newest first
-        self._sent = np.full((agents, DEPTH), -np.inf)
-        self._positions = np.zeros((agents, 2 * substeps + 1, joints))  # oldest first
-        self._times = np.zeros((agents, 2 * substeps + 1))
+        self._commands = np.zeros((count, DEPTH, joints))  # newest first
+        self._sent = np.full((count, DEPTH), -np.inf)
+        self._positions = np.zeros((count, 2 * substeps + 1, joints))  # oldest first
+        self._times = np.zeros((count, 2 * substeps + 1))
 
     def clear(self, where: Mask, command: Array, position: Array) -> None:
         """Begin at time 0 in ``where`` (N,): ``command`` (m, n) has long been in force, ``position`` (m, n) stands."""
@@ -49,6 +50,13 @@ class Wire:
         self._check(len(time))
         return _in_force(self._sent, self.command_delay, self._commands, time)
 
+    def sent_again(self, time: Array) -> NDArray[np.bool_]:
+        """Tell which of the commands (N, s, n) in force at ``time`` (N, s) [s] are those of the sending before."""
+        self._check(len(time))
+        same = np.zeros(self._commands.shape)
+        same[:, :-1] = self._commands[:, :-1] == self._commands[:, 1:]
+        return _in_force(self._sent, self.command_delay, same, time) > 0.0
+
     def record(self, time: Array, position: Array) -> None:
         """Record positions (N, substeps, n) [rad] that were passed at ``time`` (N, substeps) [s]."""
         new = time.shape[1]
@@ -61,9 +69,9 @@ class Wire:
         self._check(len(time))
         return _read(self._times, self._positions, time, self.readback_delay)
 
-    def _check(self, agents: int) -> None:
-        if agents != len(self._sent):
-            raise InputError(f"wire: times of {agents} agents, expected {len(self._sent)}")
+    def _check(self, count: int) -> None:
+        if count != len(self._sent):
+            raise InputError(f"latency: times of {count} arms, expected {len(self._sent)}")
 
     def state(self) -> dict[str, Array]:
         """Everything that a checkpoint must keep, as live arrays."""
@@ -71,23 +79,6 @@ class Wire:
             "command_delay": self.command_delay, "readback_delay": self.readback_delay, "commands": self._commands,
             "sent": self._sent, "positions": self._positions, "times": self._times,
         }  # fmt: skip
-
-
-@njit(cache=True, nogil=True, boundscheck=True)
-def follow(reference, goals, reach):  # noqa: ANN001, ANN201
-    """Move references (N, n) [rad] towards the ``goals`` (N, s, n) of s steps; returns where they are after each.
-
-    In each of the s steps they move by at most ``reach`` (N,) [rad], as by `rejoint.twin.reference.approach`.
-    """
-    agents, steps, joints = goals.shape
-    path = np.empty(goals.shape)
-    for i in range(agents):
-        for j in range(joints):
-            now = reference[i, j]
-            for k in range(steps):
-                now += min(max(goals[i, k, j] - now, -reach[i]), reach[i])
-                path[i, k, j] = now
-    return path
 
 
 @njit(cache=True, nogil=True, boundscheck=True)

@@ -1,4 +1,4 @@
-"""What only the critic sees: the twin's own state and parameters, scaled to about one.
+"""The privileged observation, which only the critic sees: the twin's own state and parameters, scaled to about one.
 
 The critic is used in training alone, so it may know what no encoder shows; its better values make the
 policy's gradient less noisy (asymmetric actor-critic; Pinto et al. 2018, arXiv:1710.06542).
@@ -10,20 +10,20 @@ import numpy as np
 
 from rejoint.arms import Arm, Array
 from rejoint.control.observation import Observation
-from rejoint.training.ranges import Draw
 from rejoint.twin.parameters import nominal_parameters
+from rejoint.twin.simulation import Draw
 
 _MOVING_SCALARS = 4
 _FIXED_SCALARS = 4
 
 
-def truth_size(joints: int) -> int:
-    """Length of the truth vector for n joints."""
+def privileged_size(joints: int) -> int:
+    """Length of the privileged observation of n joints."""
     return _MOVING_SCALARS + 2 * joints + _FIXED_SCALARS + 6 * joints
 
 
-def fixed_truth(arm: Arm, draw: Draw) -> Observation:
-    """Truth (m, size) of new arms; the part that moves is left at zero."""
+def privileged_constants(arm: Arm, draw: Draw) -> Observation:
+    """Privileged observation (m, size) of new arms; the part that moves is left at zero."""
     base, twin = nominal_parameters(arm), draw.twin
     scalars = np.stack(
         [
@@ -46,16 +46,18 @@ def fixed_truth(arm: Arm, draw: Draw) -> Observation:
     return np.concatenate([moving, scalars, *parts], axis=-1).clip(-8.0, 8.0).astype(np.float32)
 
 
-def moving_truth(truth: Observation, distance: Array, speed: Array, velocity: Array, lag: Array, period: Array) -> None:
+def fill_privileged(
+    privileged: Observation, distance: Array, speed: Array, velocity: Array, lag: Array, period: Array
+) -> None:
     """Fill in the part that changes each cycle.
 
     ``distance`` (N,) [m] of the TCP, its ``speed`` (N,) [m/s], joint ``velocity`` (N, n) [rad/s], ``lag`` (N, n)
     [rad] of the joints behind the servo's reference, control ``period`` (N,) [s].
     """
     n = velocity.shape[1]
-    truth[:, 0] = 10.0 * distance
-    truth[:, 1] = (np.log(distance + 0.0003) + 5.0) / 2.0
-    truth[:, 2] = 3.0 * speed
-    truth[:, 3] = 30.0 * period
-    truth[:, 4 : 4 + n] = np.clip(0.5 * velocity, -8.0, 8.0)
-    truth[:, 4 + n : 4 + 2 * n] = np.clip(4.0 * lag, -8.0, 8.0)
+    privileged[:, 0] = 10.0 * distance
+    privileged[:, 1] = (np.log(distance + 0.0003) + 5.0) / 2.0
+    privileged[:, 2] = 3.0 * speed
+    privileged[:, 3] = 30.0 * period
+    privileged[:, 4 : 4 + n] = np.clip(0.5 * velocity, -8.0, 8.0)
+    privileged[:, 4 + n : 4 + 2 * n] = np.clip(4.0 * lag, -8.0, 8.0)

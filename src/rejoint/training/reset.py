@@ -1,4 +1,4 @@
-"""Arms that take the places of others in training, and how they stand when they come."""
+"""Reset states: the arms that take the places of others in training, and how they stand at first."""
 
 from __future__ import annotations
 
@@ -9,10 +9,11 @@ from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, gravity_torque, tcp_position
 from rejoint.control.guard import GuardLimits
-from rejoint.training.ranges import Draw, Ranges
+from rejoint.training.ranges import Ranges
+from rejoint.twin.simulation import Draw
 
 
-class Newcomers(NamedTuple):
+class ResetStates(NamedTuple):
     """m arms at the start of their first episode."""
 
     draw: Draw
@@ -21,14 +22,14 @@ class Newcomers(NamedTuple):
     command: Array
     """(m, n) [rad] what they have been commanded"""
 
-    def rows(self, index: NDArray[np.integer]) -> Newcomers:
+    def rows(self, index: NDArray[np.integer]) -> ResetStates:
         """Return some of them."""
-        return Newcomers(self.draw.rows(index), self.position[index], self.command[index])
+        return ResetStates(self.draw.rows(index), self.position[index], self.command[index])
 
 
-def draw_newcomers(
+def draw_reset_states(
     ranges: Ranges, limits: GuardLimits, rng: np.random.Generator, count: int, *, spread: float, lead_limit: float
-) -> Newcomers:
+) -> ResetStates:
     """Draw ``count`` arms around their rest with a standard deviation of ``spread`` [rad].
 
     The first command leads each by a part of its sag, as after an earlier motion, but by no more than
@@ -36,7 +37,7 @@ def draw_newcomers(
     """
     draw = ranges.draw(rng, count)
     position = _start_postures(limits, rng, count, spread)
-    return Newcomers(draw, position, position + _start_lead(limits.arm, rng, draw, position, lead_limit))
+    return ResetStates(draw, position, position + _start_lead(limits.arm, rng, draw, position, lead_limit))
 
 
 def _start_postures(limits: GuardLimits, rng: np.random.Generator, count: int, spread: float) -> Array:

@@ -1,4 +1,4 @@
-"""Motors and joints on either side of the play of their gears, against numbers worked by hand."""
+"""Motors and joints on either side of the backlash of their gears, against numbers worked by hand."""
 
 import dataclasses
 
@@ -7,16 +7,19 @@ import pytest
 
 from rejoint.arms import mycobot280
 from rejoint.control.residual import CommandLaw
-from rejoint.training.play import RESTITUTION, Play
 from rejoint.training.ranges import BroadRanges
 from rejoint.training.task import ReachTask, TaskSettings
+from rejoint.twin.backlash import RESTITUTION, Backlash
+from rejoint.twin.friction import dry_friction, friction_terms
 
 ARM = mycobot280()
 MS = 0.001
 
 
 class Bench:
-    """Joints clamped at 0.5 rad instead of a simulation; speeds are forgotten after every step."""
+    """Joints clamped at 0.5 rad instead of a simulation, in steps of a millisecond; speeds are forgotten."""
+
+    timestep = np.full(1, MS)
 
     def __init__(self) -> None:
         self.ctrl, self.qpos, self.qvel = np.zeros((1, 6)), np.full((1, 6), 0.5), np.zeros((1, 6))
@@ -29,32 +32,42 @@ class Bench:
         self.friction = friction
 
 
-def make(play: float = 0.02, stiction: float = 1.0, armature: float = 1e-6) -> Play:
-    """An arm of 10 N m/rad, 2 N m s/rad and 0.2 N m of friction, whose gears have play."""
+class Geared(Backlash):
+    """Backlash with the friction of its arm."""
+
+    terms: np.ndarray
+
+    def drive(self, bench: Bench) -> None:
+        friction = dry_friction(self.terms, bench.qvel)
+        self.part(bench, self.terms, friction)
+        bench.set_friction(friction)
+
+
+def make(backlash: float = 0.02, stiction: float = 1.0, armature: float = 1e-6) -> Geared:
+    """An arm of 10 N m/rad, 2 N m s/rad and 0.2 N m of friction, whose gears have backlash."""
     draw = BroadRanges(arm=ARM).draw(np.random.default_rng(0), 1)
     values = {"stiffness": 10.0, "damping": 2.0, "coulomb": 0.2, "armature": armature, "torque_limit": 5.0}
     twin = dataclasses.replace(draw.twin, **{name: np.full((1, 6), value) for name, value in values.items()})
     twin = dataclasses.replace(twin, offset=np.full((1, 6), 0.03))
-    result = Play(ARM, 1)
-    ones = np.ones((1, 6))
-    draw = dataclasses.replace(draw, twin=twin, play=play * ones, stiction=stiction * ones, grease=np.full(1, 0.1))
-    result.renew(draw, np.ones(1, dtype=bool))
+    result = Geared(ARM, 1)
+    result.terms = friction_terms(twin, stiction)
+    result.renew(twin, np.full((1, 6), backlash), np.full(1, 0.1), np.ones(1, dtype=bool))
     return result
 
 
-def push(play: Play, lead: float, steps: int) -> tuple[np.ndarray, np.ndarray, Bench]:
+def push(backlash: Geared, lead: float, steps: int) -> tuple[np.ndarray, np.ndarray, Bench]:
     """Ask the joints to be ``lead`` [rad] further; the lead that they feel and the speed they get, (steps, 6) each."""
     bench, leads, speeds = Bench(), [], []
     for _ in range(steps):
         bench.ctrl[:], bench.qvel[:] = bench.qpos + lead - 0.03, 0.0  # the offset of 0.03 rad counts as lead
-        play.drive(bench, np.full(1, MS))
+        backlash.drive(bench)
         leads.append((bench.ctrl + 0.03 - bench.qpos)[0])
         speeds.append(bench.qvel[0].copy())
     return np.array(leads), np.array(speeds), bench
 
 
 def test_a_motor_crosses_the_play_at_the_speed_of_its_spare_torque():
-    # 10 N m/rad * 0.1 rad - 0.2 N m = 0.8 N m; over 2 N m s/rad 0.4 rad/s; half of the play, 0.01 rad, in 25 ms
+    # 10 N m/rad * 0.1 rad - 0.2 N m = 0.8 N m; over 2 N m s/rad 0.4 rad/s; half of the backlash, 0.01 rad, in 25 ms
     leads, speeds, bench = push(make(), 0.1, 24)
     np.testing.assert_allclose(leads[:, 0], 0.0, atol=1e-12)  # no torque reaches the joint
     assert not speeds[:, 0].any()
@@ -65,30 +78,30 @@ def test_a_motor_crosses_the_play_at_the_speed_of_its_spare_torque():
 
 
 def test_where_they_meet_momentum_is_kept_and_half_of_the_closing_speed():
-    play = make()
-    play._motor[..., 3] = play._link[0]  # a rotor as heavy as what it turns
-    play._speed[0, 0], play._ahead[0, 0] = 0.4, 0.0099999
+    backlash = make()
+    backlash._motor[..., 2] = backlash._link[0]  # a rotor as heavy as what it turns
+    backlash._speed[0, 0], backlash._ahead[0, 0] = 0.4, 0.0099999
     bench = Bench()
     bench.ctrl[:] = bench.qpos - 0.03  # no torque
-    play._motor[..., 1:3] = 0.0  # no friction
+    backlash._motor[..., 1] = backlash.terms[0] = 0.0  # no friction
     bench.qvel[:] = 0.1
-    play.drive(bench, np.full(1, MS))
-    motor, joint = play._speed[0, 0], bench.qvel[0, 0]
+    backlash.drive(bench)
+    motor, joint = backlash._speed[0, 0], bench.qvel[0, 0]
     assert motor + joint == pytest.approx(0.5)
     assert joint - motor == pytest.approx(RESTITUTION * 0.3)
-    assert play._ahead[0, 0] == pytest.approx(0.01)
+    assert backlash._ahead[0, 0] == pytest.approx(0.01)
 
 
 def test_once_in_touch_a_motor_that_pushes_is_the_twin_s_and_one_that_brakes_lets_go():
-    play = make()
-    play._touch[:], play._ahead[:] = 1, 0.01
-    leads, _, bench = push(play, 0.1, 5)
+    backlash = make()
+    backlash._touch[:], backlash._ahead[:] = 1, 0.01
+    leads, _, bench = push(backlash, 0.1, 5)
     np.testing.assert_allclose(leads[:, 0], 0.1)
     assert (bench.friction[0, 0], bench.armature[0, 0], bench.damping[0, 0]) == (0.2, 1e-6, 2.0)
-    push(play, 0.01, 5)  # less than its friction: both stand still
-    assert play._touch[0, 0] == 1
-    push(play, -0.1, 1)
-    assert play._touch[0, 0] == 0
+    push(backlash, 0.01, 5)  # less than its friction: both stand still
+    assert backlash._touch[0, 0] == 1
+    push(backlash, -0.1, 1)
+    assert backlash._touch[0, 0] == 0
 
 
 def test_joints_that_carry_weight_and_arms_without_play_are_left_alone():
@@ -96,7 +109,7 @@ def test_joints_that_carry_weight_and_arms_without_play_are_left_alone():
     np.testing.assert_allclose(leads[:, 1:4], 0.1)  # shoulder, elbow and wrist bend carry links
     np.testing.assert_allclose(bench.friction[:, 1:4], 0.2)
     np.testing.assert_allclose(leads[:, [0, 4, 5]], 0.0, atol=1e-12)
-    leads, speeds, bench = push(make(play=0.0), 0.1, 10)
+    leads, speeds, bench = push(make(backlash=0.0), 0.1, 10)
     np.testing.assert_allclose(leads, 0.1)
     np.testing.assert_allclose(bench.friction, 0.2)
     assert not speeds.any()
@@ -109,28 +122,28 @@ def test_a_motor_sticks_below_its_friction_at_rest():
 
 
 def test_friction_stops_a_motor_and_does_not_turn_it_back():
-    play = make(play=1.0, armature=0.02)
-    push(play, 0.1, 100)
-    start, speed = play._ahead[0, 0], play._speed[0, 0]
+    backlash = make(backlash=1.0, armature=0.02)
+    push(backlash, 0.1, 100)
+    start, speed = backlash._ahead[0, 0], backlash._speed[0, 0]
     assert speed > 0.0
-    push(play, 0.0, 500)
-    assert play._speed[0, 0] == 0.0
+    push(backlash, 0.0, 500)
+    assert backlash._speed[0, 0] == 0.0
     # v' = -(f + d v) / m stops after m/d (v - f/d ln(1 + d v / f))
     way = 0.02 / 2.0 * (speed - 0.1 * np.log1p(speed / 0.1))
-    assert play._ahead[0, 0] - start == pytest.approx(way, rel=0.1)
+    assert backlash._ahead[0, 0] - start == pytest.approx(way, rel=0.1)
 
 
 def test_joints_of_a_task_never_leave_the_play_of_their_motors():
     law = CommandLaw(anchor="goal", stiffness=(6.0,) * 6)
-    ranges = BroadRanges(arm=ARM, play=(0.005, 0.02), playless=0.0, frictionless=0.0)
+    ranges = BroadRanges(arm=ARM, backlash=(0.005, 0.02), backlash_free=0.0, frictionless=0.0)
     task = ReachTask(ARM, ranges, 32, TaskSettings(law=law), seed=0)
     task.reset()
     rng, free = np.random.default_rng(1), []
     for _ in range(60):
         task.step(rng.normal(size=(32, 6)))
-        assert (np.abs(task.play._ahead) <= task.play._half + 1e-12).all()
-        free.append((task.play._touch == 0)[:, [0, 4, 5]].mean())
-        assert (task.play._touch[:, 1:4] == 1).all()
+        assert (np.abs(task.simulation.backlash._ahead) <= task.simulation.backlash._half + 1e-12).all()
+        free.append((task.simulation.backlash._touch == 0)[:, [0, 4, 5]].mean())
+        assert (task.simulation.backlash._touch[:, 1:4] == 1).all()
     assert 0.05 < np.mean(free) < 0.95
-    assert np.isfinite(task.twins.qpos).all()
-    assert np.abs(task.twins.qvel).max() < 20.0
+    assert np.isfinite(task.simulation.twins.qpos).all()
+    assert np.abs(task.simulation.twins.qvel).max() < 20.0

@@ -1,6 +1,6 @@
-"""A crew: some of the agents, which act by themselves for a whole rollout.
+"""A rollout worker: some of the agents, which act by themselves for a whole rollout.
 
-The agents of a training are split into crews, so that one crew's observations are computed while another one is being
+The agents of a training are split into workers, so that the observations of one are computed while another one is being
 simulated. Each has its own random numbers: what they do does not depend on when they do it.
 """
 
@@ -16,38 +16,38 @@ from rejoint.training.ppo import Rollout
 from rejoint.training.task import ReachTask, Transition
 
 
-class Crew:
+class RolloutWorker:
     """The agents of one task, with their exploration noise and where they stand."""
 
     def __init__(self, task: ReachTask, *, seed: int) -> None:
         self.task = task
         self._exploration = torch.Generator().manual_seed(seed)
-        self._observation, self._truth = (torch.from_numpy(array) for array in task.reset())
+        self._observation, self._privileged = (torch.from_numpy(array) for array in task.reset())
 
     @torch.no_grad()
     def roll(self, actor: Actor, critic: Critic, cycles: int) -> Rollout:
         """Act for some control cycles."""
         self.task.prepare(cycles)
-        observations, truths, actions, densities, transitions = [], [], [], [], []
+        observations, seen_by_critic, actions, densities, transitions = [], [], [], [], []
         for _ in range(cycles):
             action, density = actor.sample(self._observation, self._exploration)
             transition = self.task.step(action.numpy())
             observations.append(self._observation)
-            truths.append(self._truth)
+            seen_by_critic.append(self._privileged)
             actions.append(action)
             densities.append(density)
             transitions.append(transition)
-            self._observation, self._truth = map(torch.from_numpy, (transition.observation, transition.truth))
-        observation, truth, action = torch.stack(observations), torch.stack(truths), torch.stack(actions)
+            self._observation, self._privileged = map(torch.from_numpy, (transition.observation, transition.privileged))
+        observation, privileged, action = map(torch.stack, (observations, seen_by_critic, actions))
         return Rollout(
             observation=observation,
-            truth=truth,
+            privileged=privileged,
             action=action,
             log_density=torch.stack(densities),
-            value=critic.value(observation, truth),
+            value=critic.value(observation, privileged),
             final_value=_final_values(critic, transitions),
             next_observation=self._observation[None],
-            next_truth=self._truth[None],
+            next_privileged=self._privileged[None],
             reward=_stack(transitions, "reward").float(),
             terminated=_stack(transitions, "terminated"),
             truncated=_stack(transitions, "truncated"),
@@ -57,14 +57,14 @@ class Crew:
     def state(self) -> dict[str, Any]:
         """Everything that a checkpoint must keep."""
         return {
-            "exploration": self._exploration.get_state(), "observation": self._observation, "truth": self._truth,
-            "task": self.task.state(),
+            "exploration": self._exploration.get_state(), "observation": self._observation,
+            "privileged": self._privileged, "task": self.task.state(),
         }  # fmt: skip
 
     def load_state(self, state: dict[str, Any]) -> None:
         """Continue from what `state` returned, bit for bit."""
         self._exploration.set_state(state["exploration"])
-        self._observation, self._truth = state["observation"], state["truth"]
+        self._observation, self._privileged = state["observation"], state["privileged"]
         self.task.load_state(state["task"])
 
 
@@ -75,7 +75,7 @@ def _stack(transitions: list[Transition], name: str) -> Tensor:
 def _final_values(critic: Critic, transitions: list[Transition]) -> Tensor:
     """Values (T, N) of the states that a time-out cut off."""
     late = _stack(transitions, "truncated")
-    ends = [[torch.from_numpy(array[t.truncated]) for array in (t.final_observation, t.final_truth)]
+    ends = [[torch.from_numpy(array[t.truncated]) for array in (t.final_observation, t.final_privileged)]
             for t in transitions]  # fmt: skip
     values = torch.zeros(late.shape)
     values[late] = critic.value(*(torch.cat(parts) for parts in zip(*ends, strict=True)))

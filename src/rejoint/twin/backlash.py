@@ -1,0 +1,140 @@
+"""Backlash inside the servo loop: motors and joints that are not always in touch.
+
+Where an encoder sits behind the gear, a joint that carries no weight rests anywhere between the flanks of its teeth.
+To turn it back the motor first has to cross the backlash, while the encoder shows nothing; and once it moves, nothing
+but the other flank stops it. A policy that has never met that pushes on, and swings about the target: on an
+arm with a degree of backlash and strong friction this was most of the settled error (measured). A joint that carries
+weight rests on one flank, which no servo of a settled arm leaves.
+
+The twin of identification knows no backlash, since logs do not tell it from friction; in training it is drawn. Motor
+and joint are one body as long as the motor pushes (the twin's), else two: the motor with the servo's torque, damping
+and friction, and the joint free but for some grease. Where they meet, they exchange momentum and part again with some
+of the closing speed, until it is small (Nordin and Gutman 2002 review such models).
+"""
+
+# mypy: disallow-untyped-defs=False, disallow-untyped-calls=False, disallow-untyped-decorators=False
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from rejoint.arms import Arm, Array, link_inertia
+from rejoint.arms.size import unloaded_joints
+from rejoint.control.robot import Mask
+from rejoint.twin.batch import TwinBatch
+from rejoint.twin.friction import dry_friction
+from rejoint.twin.parameters import TwinParameters
+
+RESTITUTION = 0.5
+"""Part of the closing speed with which motor and joint part again when they meet (chosen: steel teeth, some grease)."""
+
+SOFT = 0.01
+"""[rad/s] closing speed below which they stay in touch (chosen: an encoder count in 0.15 s)"""
+
+_MOTOR = ("stiffness", "damping", "armature", "torque_limit", "offset")
+_DAMPING, _ARMATURE = _MOTOR.index("damping"), _MOTOR.index("armature")
+
+_dry_friction = njit(cache=True, nogil=True)(dry_friction)
+
+
+class Backlash:
+    """Motors of N arms of n joints, and where they stand between the flanks."""
+
+    def __init__(self, arm: Arm, count: int) -> None:
+        shape = (count, arm.joints)
+        self._arm = arm
+        self._half, self._ahead, self._speed = np.zeros(shape), np.zeros(shape), np.zeros(shape)
+        self._touch = np.ones(shape)  # 1 and -1: at the flanks, 0 between them
+        self._grease, self._motor = np.zeros((count, 1)), np.ones((*shape, len(_MOTOR)))
+
+    @cached_property
+    def _unloaded(self) -> NDArray[np.bool_]:
+        """(n,) joints that rest on no flank."""
+        return unloaded_joints(self._arm)
+
+    @cached_property
+    def _link(self) -> Array:
+        """(n,) [kg m^2] inertia that a motor meets."""
+        return link_inertia(self._arm, self._arm.rest)
+
+    @property
+    def present(self) -> bool:
+        """Whether any arm has backlash."""
+        return bool(self._half.any())
+
+    def renew(self, twin: TwinParameters, backlash: Array, grease: Array, where: Mask) -> None:
+        """Take over the arms (m,) in ``where`` (N,), their motors in the middle of the ``backlash`` (m, n) [rad].
+
+        ``grease`` (m,) is the damping of a joint inside of it by that of its motor.
+        """
+        self._half[where] = 0.5 * backlash * self._unloaded if backlash.any() else 0.0
+        self._ahead[where] = self._speed[where] = 0.0
+        self._touch[where] = np.where(self._half[where] > 0.0, 0.0, 1.0)
+        self._grease[where] = grease[:, None]
+        self._motor[where] = np.stack([getattr(twin, name) for name in _MOTOR], axis=-1)
+
+    def part(self, twins: TwinBatch, terms: Array, friction: Array) -> None:
+        """Part motors from joints for one step of ``twins``, whose references are set.
+
+        ``friction`` (N, n) [N m] is that of the joints at their speeds, by the ``terms`` (t, N, n) of
+        `rejoint.twin.friction`. Joints that are out of touch with their motors get no torque and none of their
+        friction, which becomes zero, armature and damping; those that meet them get a common speed.
+        """
+        if not self.present:
+            return
+        of_motor = _dry_friction(terms, np.where(self._touch == 0.0, self._speed, twins.qvel))
+        state = (self._half, self._ahead, self._speed, self._touch)
+        _drive(*state, of_motor, self._motor, self._link, twins.ctrl, twins.qpos, twins.qvel, twins.timestep)
+        free = self._touch == 0.0
+        twins.set_motors(
+            armature=np.where(free, 0.0, self._motor[..., _ARMATURE]),
+            damping=self._motor[..., _DAMPING] * np.where(free, self._grease, 1.0),
+        )
+        friction[free] = 0.0
+
+    def state(self) -> dict[str, Array]:
+        """Everything that a checkpoint must keep, as live arrays."""
+        return {
+            "half": self._half, "ahead": self._ahead, "speed": self._speed, "touch": self._touch,
+            "grease": self._grease, "motor": self._motor,
+        }  # fmt: skip
+
+
+@njit(cache=True, nogil=True)
+def _drive(half, ahead, speed, touch, friction, motor, link, ctrl, qpos, qvel, step):  # noqa: ANN001, ANN202
+    for i in range(half.shape[0]):
+        for j in range(half.shape[1]):
+            edge = half[i, j]
+            if edge == 0.0:
+                continue
+            stiffness, damping, armature, limit, offset = motor[i, j]
+            most = friction[i, j]
+            torque = min(max(stiffness * (ctrl[i, j] + offset - qpos[i, j]), -limit), limit)
+            if touch[i, j] != 0.0:
+                v = qvel[i, j]
+                at_rest = abs(v) < 1e-3
+                net = torque - np.sign(torque if at_rest else v) * most - damping * v
+                if (at_rest and abs(torque) <= most) or net * touch[i, j] >= 0.0:
+                    continue  # the motor pushes, or both stand still
+                touch[i, j], speed[i, j] = 0.0, v
+            ctrl[i, j] = qpos[i, j] - offset
+            v = speed[i, j]
+            if v != 0.0 or abs(torque) > most:
+                against = np.sign(v) if v != 0.0 else np.sign(torque)
+                h = step[i] / armature
+                v = (v + h * (torque - against * most)) / (1.0 + h * damping)
+                v = v if v * against > 0.0 else 0.0  # friction stops a motor, it does not turn it back
+            place = ahead[i, j] + step[i] * (v - qvel[i, j])
+            if abs(place) >= edge:
+                place = np.sign(place) * edge
+                closing, whole = v - qvel[i, j], armature + link[j]
+                common = (armature * v + link[j] * qvel[i, j]) / whole
+                bounce = RESTITUTION if abs(closing) > SOFT else 0.0
+                v = common - bounce * closing * link[j] / whole
+                qvel[i, j] = common + bounce * closing * armature / whole
+                if bounce == 0.0:
+                    touch[i, j] = np.sign(place)
+            ahead[i, j], speed[i, j] = place, v

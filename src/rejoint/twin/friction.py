@@ -1,0 +1,65 @@
+"""Friction in the joints of a twin: its parameters, what is believed of them before any data, and its law.
+
+All that is known of friction stands here: the table of parameters, the model, the simulation, fits and draws take it
+from this file. docs/architecture.md shows how to add a term.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from rejoint.arms import Array
+from rejoint.twin.declaration import Parameter
+
+if TYPE_CHECKING:
+    from rejoint.twin.parameters import TwinParameters
+
+FRICTION = (
+    Parameter(name="damping", unit="N m s/rad", meaning="viscous friction and derivative gain together",
+              nominal=0.25, sigma=0.8, lower=0.005, upper=20.0, wrist=0.6, by_load=True, by_time=1, scaled=True,
+              # chosen: a servo that follows within 50 ms; damping over stiffness is that lag
+              wide={"nominal": 0.8, "sigma": 0.9, "upper": 100.0, "wrist": 1.0}),
+    Parameter(name="coulomb", unit="N m", meaning="dry friction",
+              nominal=0.08, sigma=0.8, lower=0.002, upper=2.0, wrist=0.5, by_load=True, scaled=True,
+              # chosen: 0.03 to 1.5 N m within two sigma
+              wide={"nominal": 0.2, "sigma": 1.0, "upper": 10.0, "wrist": 1.0}),
+)  # fmt: skip
+"""Rows of the table of parameters (`rejoint.twin.parameters.PARAMETERS`)"""
+
+DRY = ("coulomb",)
+"""Those that dry friction is made of, beside the stiction. That is no element of the parameter vector: ordinary motion
+hardly tells it, so a few values are compared (`rejoint.twin.structure`)"""
+
+STRIBECK_SPEED = 0.1
+"""[rad/s] at which friction has fallen to that of motion (chosen: two encoder steps in a control period)"""
+
+
+def friction_fields(twin: TwinParameters) -> Iterator[tuple[str, Array]]:
+    """Yield the fields of the MuJoCo model that friction decides, as (name, value (..., n)).
+
+    Dry friction is that of motion there. Where it depends on the speed it is set anew before every step.
+    """
+    yield "dof_damping", twin.damping
+    yield "dof_frictionloss", twin.coulomb
+
+
+def friction_terms(twin: TwinParameters, stiction: Array | float) -> Array:
+    """Return what `dry_friction` takes (t, ..., n): the parameters `DRY` and, last, the ``stiction``."""
+    return np.stack([*(getattr(twin, name) for name in DRY), np.broadcast_to(stiction, twin.stiffness_shape)])
+
+
+def dry_friction(terms: Array, speed: Array) -> Array:
+    """Dry friction (...) [N m] at a joint's ``speed`` (...) [rad/s], from the ``terms`` (t, ...) of `friction_terms`.
+
+    Stribeck's law (Stribeck 1902, as in Armstrong-Helouvry et al. 1994). Plain arithmetic, which is compiled as well.
+    """
+    coulomb, stiction = terms[0], terms[-1]
+    return coulomb * (1.0 + (stiction - 1.0) * np.exp(-((speed / STRIBECK_SPEED) ** 2)))
+
+
+def is_steady(terms: Array) -> bool:
+    """Tell whether dry friction is the same at every speed: then nothing has to be set before a step."""
+    return bool((terms[-1] == 1.0).all())

@@ -1,0 +1,144 @@
+"""Twins as they are driven: the one simulation that training, tuning, replay and predictive control step.
+
+Commands come late (`rejoint.twin.latency`), servos approach them at limited speed or acceleration
+(`rejoint.twin.reference`), gears may have backlash (`rejoint.twin.backlash`), dry friction follows the speed
+(`rejoint.twin.friction`), and positions are old when they are read. Many arms run in lockstep, each with its own
+parameters, control period and clock: every one takes the same number of physics steps in a period, of a length of its
+own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rejoint.arms import Arm, Array
+from rejoint.control.robot import Mask
+from rejoint.twin.backlash import Backlash
+from rejoint.twin.batch import TwinBatch
+from rejoint.twin.friction import DRY, dry_friction, friction_terms, is_steady
+from rejoint.twin.latency import Latency
+from rejoint.twin.model import TIMESTEP
+from rejoint.twin.parameters import TwinParameters
+from rejoint.twin.reference import LiveReference
+
+SUBSTEPS = 6
+"""Physics steps in a control cycle: 3 ms each at the shortest period, 9 ms at the longest."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Draw:
+    """N arms to simulate: everything in which one differs from another."""
+
+    twin: TwinParameters
+    """parameters with the leading shape (N,)"""
+    command_delay: Array
+    """(N,) [s] from sending a command to its arrival"""
+    readback_delay: Array
+    """(N,) [s] age of a measured position when it arrives"""
+    stiction: Array
+    """(N, n) friction of a joint at rest over that of a moving one"""
+    acceleration: Array
+    """(N,) [rad/s^2] of the servos' references while commands keep changing; inf: their speed is limited instead"""
+    gravity_scale: Array
+    """(N,) factor on gravity: unknown masses and payload"""
+    period: Array
+    """(N,) [s] middle of the control periods"""
+    backlash: Array
+    """(N, n) [rad] free motion of the gears inside the servo loop"""
+    grease: Array
+    """(N,) damping of a joint inside that backlash by that of its motor"""
+
+    @staticmethod
+    def of(twin: TwinParameters, stiction: float = 1.0, acceleration: float = np.inf) -> Draw:
+        """Take twins (N,) as they are; the whole of their delay lies on the way out."""
+        whole, joints = np.zeros(twin.shape), np.zeros(twin.stiffness_shape)
+        return Draw(
+            twin=twin, command_delay=twin.delay, readback_delay=whole, stiction=joints + stiction,
+            acceleration=whole + acceleration, gravity_scale=whole + 1.0, period=whole, backlash=joints,
+            grease=whole + 1.0,
+        )  # fmt: skip
+
+    def rows(self, index: NDArray[np.integer]) -> Draw:
+        """Return some of the arms."""
+        return Draw(**{field.name: getattr(self, field.name)[index] for field in fields(self)})
+
+
+class Simulation:
+    """``count`` arms of one build; their state is live in ``twins``, their clocks are in ``time``."""
+
+    def __init__(
+        self, arm: Arm, count: int, *, timestep: float = TIMESTEP, threads: int = 1, table: bool = False,
+        substeps: int = SUBSTEPS,
+    ) -> None:  # fmt: skip
+        n = arm.joints
+        self.arm, self.substeps = arm, substeps
+        self.twins = TwinBatch(arm, count, timestep, threads, table)
+        self.latency = Latency(count, n, substeps)
+        self.reference = LiveReference(count, n)
+        self.backlash = Backlash(arm, count)
+        self.time = np.zeros(count)
+        """(N,) [s]"""
+        self.measured = np.zeros((count, n))
+        """(N, n) [rad] the newest positions that have been read, in encoder steps"""
+        self._friction = np.ones((len(DRY) + 1, count, n))
+
+    def place(self, draw: Draw, position: Array, command: Array, where: Mask | None = None) -> None:
+        """Put the arms of ``draw`` (m,) in the places ``where`` (N,), everywhere by default, at time 0.
+
+        They stand at ``position`` (m, n) [rad]; ``command`` (m, n) [rad] has long been in force.
+        """
+        where = np.ones(len(self.time), dtype=bool) if where is None else where
+        self.twins.write(draw.twin, where, gravity_scale=draw.gravity_scale)
+        self.twins.restart(position, ids=where)
+        self.latency.command_delay[where], self.latency.readback_delay[where] = draw.command_delay, draw.readback_delay
+        self.latency.clear(where, command, position)
+        self.reference.restart(where, command, speed=draw.twin.ramp_speed, acceleration=draw.acceleration)
+        self.backlash.renew(draw.twin, draw.backlash, draw.grease, where)
+        self._friction[:, where] = friction_terms(draw.twin, draw.stiction)
+        self.time[where] = 0.0
+        self.measured[where] = self._quantised(position)
+
+    def send(self, command: Array) -> None:
+        """Send ``command`` (N, n) [rad] now."""
+        self.latency.send(command, self.time)
+
+    def advance(self, period: Array, offset: Array | None = None) -> None:
+        """Let ``period`` (N,) [s] pass, and read; servos are led astray by ``offset`` (N, n) [rad], if given."""
+        step = period / self.substeps
+        self.twins.set_timestep(step)
+        starts = self.time[:, None] + step[:, None] * np.arange(self.substeps)
+        references = self.reference.follow(self.latency, starts, step)
+        passed = self.rollout(references if offset is None else references + offset[:, None])
+        self.latency.record(starts + step[:, None], passed)
+        self.time = self.time + period
+        self.measured = self._quantised(self.latency.read(self.time))
+
+    def rollout(self, reference: Array) -> Array:
+        """Advance by the servos' ``reference`` (N, steps, n) [rad], one row a step; return positions of that shape."""
+        if is_steady(self._friction) and not self.backlash.present:
+            return self.twins.rollout(reference)
+        positions = np.empty_like(reference)
+        for k in range(reference.shape[1]):
+            self.twins.ctrl[:] = reference[:, k]
+            friction = dry_friction(self._friction, self.twins.qvel)
+            self.backlash.part(self.twins, self._friction, friction)
+            self.twins.set_friction(friction)
+            self.twins.step()
+            positions[:, k] = self.twins.qpos
+        return positions
+
+    def state(self) -> dict[str, Array]:
+        """Everything that a checkpoint must keep, as live arrays."""
+        return {
+            "time": self.time, "measured": self.measured, "friction": self._friction,
+            **{f"latency.{name}": value for name, value in self.latency.state().items()},
+            **{f"reference.{name}": value for name, value in self.reference.state().items()},
+            **{f"backlash.{name}": value for name, value in self.backlash.state().items()},
+            **{f"twins.{name}": value for name, value in self.twins.state().items()},
+        }  # fmt: skip
+
+    def _quantised(self, position: Array) -> Array:
+        return np.round(position / self.arm.encoder_step) * self.arm.encoder_step

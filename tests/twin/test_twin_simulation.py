@@ -1,0 +1,125 @@
+"""The one simulation: what is driven step by step is what is replayed from a log."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from rejoint.arms import mycobot280
+from rejoint.twin.parameters import nominal_parameters
+from rejoint.twin.profile import Profile
+from rejoint.twin.reference import Reference
+from rejoint.twin.simulation import SUBSTEPS, Draw, Simulation
+
+ARM = mycobot280()
+STEP, CYCLES = 0.004, 30
+PERIOD = STEP * SUBSTEPS
+TWIN = nominal_parameters(ARM)
+
+
+def commands() -> np.ndarray:
+    """Commands (T, n) that wander, jump by half a radian, and are then sent again and again."""
+    command = ARM.rest + np.cumsum(np.random.default_rng(0).normal(0.0, 0.04, (CYCLES, 6)), axis=0)
+    command[20:] = command[19] + 0.5
+    command[0] = ARM.rest
+    return command
+
+
+@pytest.mark.parametrize("acceleration", [np.inf, 25.0])
+def test_a_closed_loop_and_the_replay_of_its_commands_are_the_same_motion(acceleration):
+    twin = dataclasses.replace(TWIN, delay=2 * STEP, ramp_speed=1.5)  # a command arrives at the start of a step
+    draw, start, command = Draw.of(twin.repeat(1), 1.7, acceleration), ARM.rest[None], commands()
+    driven = Simulation(ARM, 1)
+    driven.place(draw, start, start)
+    asked, passed = [], []
+    for row in command:
+        driven.send(row[None])
+        driven.advance(np.full(1, PERIOD))
+        asked.append(driven.reference.position[0].copy())
+        passed.append(driven.twins.qpos[0].copy())
+    time, grid = PERIOD * np.arange(CYCLES), STEP * np.arange(CYCLES * SUBSTEPS) - 1e-9
+    known = (
+        Reference(time, command, twin.ramp_speed[None], command[0])
+        if acceleration == np.inf
+        else Profile(time, command, acceleration)
+    )
+    # In closed loop a step's reference is where it ends, in a replay where it begins: that of the next one.
+    reference = known.sample(grid + STEP, twin.delay[None])
+    np.testing.assert_allclose(asked, reference[0, SUBSTEPS - 1 :: SUBSTEPS], atol=1e-7)
+    replayed = Simulation(ARM, 1, timestep=STEP)
+    replayed.place(draw, start, start)
+    path = replayed.rollout(reference)[0, SUBSTEPS - 1 :: SUBSTEPS]
+    np.testing.assert_allclose(passed, path, atol=1e-5)
+    assert np.ptp(path, axis=0).max() > 0.3
+
+
+def test_some_arms_limit_their_speed_and_others_their_acceleration():
+    pair, start, command = TWIN.repeat(2), np.tile(ARM.rest, (2, 1)), commands()
+    both = Simulation(ARM, 2)
+    draw = dataclasses.replace(Draw.of(pair), acceleration=np.array([np.inf, 25.0]))
+    both.place(draw, start, start)
+    alone = [Simulation(ARM, 1) for _ in range(2)]
+    for i, simulation in enumerate(alone):
+        simulation.place(draw.rows(np.array([i])), start[:1], start[:1])
+    for row in command:
+        for simulation in (both, *alone):
+            count = len(simulation.time)
+            simulation.send(np.tile(row, (count, 1)))
+            simulation.advance(np.full(count, PERIOD))
+    for i, simulation in enumerate(alone):
+        np.testing.assert_array_equal(both.reference.position[i], simulation.reference.position[0])
+        np.testing.assert_array_equal(both.twins.qpos[i], simulation.twins.qpos[0])
+    assert np.abs(both.reference.velocity[0]).max() == 0.0
+
+
+def test_an_exchanged_arm_begins_anew_and_the_others_go_on():
+    start = np.tile(ARM.rest, (3, 1))
+    draw = dataclasses.replace(Draw.of(TWIN.repeat(3), 1.5), backlash=np.full((3, 6), 0.02))
+    exchanged, whole = Simulation(ARM, 3), Simulation(ARM, 3)
+    for simulation in (exchanged, whole):
+        simulation.place(draw, start, start)
+    for cycle, row in enumerate(commands()):
+        if cycle == 10:
+            one = np.array([False, True, False])
+            exchanged.place(draw.rows(np.array([0])), start[:1], start[:1] + 0.1, one)
+            assert exchanged.time[1] == 0.0
+            np.testing.assert_array_equal(exchanged.reference.position[1], ARM.rest + 0.1)
+        for simulation in (exchanged, whole):
+            simulation.send(np.tile(row, (3, 1)))
+            simulation.advance(np.full(3, PERIOD))
+    kept, others = exchanged.state(), whole.state()
+    assert kept.keys() == others.keys()
+    np.testing.assert_array_equal(exchanged.twins.qpos[[0, 2]], whole.twins.qpos[[0, 2]])
+    np.testing.assert_array_equal(exchanged.measured[[0, 2]], whole.measured[[0, 2]])
+    assert (exchanged.twins.qpos[1] != whole.twins.qpos[1]).any()
+
+
+def test_a_joint_at_rest_sticks_where_a_moving_one_slides():
+    # The servo of the base pushes with 0.15 N m: between friction in motion and at rest.
+    twin = dataclasses.replace(TWIN, coulomb=np.full(6, 0.1), torque_limit=np.full(6, 9.0))
+    draw = dataclasses.replace(Draw.of(twin.repeat(2), 2.0), gravity_scale=np.zeros(2))
+    start, simulation = np.tile(ARM.rest, (2, 1)), Simulation(ARM, 2)
+    lead = np.array([0.15, 0.0, 0.0, 0.0, 0.0, 0.0]) / twin.stiffness
+    simulation.place(draw, start, start + lead)
+    simulation.twins.qvel[1, 0] = 0.3
+    simulation.advance(np.full(2, 0.03))
+    moved = simulation.twins.qpos[:, 0] - ARM.rest[0]
+    assert abs(moved[0]) < 1e-4
+    assert moved[1] > 2e-3
+
+
+def test_a_simulation_goes_on_from_its_state_bit_for_bit():
+    start, kinds = np.tile(ARM.rest, (2, 1)), np.array([np.inf, 25.0])
+    draw = dataclasses.replace(Draw.of(TWIN.repeat(2), 1.5), backlash=np.full((2, 6), 0.02), acceleration=kinds)
+    whole, resumed = Simulation(ARM, 2), Simulation(ARM, 2)
+    for simulation in (whole, resumed):
+        simulation.place(draw, start, start)
+    for cycle, row in enumerate(commands()):
+        if cycle == 12:
+            for name, value in resumed.state().items():
+                value[...] = whole.state()[name]
+        for simulation in (whole, resumed) if cycle >= 12 else (whole,):
+            simulation.send(np.tile(row, (2, 1)))
+            simulation.advance(np.full(2, PERIOD))
+    for name, value in resumed.state().items():
+        np.testing.assert_array_equal(value, whole.state()[name])
