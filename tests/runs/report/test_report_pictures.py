@@ -22,20 +22,25 @@ def bars(axes):
     }
 
 
+def error_bars(axes):
+    return [group for group in axes.containers if hasattr(group, "has_yerr")]
+
+
 def whiskers(axes):
-    """Ends (K, 2) of all error bars across, one group after the other."""
-    found = []
-    for group in axes.containers:
-        for lines in (group[2] if group.has_xerr or group.has_yerr else ()) if hasattr(group, "has_yerr") else ():
-            found += [segment[:, 0 if group.has_xerr else 1] for segment in lines.get_segments()]
-    return np.array(found)
+    """Ends (K, 2) of all error bars, one group after the other."""
+    segments = [
+        segment[:, 0 if group.has_xerr else 1]
+        for group in error_bars(axes)
+        for lines in group[2]
+        for segment in lines.get_segments()
+    ]
+    return np.array(segments)
 
 
 def points(axes, across):
     """Values of the points with error bars, in the order in which they were drawn."""
-    groups = [group for group in axes.containers if hasattr(group, "has_yerr")]
-    drawn = [group[0].get_xdata() if across else group[0].get_ydata() for group in groups if group[0] is not None]
-    return np.concatenate([np.atleast_1d(one) for one in drawn])
+    drawn = [group[0].get_xdata() if across else group[0].get_ydata() for group in error_bars(axes)]
+    return np.concatenate(drawn).astype(float)
 
 
 def test_bars_per_target_are_means_over_the_repetitions_with_their_extremes(figures, comparison, diagnosis):
@@ -84,7 +89,7 @@ def test_points_of_the_joints_lie_over_their_healthy_ranges(figures, diagnosis, 
     np.testing.assert_allclose(whiskers(axes), [[factor * one.low, factor * one.high] for one in measured])
     ranges = [[bar.get_y(), bar.get_y() + bar.get_height()] for bar in axes.patches]
     np.testing.assert_allclose(ranges, [[factor * one.low, factor * one.high] for one in healthy])
-    (means,) = [lines for lines in axes.collections if len(lines.get_paths()) == 6 and lines.get_label() != "bars"][:1]
+    means = axes.collections[0]
     np.testing.assert_allclose(
         [path.vertices[:, 1].mean() for path in means.get_paths()], [factor * one.value for one in healthy]
     )
@@ -101,7 +106,7 @@ def test_predictions_and_parameters_of_the_twin(figures, twin):
     order = [*np.flatnonzero(known), *np.flatnonzero(~known)]
     np.testing.assert_allclose(points(axes, across=False), twin.parameters.stiffness[order])
     np.testing.assert_allclose(whiskers(axes), np.stack([low.stiffness, high.stiffness], axis=1)[order])
-    filled, hollow = (group[0].get_markerfacecolor() for group in axes.containers if hasattr(group, "has_yerr"))
+    filled, hollow = (group[0].get_markerfacecolor() for group in error_bars(axes))
     assert filled != hollow
     assert hollow == "#ffffff"
 
