@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from report_samples import make_comparison, shown
 
-from pages import changed, rounds
+from pages import changed, put, rounds
 from rejoint.runs.folder import RunFolder
 from rejoint.runs.report.sections.joints import QUANTITIES
 from rejoint.runs.report.sections.twin import NAMES, SHOWN
@@ -95,22 +95,11 @@ def test_the_table_of_the_twin_holds_every_parameter_and_says_which_are_not_iden
                 assert places[f"{cell} / small"] == "not identified"
 
 
-def put(value, path, change):
-    """The frozen ``value`` with one number changed, found by a path such as ``rows.1.hold.settled.mean.value``."""
-    name, _, rest = path.partition(".")
-    if isinstance(value, tuple):
-        inner = list(value)
-        inner[int(name)] = put(inner[int(name)], rest, change) if rest else change(inner[int(name)])
-        return tuple(inner)
-    old = getattr(value, name)
-    return dataclasses.replace(value, **{name: put(old, rest, change) if rest else change(old)})
-
-
-def places_changed(tmp_path, file, value, path, change, write=write_json):
+def places_changed(tmp_path, file, value, path, new, write=write_json):
     """What changes on the page of this one result, by place without its number, when one number of it changes."""
     write(getattr(RunFolder(tmp_path), file), value)
     before = shown(tmp_path)[0]
-    write(getattr(RunFolder(tmp_path), file), put(value, path, change))
+    write(getattr(RunFolder(tmp_path), file), put(value, path, new))
     found = changed(before, shown(tmp_path)[0])
     bare = [re.sub(r"(p|li|dd|picture) \d+$", r"\1", place) for place in found]
     assert len(set(bare)) == len(bare)
@@ -169,7 +158,7 @@ def cell(controller, column, small=False):
 )  # fmt: skip
 def test_a_number_of_the_comparison_stands_in_its_own_places_and_in_no_other(tmp_path, arm, path, new, expected):
     comparison = make_comparison(arm, CONTROLLERS)
-    expect(places_changed(tmp_path, "comparison", comparison, path, lambda _: new), expected)
+    expect(places_changed(tmp_path, "comparison", comparison, path, new), expected)
 
 
 STIFFNESS = f"{JOINTS} / stiffness [N m/rad]"
@@ -192,7 +181,7 @@ STIFFNESS = f"{JOINTS} / stiffness [N m/rad]"
     ids=lambda value: value if isinstance(value, str) else "",
 )  # fmt: skip
 def test_a_number_of_the_diagnosis_stands_in_its_own_places_and_in_no_other(tmp_path, diagnosis, path, new, expected):
-    expect(places_changed(tmp_path, "diagnosis", diagnosis, path, lambda _: new), expected)
+    expect(places_changed(tmp_path, "diagnosis", diagnosis, path, new), expected)
 
 
 @pytest.mark.parametrize(
@@ -208,7 +197,7 @@ def test_a_number_of_the_diagnosis_stands_in_its_own_places_and_in_no_other(tmp_
     ids=lambda value: value if isinstance(value, str) else "",
 )  # fmt: skip
 def test_a_number_of_the_twin_stands_in_its_own_places_and_in_no_other(tmp_path, twin, path, new, expected):
-    expect(places_changed(tmp_path, "twin", twin, path, lambda _: new, write_twin), expected)
+    expect(places_changed(tmp_path, "twin", twin, path, new, write_twin), expected)
 
 
 def test_swapping_two_controllers_swaps_their_rows(tmp_path, arm):
