@@ -12,9 +12,8 @@ from PIL import Image
 from rejoint.arms import mycobot280, tcp_position
 from rejoint.cli import main
 from rejoint.control.policy import load_policy
-from rejoint.research.reproduction import curves, gains, kinematics
+from rejoint.research.reproduction import gains, kinematics
 from rejoint.research.reproduction.campaign import finished_file, run_experiments
-from rejoint.research.reproduction.curves import Course, separates
 from rejoint.research.reproduction.episodes import healthy_ranges, play, worn_ranges
 from rejoint.research.reproduction.experiment import QUICK, Bench
 from rejoint.research.reproduction.page import table, write_page
@@ -25,14 +24,6 @@ from rejoint.training.presets import PAPER
 from rejoint.training.ranges import PaperRanges
 
 ARM = mycobot280()
-
-
-@pytest.fixture(scope="module")
-def bench(tmp_path_factory):
-    """Every experiment, run quickly, in a folder of its own."""
-    made = Bench(folder=tmp_path_factory.mktemp("reproduction"), arm=ARM, seed=0, scale=QUICK, threads=2)
-    run_experiments(made, EXPERIMENTS, on_experiment=nothing)
-    return made
 
 
 def nothing(*event):
@@ -192,25 +183,6 @@ def test_exploration_noise_is_noise(bench):
     np.testing.assert_array_equal(quiet.reward, again.reward)
     np.testing.assert_array_equal(quiet.target, noisy.target)  # the same episodes
     assert (quiet.tcp[5] != noisy.tcp[5]).any()
-
-
-def course(reward, steps):
-    return Course(
-        updates=(0, 1, 2), reward=(-9.0, *reward), steps=(250.0, *steps), reached=(0.0,) * 3, collided=(0.0,) * 3
-    )
-
-
-def test_separation_needs_every_seed(monkeypatch):
-    monkeypatch.setattr(curves, "LAST", 2)
-    good, bad = course((5.0, 7.0), (40.0, 20.0)), course((-8.0, -6.0), (240.0, 250.0))
-    np.testing.assert_allclose(curves.at_end([good, bad], "reward"), [6.0, -7.0])
-    cycles = np.array([0, 100, 200])
-    assert curves.stays_above(cycles, [good], -5.0) == 100
-    assert curves.stays_above(cycles, [bad], -5.0) is None
-    assert curves.peak(cycles, [good, bad]) == 200  # means of -1.5 and 0.5
-    assert separates([good, good], [bad, bad])
-    assert not separates([good, bad], [bad, bad])
-    assert not separates([good], [course((-8.0, -6.0), (20.0, 30.0))])  # worse reward, but no longer
 
 
 def test_tables_keep_their_columns():

@@ -95,15 +95,24 @@ def test_the_table_of_the_twin_holds_every_parameter_and_says_which_are_not_iden
                 assert places[f"{cell} / small"] == "not identified"
 
 
-def places_changed(tmp_path, file, value, path, new, write=write_json):
-    """What changes on the page of this one result, by place without its number, when one number of it changes."""
-    write(getattr(RunFolder(tmp_path), file), value)
-    before = shown(tmp_path)[0]
-    write(getattr(RunFolder(tmp_path), file), put(value, path, new))
-    found = changed(before, shown(tmp_path)[0])
-    bare = [re.sub(r"(p|li|dd|picture) \d+$", r"\1", place) for place in found]
-    assert len(set(bare)) == len(bare)
-    return dict(zip(bare, found.values(), strict=True))
+@pytest.fixture(scope="module")
+def changes(tmp_path_factory):
+    """What changes on the page of one result alone, by place without its number, when one number of it changes."""
+    pages = {}
+
+    def places(file, value, path, new, write=write_json):
+        folder, before = pages.get(file, (None, None))
+        if folder is None:
+            folder = RunFolder(tmp_path_factory.mktemp(file))
+            write(getattr(folder, file), value)
+            pages[file] = folder, before = folder, shown(folder.path)[0]
+        write(getattr(folder, file), put(value, path, new))
+        found = changed(before, shown(folder.path)[0])
+        bare = [re.sub(r"(p|li|dd|picture) \d+$", r"\1", place) for place in found]
+        assert len(set(bare)) == len(bare)
+        return dict(zip(bare, found.values(), strict=True))
+
+    return places
 
 
 def expect(found, expected):
@@ -156,9 +165,9 @@ def cell(controller, column, small=False):
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )  # fmt: skip
-def test_a_number_of_the_comparison_stands_in_its_own_places_and_in_no_other(tmp_path, arm, path, new, expected):
+def test_a_number_of_the_comparison_stands_in_its_own_places_and_in_no_other(changes, arm, path, new, expected):
     comparison = make_comparison(arm, CONTROLLERS)
-    expect(places_changed(tmp_path, "comparison", comparison, path, new), expected)
+    expect(changes("comparison", comparison, path, new), expected)
 
 
 STIFFNESS = f"{JOINTS} / stiffness [N m/rad]"
@@ -180,8 +189,8 @@ STIFFNESS = f"{JOINTS} / stiffness [N m/rad]"
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )  # fmt: skip
-def test_a_number_of_the_diagnosis_stands_in_its_own_places_and_in_no_other(tmp_path, diagnosis, path, new, expected):
-    expect(places_changed(tmp_path, "diagnosis", diagnosis, path, new), expected)
+def test_a_number_of_the_diagnosis_stands_in_its_own_places_and_in_no_other(changes, diagnosis, path, new, expected):
+    expect(changes("diagnosis", diagnosis, path, new), expected)
 
 
 @pytest.mark.parametrize(
@@ -196,8 +205,8 @@ def test_a_number_of_the_diagnosis_stands_in_its_own_places_and_in_no_other(tmp_
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )  # fmt: skip
-def test_a_number_of_the_twin_stands_in_its_own_places_and_in_no_other(tmp_path, twin, path, new, expected):
-    expect(places_changed(tmp_path, "twin", twin, path, new, write_twin), expected)
+def test_a_number_of_the_twin_stands_in_its_own_places_and_in_no_other(changes, twin, path, new, expected):
+    expect(changes("twin", twin, path, new, write_twin), expected)
 
 
 def test_swapping_two_controllers_swaps_their_rows(tmp_path, arm):
