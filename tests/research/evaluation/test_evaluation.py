@@ -47,15 +47,29 @@ def test_families_share_no_arm():
 
 
 def test_variants_differ_in_what_they_say():
-    robots = {v.name: open_family(ARM, v, Family(arms=2)) for v in VARIANTS}
-    assert robots["play-in-loop"].plant._joints["play_in_loop"].all()
-    assert not robots["worn"].plant._joints["play_in_loop"].any()
-    assert robots["slow-wire"]._channel.period == (0.045, 0.055)
-    assert robots["any-wire"]._channel.period == (0.020, 0.050)
-    assert robots["long-latency"]._channel.latency == (0.030, 0.050)
+    robots, family = {v.name: open_family(ARM, v, Family(arms=2)) for v in VARIANTS}, Family(arms=2)
+    seen = {v.name: np.array([wear.play_in_loop for wear in family_wears(ARM, v, family)]) for v in VARIANTS}
+    assert seen["play-in-loop"].all()
+    assert not seen["worn"].any()
     assert (robots["healthy"].plant.torque_limit > 1.0).all()
-    mass = robots["payload"].plant._batch.expand("body_mass")[:, -1] - ARM.mass[-1]
-    np.testing.assert_allclose(mass, family_payloads(find_variant("payload"), Family(arms=2)))
+    mass = robots["payload"].plant.batch.expand("body_mass")[:, -1] - ARM.mass[-1]
+    np.testing.assert_allclose(mass, family_payloads(find_variant("payload"), family))
+
+
+@pytest.mark.parametrize("variant", VARIANTS, ids=lambda variant: variant.name)
+def test_arms_of_a_variant_are_reached_over_its_wire(variant):
+    robot = open_family(ARM, variant, Family(arms=40))
+    command = np.tile(ARM.rest + 0.1, (40, 1))
+    robot.step(command)
+    first = robot.read().time
+    low, high = variant.period
+    assert (first >= low - 1e-3).all()
+    assert (first <= high + 1e-3).all()
+    assert np.ptp(first) > 0.5 * (high - low), "redrawn for every arm"
+    arrived = (robot.plant.goal == command).all(axis=1)
+    assert not arrived[first < variant.latency[0] - 1e-3].any()
+    assert arrived[first > variant.latency[1] + 1e-3].all()
+    assert arrived.any() == (variant.name != "long-latency")
 
 
 @pytest.mark.parametrize(

@@ -51,9 +51,9 @@ def test_the_shadow_of_the_right_model_is_the_arm():
 
     def watch(cycle):
         if len(missed) > 0 or cycle.since_target[0] > 0.0:
-            missed.append(np.abs(controller._shadow.qpos - cycle.position).max())
+            missed.append(np.abs(controller.shadow.qpos - cycle.position).max())
 
-    schedule = Schedule(dwell=1.0, keep_going=True, sent=robot._reference.copy())
+    schedule = Schedule(dwell=1.0, keep_going=True, sent=robot.reference.copy())
     run(robot, controller, TARGETS, schedule, on_cycle=watch)
     # Encoder counts, and another number of physics steps per cycle.
     assert np.max(missed) < np.radians(1.0)

@@ -100,9 +100,10 @@ class MpcController:
         self._count, n = situation.sent.shape
         settings = self._settings
         self._twin = self._given.repeat(self._count) if self._given.shape == () else self._given
-        self._shadow = TwinBatch(self._arm, self._count)
-        self._shadow.write(self._twin)
-        self._shadow.restart(situation.state.position)
+        self.shadow = TwinBatch(self._arm, self._count)
+        """where the twins say the arms are"""
+        self.shadow.write(self._twin)
+        self.shadow.restart(situation.state.position)
         self._rollouts = TwinBatch(self._arm, self._count * settings.samples, settings.timestep)
         each = np.repeat(np.arange(self._count), settings.samples)
         self._rollouts.write(self._twin[each])
@@ -123,16 +124,16 @@ class MpcController:
             return
         self._wire.send(situation.sent, self._time)
         substep = np.maximum(elapsed, 1e-4) / _SHADOW_STEPS
-        self._shadow.set_timestep(substep)
+        self.shadow.set_timestep(substep)
         goals = self._wire.in_force(self._time[:, None] + substep[:, None] * np.arange(_SHADOW_STEPS))
         references = follow(self._reference, goals, self._twin.ramp_speed * substep)
         for k in range(_SHADOW_STEPS):
-            self._shadow.ctrl[:] = references[:, k] + self._offset
-            self._shadow.step()
+            self.shadow.ctrl[:] = references[:, k] + self._offset
+            self.shadow.step()
         self._reference = references[:, -1].copy()
-        missed = situation.state.position - self._shadow.qpos
-        self._shadow.qpos[:] += settings.correction * missed
-        self._shadow.qvel[:] += 0.5 * settings.correction**2 * missed / np.maximum(elapsed, 1e-3)[:, None]
+        missed = situation.state.position - self.shadow.qpos
+        self.shadow.qpos[:] += settings.correction * missed
+        self.shadow.qvel[:] += 0.5 * settings.correction**2 * missed / np.maximum(elapsed, 1e-3)[:, None]
         learned = self._offset + settings.offset_rate * elapsed[:, None] * missed
         self._offset = np.clip(learned, -settings.offset_limit, settings.offset_limit)
         self._time = now.copy()
@@ -140,7 +141,7 @@ class MpcController:
     def _candidates(self, situation: Situation) -> Array:
         """Commands (B, K, 2, n) [rad]: first, and after the bend."""
         settings, measured = self._settings, situation.state.position
-        way = self._goal.position - self._shadow.qpos
+        way = self._goal.position - self.shadow.qpos
         holding = self._holding - self._offset
         driven = holding[:, None] + _OVERDRIVE[:, None] * way[:, None]
         fixed = np.stack([driven, np.broadcast_to(holding[:, None], driven.shape)], axis=2)
@@ -169,8 +170,8 @@ class MpcController:
             reference = approach(reference, wanted[:, :, k], reach)
             control[:, :, k] = reference
         control += self._offset[:, None, None]
-        self._rollouts.restart(np.repeat(self._shadow.qpos, samples, axis=0))
-        self._rollouts.qvel[:] = np.repeat(self._shadow.qvel, samples, axis=0)
+        self._rollouts.restart(np.repeat(self.shadow.qpos, samples, axis=0))
+        self._rollouts.qvel[:] = np.repeat(self.shadow.qvel, samples, axis=0)
         passed = self._rollouts.rollout(control.reshape(-1, steps, n)).reshape(count, samples, steps, n)
         return self._judge(situation, candidates, passed)
 

@@ -38,8 +38,9 @@ class TwinRobot:
         position = np.tile(arm.rest, (count, 1))
         held = draw.gravity_scale[:, None] * gravity_torque(arm, position) / draw.twin.stiffness - draw.twin.offset
         self.twins.restart(position)
-        self._reference = position + held
-        self.wire.clear(np.ones(count, dtype=bool), self._reference, position)
+        self.reference = position + held
+        """(B, n) [rad] what the servos follow"""
+        self.wire.clear(np.ones(count, dtype=bool), self.reference, position)
         self._time, self._measured = np.zeros(count), self._quantised(position)
 
     @property
@@ -67,8 +68,8 @@ class TwinRobot:
         self.wire.send(command, self._time)
         spread = self._rng.uniform(1.0 - self._jitter, 1.0 + self._jitter, self.count // self._copies)
         period = self._draw.period * np.tile(spread, self._copies)
-        self._reference = pass_period(
-            self.twins, self.play, self.wire, self._reference,
+        self.reference = pass_period(
+            self.twins, self.play, self.wire, self.reference,
             ramp=self._draw.twin.ramp_speed, time=self._time, period=period,
         )  # fmt: skip
         self._time = self._time + period
