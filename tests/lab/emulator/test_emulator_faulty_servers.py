@@ -8,6 +8,7 @@ import socket
 import struct
 import subprocess
 import sys
+import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
 
@@ -230,6 +231,12 @@ def test_a_terminal_that_leads_nowhere_loses_everything_and_comes_back(plant):
             os.close(line)
 
 
+def wait_for_the_end(server):
+    for thread in threading.enumerate():
+        if thread.name == f"emulator {server.address}":
+            thread.join(5.0)
+
+
 @pytest.mark.parametrize("pty", [False, True])
 def test_an_emulator_that_died_is_gone_without_a_word(plant, pty):
     with serving(plant, "die@0.05", pty=pty) as server:
@@ -237,7 +244,7 @@ def test_an_emulator_that_died_is_gone_without_a_word(plant, pty):
             line = os.open(device(server), os.O_RDWR | os.O_NOCTTY)
             os.write(line, GET_ANGLES)
             assert read(line) == ANGLES
-            server._thread.join(5.0)
+            wait_for_the_end(server)
             with pytest.raises(OSError, match=os.strerror(errno.EIO)):
                 os.write(line, GET_ANGLES)
             os.close(line)
@@ -246,7 +253,7 @@ def test_an_emulator_that_died_is_gone_without_a_word(plant, pty):
             client.sendall(GET_ANGLES)
             assert client.recv(1024) == ANGLES
             assert client.recv(1024) == b""
-        server._thread.join(5.0)
+        wait_for_the_end(server)
         with pytest.raises(ConnectionRefusedError):
             socket.create_connection(place(server), 5.0)
 

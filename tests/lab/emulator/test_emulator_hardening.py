@@ -70,7 +70,7 @@ def test_orders_that_nobody_waits_for_fill_no_queue_without_end(firmware):
         answer(firmware, Frame(0x16, bytes((fresh,))))
         taken = [answer(firmware, move).frame.payload for _ in range(1000)]
         assert taken.count(b"\x00") == (0 if fresh else 1000 - MAX_QUEUE - 1)
-    assert len(firmware._outbox) == MAX_WRITES
+    assert len(firmware.outbox) == MAX_WRITES
     firmware.advance(2.0)
     np.testing.assert_allclose(firmware.angles, ARM.rest + 0.1, atol=2e-4)  # the newest counts
 

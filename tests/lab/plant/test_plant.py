@@ -35,14 +35,14 @@ def rows(plant: Plant, command: np.ndarray, seconds: float) -> np.ndarray:
 
 def energy(plant: Plant, of: Wear) -> float:
     """Kinetic and potential energy [J] of arm 0, with the springs of gears, bristles and mechanical stops."""
-    model, data = plant._batch.get_model(0), plant._batch.get_data(0)
+    model, data = plant.batch.get_model(0), plant.batch.get_data(0)
     model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_ENERGY
     mujoco.mj_forward(model, data)
-    gear = plant._qpos[0, 1::2]
+    gear = plant.qpos[0, 1::2]
     bent = gear - np.clip(gear, -of.play / 2, of.play / 2)
-    servo_angle = plant._qpos[0, 0::2]
+    servo_angle = plant.qpos[0, 0::2]
     stop = servo_angle - np.clip(servo_angle, ARM.lower - np.radians(3.0), ARM.upper + np.radians(3.0))
-    bristle = of.reflected_inertia * 150.0**2 * plant._servos["bristle"][0] ** 2
+    bristle = of.reflected_inertia * 150.0**2 * plant.servos["bristle"][0] ** 2
     return float(data.energy.sum() + 0.5 * (of.link_stiffness * bent**2 + 60.0 * stop**2 + bristle).sum())
 
 
@@ -110,9 +110,9 @@ def test_a_reset_arm_is_at_rest(name):
 def test_a_held_arm_does_not_creep():
     plant = Plant(ARM, [quiet()], seed=0)
     rows(plant, REST + 0.2, 3.0)
-    before = plant._qpos[:, 0::2].copy()  # links without a load may still drift inside their play
+    before = plant.qpos[:, 0::2].copy()  # links without a load may still drift inside their play
     plant.advance(5.0)
-    np.testing.assert_allclose(plant._qpos[:, 0::2], before, atol=1e-5)
+    np.testing.assert_allclose(plant.qpos[:, 0::2], before, atol=1e-5)
 
 
 @pytest.mark.parametrize("play_deg", [0.5, 2.0])
@@ -135,7 +135,7 @@ def test_the_flex_gives_way_by_torque_over_stiffness():
     of = quiet(play=0.0, link_stiffness=20.0)
     plant = Plant(ARM, [of], seed=0)
     plant.advance(1.0)
-    bent = plant._qpos[0, 1::2]
+    bent = plant.qpos[0, 1::2]
     np.testing.assert_allclose(bent, -gravity_torque(ARM, plant.link_position())[0] / 20.0, atol=2e-4)
 
 
@@ -249,7 +249,7 @@ def play(plant: Plant, where: np.ndarray | None = None, steps: int = 40) -> np.n
         wanted = ARM.rest + 0.3 * np.sin(0.4 * k + numbers[:, None] + np.arange(6))
         plant.command(wanted, 0.008 + 0.001 * (numbers % 4))
         plant.advance(0.02 + 0.001 * ((numbers + k) % 7))
-        track.append(np.concatenate([plant._qpos, plant._qvel, plant.encoder(), plant.temperature], axis=1))
+        track.append(np.concatenate([plant.qpos, plant.qvel, plant.encoder(), plant.temperature], axis=1))
     return np.array(track)
 
 
@@ -292,9 +292,9 @@ def test_reset_of_some_arms_leaves_the_others_alone():
     plant = Plant(ARM, FAMILY, seed=0)
     plant.command(np.tile(ARM.rest, (5, 1)) + 0.3)
     plant.advance(0.3)
-    before = plant._batch.state.copy()
+    before = plant.batch.state.copy()
     plant.reset(np.tile(ARM.rest, (5, 1)), np.array([False, True, False, False, False]))
-    changed = (plant._batch.state != before).any(axis=1)
+    changed = (plant.batch.state != before).any(axis=1)
     np.testing.assert_array_equal(changed, [False, True, False, False, False])
 
 
@@ -347,7 +347,7 @@ def test_a_payload_is_a_heavier_last_link():
             inertia=np.array([*ARM.inertia[:-1], inertia]),
         )
         alone = Plant(heavier, [quiet()], seed=0, first=i)
-        alone._joints = pair._joints[i : i + 1].copy()  # the same servos, whatever the weight would suggest
+        alone.joints = pair.joints[i : i + 1].copy()  # the same servos, whatever the weight would suggest
         alone.reset(REST)
         # Other principal axes of the same inertia round otherwise, and friction amplifies that.
         np.testing.assert_allclose(

@@ -166,14 +166,14 @@ def test_without_power_arms_of_any_size_lose_energy_and_stay_finite(make):
 
 
 def _energy(plant: Plant, wear: Wear, records: np.ndarray) -> float:
-    model, data = plant._batch.get_model(0), plant._batch.get_data(0)
+    model, data = plant.batch.get_model(0), plant.batch.get_data(0)
     model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_ENERGY
     mujoco.mj_forward(model, data)
-    gear, angle = plant._qpos[0, 1::2], plant._qpos[0, 0::2]
+    gear, angle = plant.qpos[0, 1::2], plant.qpos[0, 0::2]
     bent = gear - np.clip(gear, -wear.play / 2, wear.play / 2)
     margin = np.radians(3.0)
     stop = angle - np.clip(angle, plant.arm.lower - margin, plant.arm.upper + margin)
-    bristle = wear.reflected_inertia * 150.0**2 * plant._servos["bristle"][0] ** 2
+    bristle = wear.reflected_inertia * 150.0**2 * plant.servos["bristle"][0] ** 2
     stored = wear.link_stiffness * bent**2 + records["stop_stiffness"] * stop**2 + bristle
     return float(data.energy.sum() + 0.5 * stored.sum())
 
@@ -182,7 +182,7 @@ def test_a_link_as_soft_as_a_spring_is_still_simulated_stably():
     plant = Plant(ARM, [dataclasses.replace(load_wear("worn", ARM), link_stiffness=np.full(6, 2.0))], seed=0)
     plant.advance(3.0)
     assert np.abs(plant.link_position()).max() < np.pi
-    assert np.abs(plant._qvel).max() < 1.0
+    assert np.abs(plant.qvel).max() < 1.0
 
 
 def test_every_profile_is_either_scaled_or_of_an_arm_of_its_own():

@@ -3,13 +3,12 @@ import json
 
 import numpy as np
 import pytest
+from evaluation_samples import outcome
 
 from rejoint.arms import mycobot280
-from rejoint.control.guard import Reason
 from rejoint.control.integrator import IntegratorController
 from rejoint.research.evaluation.contestants import Contestant, check_names, classical
 from rejoint.research.evaluation.evaluate import evaluate, outcome_path
-from rejoint.research.evaluation.failures import list_failures, what_happened
 from rejoint.research.evaluation.family import (
     VARIANTS,
     Family,
@@ -20,8 +19,7 @@ from rejoint.research.evaluation.family import (
     open_family,
 )
 from rejoint.research.evaluation.outcome import Outcome, read_outcome, write_outcome
-from rejoint.research.evaluation.paired import difference, ratios, time_ratio
-from rejoint.research.evaluation.summary import make_pair, make_row, summarise
+from rejoint.research.evaluation.summary import summarise
 from rejoint.research.evaluation.tables import terminal_tables
 from rejoint.research.evaluation.trials import TrialSettings, try_controller
 from rejoint.runs.comparison.result import Protocol
@@ -29,21 +27,6 @@ from rejoint.system.errors import InputError
 
 ARM = mycobot280()
 SETTINGS = TrialSettings(family=Family(arms=3, targets=2), protocol=Protocol())
-
-
-def outcome(settled_mm: np.ndarray, stay: np.ndarray | None = None, cycle: float = 5.0) -> Outcome:
-    """Holds with these settled errors (A, K); everything else at rest and unremarkable."""
-    arms, targets = settled_mm.shape
-    quiet = np.zeros((arms, targets, 6))
-    return Outcome(
-        wear_seed=10_000.0 + np.arange(arms), target=np.zeros((arms, targets, 3)), settled=settled_mm / 1e3,
-        settled_true=settled_mm / 1e3 + 0.007, oscillation=np.zeros((arms, targets)),
-        stay=np.repeat((np.ones((arms, targets)) if stay is None else stay)[..., None], 3, axis=-1),
-        approach=np.zeros((arms, targets)), lead=quiet, swing=quiet, saturation=quiet,
-        limited=np.zeros((arms, targets)), tripped=np.zeros(arms), crossed=np.ones((arms, 2)),
-        crossing_error=np.full((arms, 2), 0.009), crossing_true=np.full((arms, 2), 0.012),
-        crossing_time=np.full((arms, 2), cycle / 10),  # of ten targets
-    )  # fmt: skip
 
 
 def test_an_arm_of_a_family_does_not_depend_on_how_many_there_are():
@@ -64,15 +47,29 @@ def test_families_share_no_arm():
 
 
 def test_variants_differ_in_what_they_say():
-    robots = {v.name: open_family(ARM, v, Family(arms=2)) for v in VARIANTS}
-    assert robots["play-in-loop"].plant._joints["play_in_loop"].all()
-    assert not robots["worn"].plant._joints["play_in_loop"].any()
-    assert robots["slow-wire"]._channel.period == (0.045, 0.055)
-    assert robots["any-wire"]._channel.period == (0.020, 0.050)
-    assert robots["long-latency"]._channel.latency == (0.030, 0.050)
+    robots, family = {v.name: open_family(ARM, v, Family(arms=2)) for v in VARIANTS}, Family(arms=2)
+    seen = {v.name: np.array([wear.play_in_loop for wear in family_wears(ARM, v, family)]) for v in VARIANTS}
+    assert seen["play-in-loop"].all()
+    assert not seen["worn"].any()
     assert (robots["healthy"].plant.torque_limit > 1.0).all()
-    mass = robots["payload"].plant._batch.expand("body_mass")[:, -1] - ARM.mass[-1]
-    np.testing.assert_allclose(mass, family_payloads(find_variant("payload"), Family(arms=2)))
+    mass = robots["payload"].plant.batch.expand("body_mass")[:, -1] - ARM.mass[-1]
+    np.testing.assert_allclose(mass, family_payloads(find_variant("payload"), family))
+
+
+@pytest.mark.parametrize("variant", VARIANTS, ids=lambda variant: variant.name)
+def test_arms_of_a_variant_are_reached_over_its_wire(variant):
+    robot = open_family(ARM, variant, Family(arms=40))
+    command = np.tile(ARM.rest + 0.1, (40, 1))
+    robot.step(command)
+    first = robot.read().time
+    low, high = variant.period
+    assert (first >= low - 1e-3).all()
+    assert (first <= high + 1e-3).all()
+    assert np.ptp(first) > 0.5 * (high - low), "redrawn for every arm"
+    arrived = (robot.plant.goal == command).all(axis=1)
+    assert not arrived[first < variant.latency[0] - 1e-3].any()
+    assert arrived[first > variant.latency[1] + 1e-3].all()
+    assert arrived.any() == (variant.name != "long-latency")
 
 
 @pytest.mark.parametrize(
@@ -81,61 +78,6 @@ def test_variants_differ_in_what_they_say():
 def test_impossible_families_are_refused(wrong):
     with pytest.raises(InputError, match="family"):
         Family(**wrong)
-
-
-def test_ratios_know_infinity():
-    first = np.array([[1.0, np.inf, 2.0, np.inf, np.nan]])
-    second = np.array([[2.0, np.inf, np.inf, 3.0, 1.0]])
-    np.testing.assert_array_equal(ratios(first, second), [[0.5, 1.0, 0.01, 100.0, 100.0]])
-
-
-def test_the_interval_of_a_median_ratio_holds_the_truth():
-    # 40 arms whose median ratio is 0.7; arms differ, their targets hardly do.
-    rng, held = np.random.default_rng(0), 0
-    for trial in range(40):
-        arm = np.exp(rng.normal(np.log(0.7), 0.3, (40, 1)))
-        estimate = time_ratio(arm * np.exp(rng.normal(0, 0.05, (40, 4))), np.ones((40, 4)), seed=trial)
-        held += estimate.low <= 0.7 <= estimate.high
-    assert held >= 34  # 95 % of 40 is 38; fewer than 34 has a chance below 2 %
-
-
-def test_a_difference_of_arms_is_paired():
-    base = np.arange(12.0).reshape(6, 2)
-    estimate = difference(base + 0.5, base)
-    assert estimate.value == estimate.low == estimate.high == 0.5
-    assert difference(np.full((2, 2), np.nan), np.ones((2, 2))) is None
-
-
-def test_few_arms_have_no_interval():
-    few, many = np.ones((4, 3)), np.ones((5, 3))
-    for estimate in (difference(few, 2 * few), time_ratio(few, 2 * few)):
-        assert (estimate.low, estimate.high) == (None, None)
-        assert estimate.value in (-1.0, 0.5)
-    assert time_ratio(many, 2 * many).low == difference(many, 2 * many).high + 1.5 == 0.5
-
-
-def test_a_row_counts_what_it_says():
-    settled = np.array([[0.2, 0.4], [0.3, 6.0], [np.nan, 0.5]])
-    row = make_row("worn", "x", [outcome(settled, np.array([[1.0, 2.0], [3.0, np.inf], [np.nan, 4.0]]))], Protocol())
-    assert row.settled.value == pytest.approx(np.nanmean(settled) / 1e3)
-    assert row.outside.value == pytest.approx(2 / 6)
-    assert row.within[-1].share.value == pytest.approx(4 / 6)
-    assert row.within[-1].median == pytest.approx(3.5)
-    assert row.cycle_time.value == pytest.approx(5.0)
-    assert row.success.value == 1.0
-
-
-def test_fewer_than_half_stay_is_never():
-    row = make_row("worn", "x", [outcome(np.ones((2, 2)), np.array([[1.0, np.inf], [np.inf, np.inf]]))], Protocol())
-    assert row.within[0].median is None
-
-
-def test_each_seed_meets_each_seed_on_the_same_arm():
-    mine = [outcome(np.array([[1.0], [2.0]])), outcome(np.array([[2.0], [3.0]]))]
-    rival = [outcome(np.array([[2.0], [4.0]]), cycle=9.0)]
-    pair = make_pair("worn", ("policy", mine), ("rival", rival))
-    assert pair.settled.value == pytest.approx(-1.0e-3)  # mean of -1 0 -2 -1 mm
-    assert pair.cycle_time.value == pytest.approx(-4.0)
 
 
 def test_the_best_rival_is_the_soonest_and_not_a_policy():
@@ -167,31 +109,6 @@ def test_a_controller_that_the_guard_stops_everywhere_is_a_row_without_numbers_a
     assert (row.outside.value, row.success.value, row.cycle_time, row.crossing_error) == (1.0, 0.0, None, None)
     assert result.best == {"worn": "b"}
     assert [line[1] for line in terminal_tables(result)[0][2]] == ["not known", "9.00"]
-
-
-def test_what_happened_is_told_apart():
-    good = outcome(np.full((1, 1), 8.0))
-
-    def told(**changes):
-        return what_happened(ARM, dataclasses.replace(good, **changes), 0, 0)
-
-    joint = np.zeros((1, 1, 6))
-    joint[0, 0, 3] = 1.0
-    assert told(saturation=joint) == "the motor of joint4 is at its limit"
-    assert told(lead=joint * np.radians(12)) == "joint4 stands while its command leads by 12.0 deg"
-    assert told(oscillation=np.full((1, 1), 0.004), swing=joint * np.radians(5)).startswith(
-        "oscillates by 4.0 mm, joint4"
-    )
-    assert "still coming nearer" in told(approach=np.full((1, 1), 0.003))
-    assert told(limited=np.full((1, 1), float(Reason.POSITION))) == "the guard limits it (position)"
-    assert told() == "rests, and its command does not change"
-    stopped = told(settled=np.full((1, 1), np.nan), tripped=np.array([float(Reason.TEMPERATURE)]))
-    assert stopped == "stopped by the guard (temperature)"
-
-
-def test_failures_are_listed_one_by_one():
-    found = list_failures(ARM, "worn", "x", outcome(np.array([[0.4, 5.1], [np.nan, 4.9]])))
-    assert [(one.arm, one.target, one.settled_mm) for one in found] == [(10_000, 1, 5.1), (10_001, 0, None)]
 
 
 def test_outcomes_survive_the_disk(tmp_path):

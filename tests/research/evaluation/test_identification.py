@@ -43,7 +43,7 @@ def known(tmp_path_factory) -> RunFolder:
 
 
 def test_what_an_arm_has_been_through_is_taken_over(known, monkeypatch):
-    monkeypatch.setattr(identification, "_identify", lambda *_: pytest.fail("identified again"))
+    monkeypatch.setattr("rejoint.diagnosis.diagnosis.diagnose", lambda *_, **__: pytest.fail("identified again"))
     before = known.policy.stat().st_mtime_ns
     found = know_arm(ARM, 5, known, None, lambda *_: None)
     assert found.wear_seed == 5
@@ -79,7 +79,7 @@ def test_knowing_an_arm_is_compared_with_not_knowing_it(known, tmp_path, monkeyp
 def test_the_trips_of_all_copies_of_an_arm_are_kept():
     blank = {f.name: np.zeros((2, 1)) for f in dataclasses.fields(Outcome)}
     tripped = np.array([float(Reason.STALE), float(Reason.OUT_OF_RANGE)])
-    merged = identification._one_arm(Outcome(**blank | {"wear_seed": np.array([7.0, 7.0]), "tripped": tripped}))
+    merged = identification.one_arm(Outcome(**blank | {"wear_seed": np.array([7.0, 7.0]), "tripped": tripped}))
     assert merged.tripped.tolist() == [float(Reason.STALE | Reason.OUT_OF_RANGE)]
     assert merged.wear_seed.tolist() == [7.0]
     assert merged.settled.shape == (1, 2)

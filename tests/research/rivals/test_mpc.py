@@ -52,7 +52,7 @@ def test_the_shadow_of_the_right_model_is_the_arm():
 
     def watch(cycle):
         if len(missed) > 0 or cycle.since_target[0] > 0.0:
-            missed.append(np.abs(controller._shadow.twins.qpos - cycle.position).max())
+            missed.append(np.abs(controller.shadow.twins.qpos - cycle.position).max())
 
     schedule = Schedule(dwell=1.0, keep_going=True, sent=robot.simulation.reference.position.copy())
     run(robot, controller, TARGETS, schedule, on_cycle=watch)

@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from report_samples import TARGETS, estimate, joint_metrics, make_comparison, trial_log, write_curves
+from report_samples import TARGETS, estimate, joint_metrics, make_comparison, shown, trial_log, write_curves
 
 from rejoint.arms import load_arm
 from rejoint.diagnosis.diagnosis import Diagnosis
@@ -29,7 +29,7 @@ def arm():
     return load_arm("mycobot280")
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def diagnosis(arm):
     rng = np.random.default_rng(0)
     healthy = load_healthy(arm)
@@ -61,7 +61,7 @@ def diagnosis(arm):
     )  # fmt: skip
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def twin(arm):
     belief, n = prior(arm), arm.joints
     k = len(belief.mean)
@@ -82,7 +82,7 @@ def twin(arm):
     )  # fmt: skip
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def comparison(arm):
     return make_comparison(arm)
 
@@ -90,7 +90,16 @@ def comparison(arm):
 @pytest.fixture
 def run_folder(tmp_path, arm, diagnosis, twin, comparison):
     """A run folder with everything but a policy file."""
-    folder = RunFolder(tmp_path / "run")
+    return fill(RunFolder(tmp_path / "run"), arm, diagnosis, twin, comparison)
+
+
+@pytest.fixture(scope="session")
+def whole(tmp_path_factory, arm, diagnosis, twin, comparison):
+    """The page of such a folder, and its figures by key."""
+    return shown(fill(RunFolder(tmp_path_factory.mktemp("run")), arm, diagnosis, twin, comparison).path)
+
+
+def fill(folder, arm, diagnosis, twin, comparison):
     write_json(
         folder.info,
         RunInfo(robot="emulated:worn", arm=arm.name, seed=7, version="0.1.0", created="2026-11-20T06:00:00"),

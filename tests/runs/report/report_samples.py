@@ -5,7 +5,9 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
+from markupsafe import Markup, escape
 
+from pages import Page
 from rejoint.arms import solve_position
 from rejoint.logs.runlog import RunLog
 from rejoint.runs.comparison.result import (
@@ -18,6 +20,10 @@ from rejoint.runs.comparison.result import (
     Protocol,
     Stay,
 )
+from rejoint.runs.report.contents import read_contents
+from rejoint.runs.report.gallery import Gallery
+from rejoint.runs.report.page import make_page, render
+from rejoint.runs.report.view import Picture
 from rejoint.system.statistics import Estimate, cluster, clustered_share, spread
 
 SETS, REPETITIONS, TARGETS = 2, 3, 10
@@ -134,3 +140,22 @@ def write_curves(path):
         }),
         path,
     )  # fmt: skip
+
+
+class Sketches(Gallery):
+    """Keeps the figures to look into, and saves the time of drawing them: of a picture there is what is read out."""
+
+    def __init__(self):
+        super().__init__()
+        self.figures = {}
+
+    def show(self, key, figure, *, alt, heading="", caption=""):
+        assert key not in self.figures
+        self.figures[key] = figure
+        return Picture(svg=Markup(f'<svg aria-label="{escape(alt)}"></svg>'), heading=heading, caption=caption)
+
+
+def shown(path):
+    """The page of a run folder and its figures by key."""
+    gallery = Sketches()
+    return Page(render(make_page(read_contents(path), gallery))), gallery.figures

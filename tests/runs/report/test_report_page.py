@@ -4,60 +4,18 @@ from __future__ import annotations
 
 import dataclasses
 import re
-from html.parser import HTMLParser
 
 import numpy as np
 import pytest
 from report_samples import SETTLED, make_comparison, write_curves
 
+from pages import Page
 from rejoint.runs.comparison.recommend import recommend
 from rejoint.runs.folder import RunFolder, RunInfo
 from rejoint.runs.report.page import write_report
 from rejoint.runs.report.tables import comparison_table, comparison_view
 from rejoint.system.errors import FileError
 from rejoint.system.files import write_json
-
-VOID = {"meta", "br", "img", "link", "input", "hr"}
-
-
-class Page(HTMLParser):
-    """Collects what the tests ask about; fails on tags that do not nest."""
-
-    def __init__(self, path):
-        super().__init__(convert_charrefs=True)
-        self.text, self.tags, self.ids, self.rows, self._stack = [], [], [], [], []
-        self.feed(path.read_text(encoding="utf-8"))
-        self.close()
-        assert self._stack == []
-
-    def handle_starttag(self, tag, attrs):
-        self.tags.append((tag, dict(attrs)))
-        self.ids += [value for name, value in attrs if name == "id"]
-        if tag == "tr":
-            self.rows.append([])
-        if tag in ("td", "th"):
-            self.rows[-1].append("")
-        if tag not in VOID:
-            self._stack.append(tag)
-
-    def handle_startendtag(self, tag, attrs):
-        self.tags.append((tag, dict(attrs)))
-        self.ids += [value for name, value in attrs if name == "id"]
-
-    def handle_endtag(self, tag):
-        assert self._stack.pop() == tag
-
-    def handle_data(self, data):
-        if "style" in self._stack or "script" in self._stack:
-            return
-        self.text.append(data)
-        if self.rows and self._stack and set(self._stack) & {"td", "th"}:
-            separator = " | " if self._stack[-1] == "small" else ""
-            self.rows[-1][-1] += separator + data
-
-    @property
-    def words(self):
-        return " ".join(" ".join(self.text).split())
 
 
 def test_full_report(run_folder, comparison):
@@ -109,25 +67,6 @@ def test_full_report(run_folder, comparison):
     assert {"training.png", "error-per-target.png", "error-over-time.png", "held-out.png"} <= names
     assert {f"path-{name}.png" for name in comparison.controllers} <= names
     assert len(names) == len(pictures)
-
-
-def test_table_says_what_was_measured(arm):
-    comparison = make_comparison(arm, ("default", "policy"), true_known=False)
-    headers, (default, policy) = comparison_table(comparison)
-    cell = dict(zip(headers, policy, strict=True))
-    row = comparison.row("policy")
-    assert cell["controller"] == "policy"
-    assert float(cell["success [%]"]) == pytest.approx(100 * row.crossing.success.value, rel=5e-3)
-    assert float(cell["settled error, encoders [mm]"]) == pytest.approx(1e3 * row.hold.settled.mean.value, rel=5e-3)
-    assert float(cell["10 targets [s]"]) == pytest.approx(row.crossing.cycle_time.mean.value, rel=5e-3)
-    mean, std = (float(part) for part in cell["error at the crossing [mm]"].split(" ± "))
-    assert mean == pytest.approx(1e3 * row.crossing.error.mean.value, rel=5e-3)
-    assert std == pytest.approx(1e3 * row.crossing.error.std, abs=6e-3)
-    assert cell["settled error, true [mm]"] == "not known"
-    assert cell["guard"] == "3.1 % step"
-    stay = cell["time to stay within 10 / 5 / 2 mm [s]"].split(" / ")
-    assert [float(part) for part in stay] == pytest.approx([s.median for s in row.hold.stays], rel=5e-2)
-    assert dict(zip(headers, default, strict=True))["time to stay within 10 / 5 / 2 mm [s]"] == "never / never / never"
 
 
 def test_the_paper_s_numbers_stand_beside_those_of_its_own_arm_alone(arm):

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 import report_samples
 from report_samples import make_comparison
-from test_report_page import Page
 
+from pages import Page
 from rejoint.cli.options import controller_names, period_seconds
 from rejoint.runs.comparison import Comparison, recommend
 from rejoint.runs.comparison.recommend import NO_INTERVAL

@@ -69,7 +69,7 @@ class Firmware:
         self._motion = Motion(plant.goal[0], full_speed=FULL_SPEED, acceleration=ACCELERATION)
         self._clock_ms = 0
         self._owed = 0.0
-        self._outbox: list[_Write] = []
+        self.outbox: list[_Write] = []
 
     # --- what is measured -------------------------------------------------------------------
 
@@ -199,7 +199,7 @@ class Firmware:
         if joint is not None:
             self._write(self._motion.ramp_speed, self._motion.goal)
             return
-        self._outbox.clear()
+        self.outbox.clear()
         self._plant.halt()
         self._track(np.ones(self.arm.joints, dtype=bool), self._plant.goal[0] - self.zero)
 
@@ -228,11 +228,11 @@ class Firmware:
     def enable(self, wanted: Mask) -> None:
         """Let the servos in ``wanted`` (n,) hold, those newly switched on where they are; release the others."""
         self._motion.hold()
-        self._outbox.clear()
+        self.outbox.clear()
         self._track(wanted & ~self.enabled, self.angles)
         self.enabled = wanted.copy()
         self._plant.set_power(np.array([bool(wanted.any())]))
-        self._outbox.append(_Write(self._clock_ms, self._motion.reference + self.zero, FULL_SPEED))
+        self.outbox.append(_Write(self._clock_ms, self._motion.reference + self.zero, FULL_SPEED))
 
     def calibrate(self, joint: int) -> None:
         """Take the present position of a joint as its zero."""
@@ -264,7 +264,7 @@ class Firmware:
         left = int(self._owed + 1e-6)
         self._owed -= left
         while left > 0:
-            next_due = min((write.due_ms for write in self._outbox), default=self._clock_ms + TICK_MS)
+            next_due = min((write.due_ms for write in self.outbox), default=self._clock_ms + TICK_MS)
             step = min(left, TICK_MS, max(1, next_due - self._clock_ms))
             interpolating = self._motion.interpolating
             self._motion.advance(step * 1e-3)
@@ -300,22 +300,22 @@ class Firmware:
     def _write(self, speed: float, goal: Array | None = None) -> None:
         """Send a goal (n,) [rad], by default the reference, over the servo bus."""
         due_ms = self._clock_ms + round(1e3 * self._rng.uniform(*COMMAND_DELAY))
-        if self._outbox:
-            due_ms = max(due_ms, self._outbox[-1].due_ms)  # a bus does not overtake itself
+        if self.outbox:
+            due_ms = max(due_ms, self.outbox[-1].due_ms)  # a bus does not overtake itself
         target = (self._motion.reference if goal is None else goal) + self.zero
-        self._outbox.append(_Write(due_ms, target, speed))
-        del self._outbox[:-MAX_WRITES]
+        self.outbox.append(_Write(due_ms, target, speed))
+        del self.outbox[:-MAX_WRITES]
 
     def _deliver(self) -> None:
         """Hand the servos the newest of the goals that have arrived."""
-        arrived = [write for write in self._outbox if write.due_ms <= self._clock_ms]
-        self._outbox = [write for write in self._outbox if write.due_ms > self._clock_ms]
+        arrived = [write for write in self.outbox if write.due_ms <= self._clock_ms]
+        self.outbox = [write for write in self.outbox if write.due_ms > self._clock_ms]
         if arrived:
             self._plant.set_speed_limit(arrived[-1].speed)
             self._plant.command(arrived[-1].goal[None])
 
     def _write_now(self) -> None:
         """Write the reference without delay: a set-point that was planned long ago."""
-        self._outbox.clear()
+        self.outbox.clear()
         self._plant.set_speed_limit(FULL_SPEED)
         self._plant.command((self._motion.reference + self.zero)[None])

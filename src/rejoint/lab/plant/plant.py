@@ -53,22 +53,26 @@ class Plant:
         self.arm = arm
         self.count = len(wears)
         self._carried = _loaded(arm, np.broadcast_to(np.asarray(payload, dtype=float), self.count))
-        self._joints = np.array([joint_records(arm, wear) for wear in wears])
-        self._servos = np.zeros((self.count, arm.joints), servo.STATE)
+        self.joints = np.array([joint_records(arm, wear) for wear in wears])
+        """(B, n) what the joints are made of, as `servo.JOINT`"""
+        self.servos = np.zeros((self.count, arm.joints), servo.STATE)
+        """(B, n) how the servos stand, as `servo.STATE`"""
         self._tick = np.zeros(self.count, np.int64)
         self._key = stream_keys(seed, self.count, first=first)
         self._due = np.full((self.count, servo.QUEUE), servo.NEVER)
         self._queue = np.zeros((self.count, servo.QUEUE, arm.joints))
         self._history = np.zeros((self.count, servo.HISTORY, arm.joints))
-        self._batch = Batch(build_model(arm), self.count, threads)
-        armature = self._batch.expand("dof_armature")
-        armature[:, 0::2] = self._joints["reflected_inertia"]
-        armature[:, 1::2] = servo.gear_armature(self._joints["link_stiffness"])
+        self.batch = Batch(build_model(arm), self.count, threads)
+        """the bodies in MuJoCo"""
+        armature = self.batch.expand("dof_armature")
+        armature[:, 0::2] = self.joints["reflected_inertia"]
+        armature[:, 1::2] = servo.gear_armature(self.joints["link_stiffness"])
         self._load_tools()
-        self._qpos, self._qvel = self._batch.bind("qpos"), self._batch.bind("qvel")
-        self._applied = self._batch.bind("qfrc_applied")
-        self._servos["speed_limit"] = servo.ramp_speed(arm.max_speed)
-        self._servos["temperature"] = servo.AMBIENT
+        self.qpos, self.qvel = self.batch.bind("qpos"), self.batch.bind("qvel")
+        """(B, 2 n) [rad] and [rad/s]: by turns the angle of a servo's output and that of the gear behind it"""
+        self._applied = self.batch.bind("qfrc_applied")
+        self.servos["speed_limit"] = servo.ramp_speed(arm.max_speed)
+        self.servos["temperature"] = servo.AMBIENT
         self.reset(np.tile(arm.rest, (self.count, 1)))
 
     @property
@@ -79,41 +83,41 @@ class Plant:
     @property
     def speed(self) -> Array:
         """(B, n) [rad/s] of the servo outputs."""
-        return self._qvel[:, 0::2].copy()
+        return self.qvel[:, 0::2].copy()
 
     @property
     def torque(self) -> Array:
         """(B, n) [N m] of the motors in the last step."""
-        return self._servos["torque"].copy()
+        return self.servos["torque"].copy()
 
     @property
     def load(self) -> Array:
         """(B, n) what the servos tell of their torque: a share of their limit, smoothed over 10 ms."""
-        return self._servos["load"].copy()
+        return self.servos["load"].copy()
 
     @property
     def torque_limit(self) -> Array:
         """(B, n) [N m] of the motors at standstill."""
-        return self._joints["torque_limit"].copy()
+        return self.joints["torque_limit"].copy()
 
     @property
     def temperature(self) -> Array:
         """(B, n) [deg C] of the servos."""
-        return self._servos["temperature"].copy()
+        return self.servos["temperature"].copy()
 
     @property
     def power(self) -> Mask:
         """(B,) whether the servos are powered."""
-        return np.asarray(self._servos["powered"].all(axis=1))
+        return np.asarray(self.servos["powered"].all(axis=1))
 
     @property
     def goal(self) -> Array:
         """(B, n) [rad] the command that the firmware follows."""
-        return self._servos["goal"].copy()
+        return self.servos["goal"].copy()
 
     def link_position(self) -> Array:
         """(B, n) [rad] angles of the links themselves, behind play and flex."""
-        return self._qpos[:, 0::2] + self._qpos[:, 1::2]
+        return self.qpos[:, 0::2] + self.qpos[:, 1::2]
 
     def true_tcp(self) -> Array:
         """(B, 3) [m] where the tools really are."""
@@ -135,23 +139,23 @@ class Plant:
         position = self._checked(position)
         angle, gear, load = self._balance(position)
         ids = self._selected(where)
-        self._qpos[ids, 0::2], self._qpos[ids, 1::2] = angle[ids], gear[ids]
-        self._qvel[ids], self._applied[ids] = 0.0, 0.0
-        torque = np.clip(load, -self._joints["torque_limit"], self._joints["torque_limit"])
+        self.qpos[ids, 0::2], self.qpos[ids, 1::2] = angle[ids], gear[ids]
+        self.qvel[ids], self._applied[ids] = 0.0, 0.0
+        torque = np.clip(load, -self.joints["torque_limit"], self.joints["torque_limit"])
         step = self.arm.encoder_step
         fresh: dict[str, Array | float] = {
             "measured": np.rint(position / step) * step,
             "measured_speed": 0.0,
             "bristle": 0.0,
             "torque": torque,
-            "load": torque / self._joints["torque_limit"],
+            "load": torque / self.joints["torque_limit"],
         }
         for name, value in fresh.items():
-            self._servos[name][ids] = np.broadcast_to(value, position.shape)[ids]
-        self._servos["powered"][ids] = True
-        self._servos["frozen"][ids] = self._servos["blind"][ids] = False
-        self._history[ids] = self._servos["measured"][ids][:, None]
-        self._hold(ids, position + torque / self._joints["position_gain"] - self._joints["offset"])
+            self.servos[name][ids] = np.broadcast_to(value, position.shape)[ids]
+        self.servos["powered"][ids] = True
+        self.servos["frozen"][ids] = self.servos["blind"][ids] = False
+        self._history[ids] = self.servos["measured"][ids][:, None]
+        self._hold(ids, position + torque / self.joints["position_gain"] - self.joints["offset"])
 
     def command(self, position: Array, delay: Array | float | None = None, where: Mask | None = None) -> None:
         """Send ``position`` (B, n) [rad]; it reaches the firmware after ``delay`` (B,) [s], never earlier."""
@@ -182,45 +186,45 @@ class Plant:
     def set_power(self, on: Mask) -> None:
         """Switch the servos of each arm (B,). Off: limp, only friction remains. On: hold where it is."""
         rising = np.flatnonzero(on & ~self.power)
-        self._servos["powered"] = np.asarray(on)[:, None]
+        self.servos["powered"] = np.asarray(on)[:, None]
         self._hold(rising, self.encoder())
 
     def halt(self, where: Mask | None = None) -> None:
         """Freeze the firmware's reference where its ramp is now and drop commands on their way."""
-        self._hold(self._selected(where), self._servos["reference"])
+        self._hold(self._selected(where), self.servos["reference"])
 
     def freeze(self, joints: Mask) -> None:
         """From now on the encoders of ``joints`` (B, n) tell what they tell now; their servos still see."""
-        self._servos["frozen"] |= joints
+        self.servos["frozen"] |= joints
 
     def blind(self, joints: Mask) -> None:
         """From now on the servos of ``joints`` (B, n) see what they see now: they run away once they are moved."""
-        self._servos["blind"] |= joints
+        self.servos["blind"] |= joints
 
     def set_speed_limit(self, speed: Array | float) -> None:
         """Limit the speed of the reference: (B,), (B, n) or a number, [rad/s], above 0."""
         speed = np.asarray(speed, dtype=float)
         if not (np.isfinite(speed).all() and (speed > 0).all()):
             raise InputError(f"a speed limit must be above 0 rad/s, got {speed.tolist()}")
-        self._servos["speed_limit"] = speed[:, None] if speed.ndim == 1 else speed
+        self.servos["speed_limit"] = speed[:, None] if speed.ndim == 1 else speed
 
     def _hold(self, ids: Ids, position: Array) -> None:
         self._due[ids] = servo.NEVER
-        self._servos["goal"][ids] = self._servos["reference"][ids] = position[ids]
+        self.servos["goal"][ids] = self.servos["reference"][ids] = position[ids]
 
     def _run(self, ids: Ids, steps: int) -> None:
         stepped = None if len(ids) == self.count else ids
         for _ in range(steps):
             servo.drive(
-                ids, self._tick, self._key, self._joints, self._servos, self._due, self._queue,
-                self._qpos, self._qvel, self._applied,
+                ids, self._tick, self._key, self.joints, self.servos, self._due, self._queue,
+                self.qpos, self.qvel, self._applied,
             )  # fmt: skip
-            self._batch.step(stepped)
-            servo.record(ids, self._tick, self._joints, self._servos, self._qpos, self._history)
+            self.batch.step(stepped)
+            servo.record(ids, self._tick, self.joints, self.servos, self.qpos, self._history)
 
     def _balance(self, position: Array) -> tuple[Array, Array, Array]:
         """Servo angles, gear angles and motor torques (B, n) of arms at rest whose encoders read ``position``."""
-        joints, seen = self._joints, np.zeros_like(position)
+        joints, seen = self.joints, np.zeros_like(position)
         load = self._gravity(position)
         for _ in range(5):  # the gear turns the links by a degree or two, which hardly changes the load
             flank = np.where(np.abs(load) > _NO_LOAD, -0.5 * joints["play"] * np.sign(load), 0.0)
@@ -239,14 +243,14 @@ class Plant:
         """Give the last bodies of the arms in `_carried` the masses of their last links."""
         if not self._carried:
             return
-        mass, com = self._batch.expand("body_mass"), self._batch.expand("body_ipos")
-        inertia, turn = self._batch.expand("body_inertia"), self._batch.expand("body_iquat")
+        mass, com = self.batch.expand("body_mass"), self.batch.expand("body_ipos")
+        inertia, turn = self.batch.expand("body_inertia"), self.batch.expand("body_iquat")
         for i, arm in self._carried.items():
             moments, axes = np.linalg.eigh(arm.inertia[-1])
             axes[:, 0] *= np.sign(np.linalg.det(axes))
             mass[i, -1], com[i, -1], inertia[i, -1] = arm.mass[-1], arm.com[-1], moments
             mujoco.mju_mat2Quat(turn[i, -1], axes.flatten())
-        self._batch.set_const(np.array(list(self._carried), dtype=np.int32))  # the masses of whole branches
+        self.batch.set_const(np.array(list(self._carried), dtype=np.int32))  # the masses of whole branches
 
     def _selected(self, where: Mask | None) -> Ids:
         return np.arange(self.count) if where is None else np.flatnonzero(where)

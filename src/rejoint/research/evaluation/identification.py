@@ -76,7 +76,7 @@ def evaluate_identification(
         for k, one in enumerate(contestants):
             on_progress((i + 0.8 + 0.2 * k / len(contestants)) / total, f"arm {seed}: {one.name}")
             outcome = try_on(arm, _bench(arm, seed, settings), one.make, settings, lambda done: None)  # noqa: ARG005
-            merged.setdefault(one.name, []).append(_one_arm(outcome))
+            merged.setdefault(one.name, []).append(one_arm(outcome))
     outcomes = {(VARIANT, name): _together(parts) for name, parts in merged.items()}
     meanings = {VARIANT: "worn arms, each with a twin of its own"}
     return conclude(arm, settings, contestants, meanings, outcomes, folder)
@@ -129,7 +129,7 @@ def _bench(arm: Arm, wear_seed: int, settings: TrialSettings) -> Bench:
     return Bench(open=open_copies, targets=targets, wear_seed=np.full(COPIES, float(wear_seed)))
 
 
-def _one_arm(outcome: Outcome) -> Outcome:
+def one_arm(outcome: Outcome) -> Outcome:
     """Put the trials of one arm's copies into one row, as so many targets of that arm."""
     merged = {}
     for field in fields(Outcome):

@@ -100,9 +100,9 @@ class MpcController:
         settings = self._settings
         self._twin = self._given.repeat(self._count) if self._given.shape == () else self._given
         arms, start = Draw.of(self._twin), situation.state.position
-        self._shadow = Simulation(self._arm, self._count, substeps=_SHADOW_STEPS)
-        self._shadow.place(arms, start, situation.sent)
-        self._shadow.time = situation.state.time.copy()
+        self.shadow = Simulation(self._arm, self._count, substeps=_SHADOW_STEPS)
+        self.shadow.place(arms, start, situation.sent)
+        self.shadow.time = situation.state.time.copy()
         self._rollouts = Simulation(self._arm, self._count * settings.samples, timestep=settings.timestep)
         each = np.repeat(np.arange(self._count), settings.samples)
         self._rollouts.place(arms.rows(each), start[each], situation.sent[each])
@@ -114,7 +114,7 @@ class MpcController:
         """Bring the shadow twins to now, and learn from what they missed."""
         settings, now = self._settings, situation.state.time
         elapsed = self._pace.tick(now)
-        shadow = self._shadow
+        shadow = self.shadow
         if (now <= shadow.time).all():
             return
         shadow.send(situation.sent)
@@ -129,7 +129,7 @@ class MpcController:
     def _candidates(self, situation: Situation) -> Array:
         """Commands (B, K, 2, n) [rad]: first, and after the bend."""
         settings, measured = self._settings, situation.state.position
-        way = self._goal.position - self._shadow.twins.qpos
+        way = self._goal.position - self.shadow.twins.qpos
         holding = self._holding - self._offset
         driven = holding[:, None] + _OVERDRIVE[:, None] * way[:, None]
         fixed = np.stack([driven, np.broadcast_to(holding[:, None], driven.shape)], axis=2)
@@ -147,14 +147,14 @@ class MpcController:
         delay, timestep = self._twin.delay, settings.timestep
         steps = int(np.ceil((float(delay.max()) + settings.horizon) / timestep))
         ahead = np.linspace(0.0, (steps - 1) * timestep, steps)
-        sent = self._shadow.latency.in_force(situation.state.time[:, None] + ahead)  # without new commands
+        sent = self.shadow.latency.in_force(situation.state.time[:, None] + ahead)  # without new commands
         since = ahead - delay[:, None]
         share = np.clip(since / settings.bend, 0.0, 1.0)[:, None, :, None]
         first, last = candidates[:, :, 0, None], candidates[:, :, 1, None]
         wanted = np.where((since >= 0.0)[:, None, :, None], first + share * (last - first), sent[:, None])
-        each, now = np.repeat(np.arange(count), samples), self._shadow.twins
+        each, now = np.repeat(np.arange(count), samples), self.shadow.twins
         reach = self._twin.ramp_speed[each] * timestep
-        control = follow(self._shadow.reference.position[each], wanted.reshape(-1, steps, n), reach)
+        control = follow(self.shadow.reference.position[each], wanted.reshape(-1, steps, n), reach)
         control += self._offset[each, None]
         self._rollouts.twins.restart(now.qpos[each], now.qvel[each])
         passed = self._rollouts.rollout(control).reshape(count, samples, steps, n)
