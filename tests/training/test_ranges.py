@@ -136,6 +136,7 @@ def test_an_identified_acceleration_is_trained_on_and_changes_nothing_else_of_th
     limited = dataclasses.replace(twin, acceleration=39.0)
     free, bound = (draws(IdentifiedRanges(broad=BROAD, twin=t), 500) for t in (twin, limited))
     assert (free.acceleration == np.inf).all()
+    assert (free.stiction == twin.stiction).all()
     assert np.log(bound.acceleration).mean() == pytest.approx(np.log(39.0), abs=0.01)
     assert 0.03 < np.log(bound.acceleration).std() < 0.07
     np.testing.assert_array_equal(pack(free.twin), pack(bound.twin))
