@@ -136,13 +136,22 @@ def test_an_identified_acceleration_is_trained_on_and_changes_nothing_else_of_th
     limited = dataclasses.replace(twin, acceleration=39.0)
     free, bound = (draws(IdentifiedRanges(broad=BROAD, twin=t), 500) for t in (twin, limited))
     assert (free.acceleration == np.inf).all()
-    assert (free.stiction == twin.stiction).all()
     assert np.log(bound.acceleration).mean() == pytest.approx(np.log(39.0), abs=0.01)
     assert 0.03 < np.log(bound.acceleration).std() < 0.07
     np.testing.assert_array_equal(pack(free.twin), pack(bound.twin))
     np.testing.assert_array_equal(free.period, bound.period)
     mixed = draws(training_ranges(ARM, limited, DEFAULT))
     assert abs(np.isfinite(mixed.acceleration).mean() - 0.5) < 0.03  # the broad half limits speeds
+
+
+def test_stiction_that_logs_have_told_is_trained_on_and_an_assumed_one_is_drawn():
+    twin = make_twin()
+    told = dataclasses.replace(twin, stiction=1.25)
+    assumed, known = (draws(IdentifiedRanges(broad=BROAD, twin=t), 500) for t in (twin, told))
+    np.testing.assert_array_equal(assumed.stiction, draws(BROAD, 500).stiction)
+    assert np.ptp(assumed.stiction) > 0.1
+    assert (known.stiction == 1.25).all()
+    np.testing.assert_array_equal(pack(assumed.twin), pack(known.twin))
 
 
 def test_ranges_follow_from_preset_and_twin():

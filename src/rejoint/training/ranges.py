@@ -17,7 +17,7 @@ import numpy as np
 
 from rejoint.arms import Arm, Array
 from rejoint.arms.size import length_size, torque_size
-from rejoint.twin.parameters import PARAMETERS, TwinParameters, nominal_parameters
+from rejoint.twin.parameters import PARAMETERS, STICTION, TwinParameters, nominal_parameters
 from rejoint.twin.simulation import Draw
 from rejoint.twin.twin import LEAST_SPREAD, Twin
 
@@ -148,12 +148,11 @@ class BroadRanges:
 class IdentifiedRanges:
     """Draws from the correlated covariance of an identified twin, widened.
 
-    Parameters that the data could not tell apart keep their prior range in `Twin.sample`. Stiction is the one that the
-    others were fitted with (measured, six trainings each: drawn broadly instead, policies settled 12 % farther off on
-    the emulated worn arm, swung by 43 % more there, and came within 2 mm 6 % sooner; on other worn arms there was no
-    difference). What a twin does not hold (gravity,
-    period, the way out's share of the delay) is drawn from ``broad``, and so are powerless joints: an excitation that
-    never needs a joint's full torque does not show them.
+    Parameters that the data could not tell apart keep their prior range in `Twin.sample`. Stiction is the twin's where
+    logs have told it. Where it is assumed it is drawn broadly (measured, six trainings each on the assumed one alone:
+    policies settled 12 % nearer on the emulated worn arm, came within 2 mm 6 % later, and were no better on other worn
+    arms). What a twin does not hold (gravity, period, the way out's share of the delay) is drawn from ``broad``, and so
+    are powerless joints: an excitation that never needs a joint's full torque does not show them.
     """
 
     broad: BroadRanges
@@ -167,11 +166,12 @@ class IdentifiedRanges:
         """Draw ``count`` arms."""
         free, twins = self.broad.draw(rng, count), self.twin.sample(rng, count, self.widening)
         share = rng.uniform(*self.outward, count)
+        known = self.twin.stiction != STICTION
         return Draw(
             twin=replace(twins, torque_limit=twins.torque_limit * self.broad.weaken(rng, count)),
             command_delay=share * twins.delay,
             readback_delay=(1.0 - share) * twins.delay,
-            stiction=np.full_like(free.stiction, self.twin.stiction),
+            stiction=np.full_like(free.stiction, self.twin.stiction) if known else free.stiction,
             gravity_scale=free.gravity_scale,
             period=free.period,
             backlash=free.backlash,
