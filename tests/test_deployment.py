@@ -117,10 +117,10 @@ def test_nothing_is_reached_within_no_distance():
 
 def test_a_stage_that_drives_knows_how_far_the_joints_of_this_arm_stick(tmp_path):
     run = opening.begin(tmp_path / "run", "emulated:worn", ARM, 0)
-    assert work._limits(run).sticks is None, "no diagnosis, nothing known"
+    assert work._limits(run, "emulated:worn").sticks is None, "no diagnosis, nothing known"
     recording, _ = drive(NEAR)
     for name in ("excitation", "targets"):
         write_log(run.folder.log(name), recording.log(0, name))
-    sticks = work._limits(run).sticks
+    sticks = work._limits(run, "emulated:worn").sticks
     assert sticks.shape == (6,)
     assert sticks.max() > np.radians(1.0), "worn joints stick"

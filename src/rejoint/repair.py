@@ -27,6 +27,7 @@ from rejoint.control.contract import check_period
 from rejoint.control.controller import Controller
 from rejoint.control.following import sticking
 from rejoint.control.guard import GuardLimits
+from rejoint.control.lines import servo_lines
 from rejoint.control.policy import PolicyController
 from rejoint.control.recording import Cycle, recording_of
 from rejoint.control.robot import JointState, Robot
@@ -226,7 +227,7 @@ def compare_stage(
                 on_progress=on_progress,
                 on_trial=keep,
                 ledger=ledger,
-                limits=_limits(run),
+                limits=_limits(run, robot),
             )
     except BaseException as error:
         if ledger.done:
@@ -268,7 +269,7 @@ def deploy_stage(
     Where something ends it early, ``on_end`` is told what was done until then, and what was recorded is kept, also
     where it is ``kill -9``. UnsavedError with the result where the log cannot be written.
     """
-    twin, limits = _twin(run), _limits(run)
+    twin, limits = _twin(run), _limits(run, robot)
     controller = _factories(run, (job.controller,), period or default_period(robot))[job.controller](run.arm)
     require_space(run.folder.path)
     label, total = f"deploy/{job.controller}", len(job.targets)
@@ -327,11 +328,23 @@ def _journal(run: Run, name: str, robot: Robot, label: str, rows: int = 0) -> Jo
     )
 
 
-def _limits(run: Run) -> GuardLimits:
-    """Return what the guard allows, with how far the joints of this arm stick where its own diagnosis tells."""
-    limits, logs = GuardLimits.of(run.arm), [run.folder.log(name) for name in ("excitation", "targets")]
-    found = [sticking(run.arm, read_log(path)) for path in logs if path.exists()]
-    return replace(limits, sticks=np.max(found, axis=0)) if len(found) == len(logs) else limits
+def _limits(run: Run, robot: str) -> GuardLimits:
+    """Return what the guard allows, with what the diagnosis of a run tells of the joints of ``robot``, if it is its own.
+
+    That is how far they stick, and the lines of load over error of servos that tell loads.
+    """
+    limits, paths = GuardLimits.of(run.arm), [run.folder.log(name) for name in ("excitation", "targets")]
+    if not _is_own(run, robot) or not all(path.exists() for path in paths):
+        return limits
+    logs = [read_log(path) for path in paths]
+    sticks = np.max([sticking(run.arm, log) for log in logs], axis=0)
+    return replace(limits, sticks=sticks, servos=servo_lines(run.arm, logs))
+
+
+def _is_own(run: Run, robot: str) -> bool:
+    """Whether ``robot`` may be the arm that a run measured: a real one has many addresses, an emulated one has one."""
+    own = run.info.robot
+    return robot == own or not any(address.startswith("emulated:") for address in (own, robot))
 
 
 def _twin(run: Run) -> Twin | None:

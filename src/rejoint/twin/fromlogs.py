@@ -179,7 +179,7 @@ def hold_out(logs: Sequence[RunLog], settings: LogSettings) -> tuple[list[RunLog
 def _rows(log: RunLog, rows: slice, suffix: str) -> RunLog:
     return replace(
         log, label=log.label + suffix, time=log.time[rows], position=log.position[rows], command=log.command[rows],
-        target=log.target[rows], true_tcp=log.true_tcp[rows],
+        target=log.target[rows], true_tcp=log.true_tcp[rows], load=None if log.load is None else log.load[rows],
     )  # fmt: skip
 
 
