@@ -124,3 +124,24 @@ def test_a_stage_that_drives_knows_how_far_the_joints_of_this_arm_stick(tmp_path
     sticks = work._limits(run, "emulated:worn").sticks
     assert sticks.shape == (6,)
     assert sticks.max() > np.radians(1.0), "worn joints stick"
+    assert work._limits(run, "emulated:worn").servos is not None, "servos that tell loads"
+
+
+@pytest.mark.parametrize(
+    ("own", "driven", "used"),
+    [
+        ("emulated:worn", "emulated:worn?seed=1", False),
+        ("emulated:worn", "tcp://127.0.0.1:9000", False),
+        ("tcp://127.0.0.1:9000", "emulated:worn", False),
+        ("tcp://127.0.0.1:9000", "tcp://192.168.1.5:9000", True),
+    ],
+)
+def test_what_a_run_knows_of_its_joints_is_used_for_its_own_arm_only(tmp_path, own, driven, used):
+    """A real arm has many addresses."""
+    run = opening.begin(tmp_path / "run", own, ARM, 0)
+    recording, _ = drive(NEAR)
+    for name in ("excitation", "targets"):
+        write_log(run.folder.log(name), recording.log(0, name))
+    limits = work._limits(run, driven)
+    assert (limits.sticks is not None) == used
+    assert (limits.servos is not None) == used

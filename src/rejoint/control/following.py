@@ -5,14 +5,17 @@ encoder tells the same for ever while the servo goes where it is sent (frozen), 
 else (blind) and runs away as soon as it is moved. Two rules tell them apart, once per cycle:
 
 * **Turning.** A servo gives a torque in proportion to the error that it sees. While a joint stands, its load is a line
-  over command minus reading. A load off that line, for two cycles or more, says that the joint turns although its
-  reading does not: by its own feedback (frozen), or by the voltage that a turning motor induces (blind). The line has
-  to be known beforehand (`Knowledge`) and is made more precise from the joint itself while it stands; learned from
+  over command minus reading. A load off that line says that the joint turns although its reading does not: by its own
+  feedback (frozen), or by the voltage that a turning motor induces (blind). It is believed when it is off by far, off
+  for two cycles, or off by little for twelve. The line has to be known beforehand (`Knowledge`; `rejoint.control.lines`
+  reads it from the arm's own diagnosis) and is made more precise from the joint itself while it stands; learned from
   nothing it only tells that a joint is stuck.
-* **Travel.** Where no load tells, a command may leave the place where the reading last changed by no more than
-  moves the tool by `TRAVEL`, and as far on top as the joint has been seen to stick. One whose reading has gone
-  nowhere in this run is not judged but held within `TRAVEL`: a frozen encoder then carries the tool no farther, and a
-  stuck joint is let be.
+* **Travel.** Where no load tells, a command may leave the place where the reading last changed by so much and no more.
+  How much depends on what is known. Where it is known how far the joint sticks (``sticks``, from the arm's own
+  diagnosis by `sticking`), `STICKING` times as far and `SLACK` more; joints that stick by more than `STICKY` are not
+  judged. Where it is not known, as far as moves the tool by `TRAVEL`, and as far on top as joints stick; one whose
+  reading has gone nowhere in this run is then not judged but held within `TRAVEL`: a frozen encoder carries the tool no
+  farther, and a stuck joint is let be.
 
 After a trip the joint is led back to the command under which its reading last changed: there it was in balance, and a
 blind servo gives the torque of then.
@@ -71,7 +74,8 @@ _TURNING, _UNKNOWN = 3, 2  # as in `watching`, which is imported late
 class Knowledge:
     """What is known of the servos of an arm before it moves: read from their registers, or measured when it was well.
 
-    A twin does not have it: the largest torque of a joint that never gave it is a guess, and a gain with it.
+    `rejoint.control.lines.servo_lines` measures it. A twin does not have it: the largest torque of a joint that never
+    gave it is a guess, and a gain with it.
     """
 
     gain: Array
@@ -133,6 +137,7 @@ class Following:
         self._tracks = np.zeros(shape, watching.TRACK)
         self._tracks["position"] = self._tracks["home"] = state.position
         self._tracks["held"] = sent
+        self._tracks["stuck"] = 0.0 if sticks is None else sticks
         self._tracks["since"] = state.time[:, None]
         self._know(knowledge or Knowledge(gain=np.full(shape, GAIN), within=np.inf))
         self._sent_at = np.repeat(state.time[:, None], watching.HISTORY, axis=1)

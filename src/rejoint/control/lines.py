@@ -27,11 +27,12 @@ STILL = 4
 """rows for which a reading must have stood (chosen, as `watching.LEARN_STILL`)"""
 AT_REST = np.radians(0.1)
 """[rad] by which commands may differ meanwhile (chosen: an encoder count)"""
-SURE = 3.0
+SURE = 4.0
 """Times the residual over the spread of the leads that a slope may be wrong (chosen). The number of rows does not make
 it smaller: a reading that flickers unseen bends all of them the same way."""
-LEAST_ERROR = 0.02
-"""relative error of a slope that is never fallen below (chosen: warmth and supply change a servo by as much)"""
+LEAST_ERROR = 0.01
+"""relative error of a slope that is never fallen below (chosen: a register of loads counts in thousandths of a load that
+is seldom more than a tenth)"""
 LEAST_NOISE = 0.001
 """share of the largest torque, likewise (chosen: registers count in thousandths)"""
 HUBER = 2.0
