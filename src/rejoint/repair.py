@@ -329,7 +329,7 @@ def _journal(run: Run, name: str, robot: Robot, label: str, rows: int = 0) -> Jo
 
 
 def _limits(run: Run, robot: str) -> GuardLimits:
-    """Return what the guard allows, with what the diagnosis of a run tells of the joints of ``robot``, if it is its own.
+    """Return what the guard allows, and, if ``robot`` is the run's own, what its diagnosis tells of its joints.
 
     That is how far they stick, and the lines of load over error of servos that tell loads.
     """

@@ -61,8 +61,8 @@ class RunLog:
     true_tcp: Array
     """(T, 3) [m] where the tool really was; NaN where nobody knows"""
     load: Array | None = None
-    """(T, n) torque that each servo told, a share of its largest, positive with the joint; NaN where none was told, None
-    where none ever was"""
+    """(T, n) torque that each servo told, a share of its largest, positive with the joint; NaN where it told none. None
+    if none ever was told"""
     extra: dict[str, str] = field(default_factory=dict)
     """anything else worth keeping: seed, profile, software version"""
 

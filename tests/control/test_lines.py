@@ -108,7 +108,7 @@ def test_a_recording_keeps_what_servos_told(tells_load):
 
 
 def watch(load_of, cycles=40, lead=0.02, within=0.02, sticks=0.0):
-    """First cycle in which joint 1, held at a ``lead`` [rad] over a reading that stands, is not believed; None: never."""
+    """First cycle in which joint 1, at a ``lead`` [rad] over a reading that stands, is not believed; None: never."""
     position, told = np.tile(ARM.rest, (1, 1)), np.zeros((1, 6))
     begin = JointState(time=np.zeros(1), position=position, age=np.zeros(1), load=told)
     knowledge = Knowledge(gain=np.full(6, 10.0), within=within, noise=0.001)
@@ -128,7 +128,7 @@ def watch(load_of, cycles=40, lead=0.02, within=0.02, sticks=0.0):
 
 def test_a_load_on_its_line_is_believed_and_one_off_it_the_sooner_the_farther_it_is():
     line, after = 10.0 * 0.02, 10
-    assert watch(lambda k: line) is None
+    assert watch(lambda _: line) is None
     assert watch(lambda k: line if k < after else line - 0.12) == after
     assert watch(lambda k: line if k < after else line - 0.12, sticks=np.radians(5.0)) == after + 1
     assert watch(lambda k: line if k < after else line - 0.06) == after + watching.STRIKES - 1
@@ -137,18 +137,18 @@ def test_a_load_on_its_line_is_believed_and_one_off_it_the_sooner_the_farther_it
 
 
 def test_a_joint_without_a_line_is_not_judged_by_its_load():
-    assert watch(lambda k: -0.5, within=np.r_[np.inf, np.full(5, 0.1)]) is None
+    assert watch(lambda _: -0.5, within=np.r_[np.inf, np.full(5, 0.1)]) is None
 
 
 def test_a_load_that_was_not_told_says_nothing():
-    assert watch(lambda k: np.nan) is None
+    assert watch(lambda _: np.nan) is None
     assert watch(lambda k: 0.2 if k < 10 else (np.nan, 0.08)[k % 2]) in (10, 11)
 
 
 def test_nothing_is_said_before_the_first_command_has_arrived():
     """Which command was in force before, nobody knows: an arm that sags holds by another one than its position."""
-    assert watch(lambda k: 0.6, cycles=4) is None
-    assert watch(lambda k: 0.6) <= 6
+    assert watch(lambda _: 0.6, cycles=4) is None
+    assert watch(lambda _: 0.6) <= 6
 
 
 def test_knowledge_of_no_noise_is_refused():

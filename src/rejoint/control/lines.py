@@ -1,10 +1,10 @@
 """The lines of load over error of an arm's servos, read from logs of its own motion.
 
 A position servo gives a torque in proportion to the error that it sees. While its joint stands, what it tells of its
-torque is a line over command minus reading, with a slope (`Knowledge.gain`) and an offset. Wherever joints of a log stand
-under commands that rest, and the load is neither at its end nor in the servo's dead zone, the line can be seen; friction,
-sag and play do not enter it. A joint whose leads hardly differ, or whose loads do not lie on a line, is left unknown: on
-healthy arms those that no weight loads, since they never stand away from their command.
+torque is a line over command minus reading, with a slope (`Knowledge.gain`) and an offset. Wherever joints of a log
+stand under commands that rest, and the load is neither at its end nor in the servo's dead zone, the line can be seen;
+friction, sag and play do not enter it. A joint whose leads hardly differ, or whose loads do not lie on a line, is left
+unknown: on healthy arms those that no weight loads, since they never stand away from their command.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ SURE = 4.0
 """Times the residual over the spread of the leads that a slope may be wrong (chosen). The number of rows does not make
 it smaller: a reading that flickers unseen bends all of them the same way."""
 LEAST_ERROR = 0.01
-"""relative error of a slope that is never fallen below (chosen: a register of loads counts in thousandths of a load that
-is seldom more than a tenth)"""
+"""relative error of a slope that is never fallen below (chosen: a register counts loads in thousandths, and they are
+seldom more than a tenth)"""
 LEAST_NOISE = 0.001
 """share of the largest torque, likewise (chosen: registers count in thousandths)"""
 HUBER = 2.0
@@ -42,14 +42,14 @@ _PER_MEDIAN = 1.4826  # standard deviation of normal residuals over the median o
 
 
 def servo_lines(arm: Arm, logs: Sequence[RunLog]) -> Knowledge | None:
-    """What ``logs`` of an arm say of its servos; None where they do not tell of any joint.
+    """Read what ``logs`` of an arm tell of its servos; None where they tell of none.
 
     A joint that would be taken for one that turns in these logs themselves is unknown too.
     """
     told = [log for log in logs if log.load is not None]
-    if not told:
+    rows = [_standing(arm, log, log.load) for log in logs if log.load is not None]
+    if not rows:
         return None
-    rows = [_standing(arm, log) for log in told]
     lines = [_line(*(np.concatenate([part[k][:, j] for part in rows]) for k in range(3))) for j in range(arm.joints)]
     gain, offset, within, noise = np.array(lines).T
     within = np.where(within < watching.KNOWN, within, np.inf)
@@ -70,17 +70,16 @@ def _knowledge(gain: Array, offset: Array, within: Array, noise: Array) -> Knowl
     )  # fmt: skip
 
 
-def _standing(arm: Arm, log: RunLog) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Leads (T, n) [rad] and loads (T, n) of a log, and where (T, n) they say something of the line."""
-    assert log.load is not None
+def _standing(arm: Arm, log: RunLog, load: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Leads (T, n) [rad] and the loads (T, n) of a log, and where (T, n) they say something of the line."""
     low, high = _commands(log)
     lead = 0.5 * (low + high) - log.position
     moved = np.vstack([np.ones((1, arm.joints), dtype=bool), np.diff(log.position, axis=0) != 0.0])
     last = np.maximum.accumulate(np.where(moved, np.arange(len(log))[:, None], 0), axis=0)
     stands = np.arange(len(log))[:, None] - last >= STILL
     dead = watching.COUNTS * arm.encoder_step
-    told = np.abs(log.load) < watching.FULL  # not where it is NaN
-    return lead, log.load, stands & told & (high - low < AT_REST) & (np.abs(lead) > dead)
+    told = np.abs(load) < watching.FULL  # not where it is NaN
+    return lead, load, stands & told & (high - low < AT_REST) & (np.abs(lead) > dead)
 
 
 def _commands(log: RunLog) -> tuple[Array, Array]:

@@ -131,5 +131,5 @@ def own(state: JointState) -> JointState:
 
 
 def told_load(state: JointState) -> Array:
-    """Loads (B, n) that a state tells; NaN where it tells none."""
+    """Return the loads (B, n) that a state tells; NaN where it tells none."""
     return np.full(state.position.shape, np.nan) if state.load is None else state.load

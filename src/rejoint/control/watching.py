@@ -16,8 +16,8 @@ STILL = 2
 STRIKES = 2
 """Cycles in a row in which the load has to disagree by more than `MARGIN` (chosen)."""
 PUSHED, UNPUSHED_STRIKES = np.radians(0.3), 4
-"""[rad] travel of the command below which it takes more cycles (chosen: a joint that rings about its place, or is hit by
-another one, shows one reading by chance for two or three)"""
+"""[rad] travel of the command below which it takes more cycles (chosen: a joint that rings about its place, or that
+another one shakes, shows one reading by chance for two or three)"""
 MARGIN = 0.03
 """Share of the largest torque by which a load may be off for one cycle (chosen: less is quicker, and was not wrong down
 to 0.025)"""
@@ -151,7 +151,8 @@ def watch(tracks, sent_at, sent, now, last, position, command, load, loaded, ste
 
     ``sent_at`` (B, HISTORY) [s] and ``sent`` (B, HISTORY, n) [rad], newest first, take over ``command`` (B, n), which
     was sent at the clock ``last`` (B,); ``now`` (B,) is that of the reading ``position`` (B, n), ``load`` (B, n) what
-    its servos told if ``loaded`` (NaN where they did not), and ``step`` [rad] that of the encoders. A repeated answer says nothing new.
+    its servos told if ``loaded`` (NaN where they did not), and ``step`` [rad] that of the encoders. A repeated answer
+    says nothing new.
     """
     arms, joints = position.shape
     for i in range(arms):
