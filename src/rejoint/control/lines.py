@@ -10,6 +10,7 @@ unknown: on healthy arms those that no weight loads, since they never stand away
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,9 +42,11 @@ _ROUNDS = 20  # of reweighting (chosen: it settles in ten)
 _PER_MEDIAN = 1.4826  # standard deviation of normal residuals over the median of their sizes
 
 
-def servo_lines(arm: Arm, logs: Sequence[RunLog]) -> Knowledge | None:
+def servo_lines(arm: Arm, logs: Sequence[RunLog], *, own_shares: bool = True) -> Knowledge | None:
     """Read what ``logs`` of an arm tell of its servos; None where they tell of none.
 
+    ``own_shares`` tells that loads are shares of the torque that each servo really has. Otherwise lines are believed as
+    far as they were seen.
     A joint that would be taken for one that turns in these logs themselves is unknown too.
     """
     told = [log for log in logs if log.load is not None]
@@ -51,23 +54,36 @@ def servo_lines(arm: Arm, logs: Sequence[RunLog]) -> Knowledge | None:
     if not rows:
         return None
     lines = [_line(*(np.concatenate([part[k][:, j] for part in rows]) for k in range(3))) for j in range(arm.joints)]
-    gain, offset, within, noise = np.array(lines).T
-    within = np.where(within < watching.KNOWN, within, np.inf)
+    found = _Lines(*np.array(lines).T)
+    found = found._replace(within=np.where(found.within < watching.KNOWN, found.within, np.inf))
+    if own_shares:
+        found = found._replace(proven=np.ones(arm.joints))
     for log in told:
-        known = _knowledge(gain, offset, within, noise)
+        known = _knowledge(found)
         if known is not None:
-            within = np.where(_turns(arm, log, known), np.inf, within)
-    return _knowledge(gain, offset, within, noise)
+            found = found._replace(within=np.where(_turns(arm, log, known), np.inf, found.within))
+    return _knowledge(found)
 
 
-def _knowledge(gain: Array, offset: Array, within: Array, noise: Array) -> Knowledge | None:
-    known = np.isfinite(within)
-    if not known.any():
+class _Lines(NamedTuple):
+    """Slopes [1/rad], offsets, relative errors of slopes (infinite: unknown), noises and largest loads, each (n,)."""
+
+    gain: Array
+    offset: Array
+    within: Array
+    noise: Array
+    proven: Array
+
+
+_UNKNOWN = (1.0, 0.0, np.inf, 1.0, 1.0)
+
+
+def _knowledge(lines: _Lines) -> Knowledge | None:
+    if not np.isfinite(lines.within).any():
         return None
     return Knowledge(
-        gain=np.where(known, gain, 1.0), offset=np.where(known, offset / gain, 0.0), within=within,
-        noise=np.where(known, noise, 1.0),
-    )  # fmt: skip
+        gain=lines.gain, offset=lines.offset / lines.gain, within=lines.within, noise=lines.noise, proven=lines.proven
+    )
 
 
 def _standing(arm: Arm, log: RunLog, load: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
@@ -93,12 +109,11 @@ def _commands(log: RunLog) -> tuple[Array, Array]:
     return low, high
 
 
-def _line(lead: Array, load: Array, use: NDArray[np.bool_]) -> tuple[float, float, float, float]:
-    """Slope [1/rad], offset, relative error of the slope (infinite: unknown) and noise of one joint, robustly."""
+def _line(lead: Array, load: Array, use: NDArray[np.bool_]) -> tuple[float, ...]:
+    """Fit the line of one joint robustly; returns what `_Lines` holds of it."""
     lead, load = lead[use], load[use]
-    unknown = (1.0, 0.0, np.inf, 1.0)
     if len(lead) < FEWEST or np.ptp(lead) == 0.0:
-        return unknown
+        return _UNKNOWN
     columns, weight = np.stack([lead, np.ones_like(lead)], axis=-1), np.ones_like(lead)
     for _ in range(_ROUNDS):
         root = np.sqrt(weight)
@@ -107,8 +122,9 @@ def _line(lead: Array, load: Array, use: NDArray[np.bool_]) -> tuple[float, floa
         noise = max(_PER_MEDIAN * float(np.median(off)), LEAST_NOISE)
         weight = np.minimum(1.0, HUBER * noise / np.maximum(off, 1e-12))
     if slope <= 0.0:
-        return unknown
-    return float(slope), float(offset), LEAST_ERROR + SURE * noise / (slope * float(lead.std())), noise
+        return _UNKNOWN
+    within = LEAST_ERROR + SURE * noise / (slope * float(lead.std()))
+    return float(slope), float(offset), within, noise, float(np.abs(load[off <= HUBER * noise]).max())
 
 
 def _turns(arm: Arm, log: RunLog, known: Knowledge) -> NDArray[np.bool_]:
