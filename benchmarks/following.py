@@ -21,7 +21,8 @@ from rejoint.control.following import Following, Knowledge, sticking
 from rejoint.control.guard import GuardLimits, guard, warm_up
 from rejoint.control.lines import servo_lines
 from rejoint.control.robot import Mask
-from rejoint.diagnosis.record import record
+from rejoint.diagnosis.record import DiagnosisLogs, record
+from rejoint.errors import GuardTripError
 from rejoint.plant.wear import Wear, load_wear
 from rejoint.robots.emulated import EmulatedRobot
 from rejoint.training.train import TrainingOptions, train
@@ -81,18 +82,35 @@ class Diagnosed:
     """(B, n) [rad]"""
 
 
+def recorded(wears: list[Wear]) -> list[DiagnosisLogs | None]:
+    """Drive each arm through its diagnosis; None for one in which the guard ends it."""
+    try:
+        return list(record(EmulatedRobot(ARM, wears, seed=1, threads=2), seed=0))
+    except GuardTripError:
+        return [_recorded_alone(wear, i) for i, wear in enumerate(wears)]
+
+
+def _recorded_alone(wear: Wear, place: int) -> DiagnosisLogs | None:
+    try:
+        return record(EmulatedRobot(ARM, [wear], seed=1, first=place), seed=0)[0]
+    except GuardTripError as error:
+        print(f"a diagnosis was ended: {wear.name}: {error}", flush=True)
+        return None
+
+
 def diagnosed(wears: list[Wear]) -> Diagnosed:
-    """Drive each arm through its diagnosis, and see what its logs tell."""
-    logs = record(EmulatedRobot(ARM, wears, seed=1, threads=2), seed=0)
-    sticks = np.array([np.maximum(sticking(ARM, log.excitation), sticking(ARM, log.targets)) for log in logs])
-    unknown = Knowledge(gain=np.ones(ARM.joints), within=np.inf)
-    found = [servo_lines(ARM, (log.excitation, log.targets)) or unknown for log in logs]
+    """See what the logs of each arm's diagnosis tell; of one that was ended nothing is known."""
+    unknown, found, sticks = Knowledge(gain=np.ones(ARM.joints), within=np.inf), [], []
+    for logs in recorded(wears):
+        pair = () if logs is None else (logs.excitation, logs.targets)
+        found.append(servo_lines(ARM, pair) or unknown)
+        sticks.append(np.max([sticking(ARM, log) for log in pair], axis=0) if pair else np.full(ARM.joints, np.inf))
 
     def stacked(name: str) -> Array:
         return np.array([np.broadcast_to(getattr(servos, name), ARM.joints) for servos in found])
 
     servos = Knowledge(gain=stacked("gain"), offset=stacked("offset"), within=stacked("within"), noise=stacked("noise"))
-    return Diagnosed(servos, sticks)
+    return Diagnosed(servos, np.array(sticks))
 
 
 @dataclass(frozen=True)

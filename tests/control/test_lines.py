@@ -140,6 +140,27 @@ def test_a_joint_without_a_line_is_not_judged_by_its_load():
     assert watch(lambda _: -0.5, within=np.r_[np.inf, np.full(5, 0.1)]) is None
 
 
+def learned(off_for, breaks_loose=False):
+    """Joints that are not believed, where a line was learned, a command goes far, and loads are off for some cycles."""
+    position, one = np.tile(ARM.rest, (1, 1)), np.arange(6) == 1
+    begin = JointState(time=np.zeros(1), position=position, age=np.zeros(1), load=np.zeros((1, 6)))
+    monitor, found, lead = Following(ARM, begin, position, sticks=np.full(6, 0.02)), [], 0.0
+    for k in range(1, 160):
+        load = 14.0 * lead - 0.3 * (150 <= k < 150 + off_for)
+        read = position + 0.01 * one * (breaks_loose and k >= 150 + off_for)
+        now = JointState(time=np.array([0.025 * k]), position=read, age=np.zeros(1), load=(load * one)[None])
+        bad = monitor.check(now, position + lead * one, np.ones(1, dtype=bool))
+        found += [] if bad is None else [bad[0].tolist()]
+        lead = 0.001 * (k // 8) + 0.04 * (k > 140)  # [rad] stands at every lead for a while
+    return found
+
+
+def test_a_joint_of_a_learned_line_may_be_off_it_for_a_cycle():
+    """It breaks loose, and its reading comes a cycle later than its load."""
+    assert learned(0) == learned(1) == learned(2, breaks_loose=True) == []
+    assert learned(4)[0] == [False, True, False, False, False, False]
+
+
 def test_a_load_that_was_not_told_says_nothing():
     assert watch(lambda _: np.nan) is None
     assert watch(lambda k: 0.2 if k < 10 else (np.nan, 0.08)[k % 2]) in (10, 11)

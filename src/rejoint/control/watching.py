@@ -122,12 +122,15 @@ def _judge(track, told, low, high, step):  # noqa: ANN001, ANN202
     telling = high - low < LEARN_SPREAD and abs(lead) > COUNTS * step and abs(track.load) < FULL
     if (agrees or not known) and telling and LEARN_STILL <= track.still <= LEARN_LAST:
         _learn(track, lead, high - low)
-    if track.given and _turns(track, max(least - told, told - most) - unsure, step):
-        return TURNING
+    if track.given:
+        if _turns(track, max(least - told, told - most) - unsure, step):
+            return TURNING
+    else:
+        track.strikes = 0 if agrees else track.strikes + 1
     if abs(track.load) >= FULL and track.load * lead > 0.0:
         track.full += 1
         return STANDING
-    explained = known and (agrees or track.given)
+    explained = known and (track.given or track.strikes < STRIKES)  # one that breaks loose disagrees for a cycle
     return STANDING if explained or track.full >= FULL_CYCLES else UNKNOWN
 
 
