@@ -338,7 +338,7 @@ def _limits(run: Run, robot: str) -> GuardLimits:
         return limits
     logs = [read_log(path) for path in paths]
     sticks = np.max([sticking(run.arm, log) for log in logs], axis=0)
-    return replace(limits, sticks=sticks, servos=servo_lines(run.arm, logs, own_shares=robot.startswith("emulated:")))
+    return replace(limits, sticks=sticks, servos=servo_lines(run.arm, logs))
 
 
 def _is_own(run: Run, robot: str) -> bool:

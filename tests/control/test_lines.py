@@ -107,11 +107,11 @@ def test_a_recording_keeps_what_servos_told(tells_load):
         assert np.ptp(log.load[:, 1]) > 0.0
 
 
-def watch(load_of, cycles=40, lead=0.02, within=0.02, sticks=0.0, proven=1.0):
+def watch(load_of, cycles=40, lead=0.02, within=0.02, sticks=0.0):
     """First cycle in which joint 1, at a ``lead`` [rad] over a reading that stands, is not believed; None: never."""
     position, told = np.tile(ARM.rest, (1, 1)), np.zeros((1, 6))
     begin = JointState(time=np.zeros(1), position=position, age=np.zeros(1), load=told)
-    knowledge = Knowledge(gain=np.full(6, 10.0), within=within, noise=0.001, proven=proven)
+    knowledge = Knowledge(gain=np.full(6, 10.0), within=within, noise=0.001)
     monitor = Following(ARM, begin, position, knowledge, sticks=np.full(6, sticks))
     for k in range(1, cycles):
         sent = position.copy()
@@ -170,18 +170,6 @@ def test_nothing_is_said_before_the_first_command_has_arrived():
     """Which command was in force before, nobody knows: an arm that sags holds by another one than its position."""
     assert watch(lambda _: 0.6, cycles=4) is None
     assert watch(lambda _: 0.6) <= 6
-
-
-def test_a_line_of_currents_is_believed_as_far_as_it_was_seen():
-    """A worn motor may have no more than that: a joint that is stuck under full torque is no turning one."""
-    log = standing_log(gain=np.full(6, 10.0))
-    seen = np.abs(log.load).max(axis=0)
-    found = servo_lines(ARM, [log], own_shares=False)
-    np.testing.assert_allclose(found.proven, seen, rtol=0.05)
-    np.testing.assert_array_equal(servo_lines(ARM, [log]).proven, 1.0)
-    assert watch(lambda _: 0.25, lead=0.06, proven=0.2) is None
-    assert watch(lambda _: 0.25, lead=0.06) is not None
-    assert watch(lambda _: 0.05, lead=0.06, proven=0.2) is not None
 
 
 def test_knowledge_of_no_noise_is_refused():

@@ -28,7 +28,6 @@ from rejoint.robots import open_robot
 
 ARM = mycobot280()
 READ, SEND, TEMPERATURES, STATUS, STOP = 0x20, 0x22, 0xE5, 0xE4, 0x29
-CURRENTS = 0xE2
 POWER_ON, IS_POWER_ON, SET_FRESH, IS_FRESH, ERROR = 0x10, 0x12, 0x16, 0x17, 0x07
 
 
@@ -50,7 +49,6 @@ class FakeArm:
         self.fault = fault
         self.degrees = [20.0, 0.0, -85.0, -5.0, 0.0, 0.0]
         self.powered, self.fresh, self.clients = True, False, 0
-        self.stuck = False
         self.seen = []
         self.listener = socket.create_server(("127.0.0.1", 0))
         self.address = f"tcp://127.0.0.1:{self.listener.getsockname()[1]}"
@@ -60,7 +58,7 @@ class FakeArm:
         self.thread.start()
 
     def payload(self, command, data):
-        if command == SEND and not self.stuck:
+        if command == SEND:
             self.degrees = [value / 100 for value in struct.unpack(">6h", data[:12])]
         self.powered |= command == POWER_ON
         self.fresh |= command == SET_FRESH
@@ -115,11 +113,11 @@ def start(awake):
     """Opens a robot on a fake arm with a fault; returns both."""
     opened = []
 
-    def begin(fault=healthy, *, period=0.02, **state):
+    def begin(fault=healthy, **state):
         fake = FakeArm(fault)
         vars(fake).update(state)
         opened.append(fake)
-        robot = open_robot(fake.address, period=(period, period))
+        robot = open_robot(fake.address, period=(0.02, 0.02))
         opened.append(robot)
         return robot, fake
 
@@ -304,57 +302,6 @@ def test_firmware_without_temperatures_can_be_driven(start):
     assert state.fault is None
     robot.step(state.position)
     assert fake.seen.count(TEMPERATURES) == 2 * 3  # as often as patience allows, each three times by the client
-
-
-MILLIAMPERES = np.array([0, 650, 325, 1300, 13, 3250])
-
-
-def telling(_, currents=MILLIAMPERES):
-    return frame(CURRENTS, struct.pack(">6h", *currents))
-
-
-def test_currents_are_loads_with_the_sign_of_the_error(start):
-    robot, _ = start(lambda command, nth: telling(nth) if command == CURRENTS else None, period=0.3, stuck=True)
-    state = robot.read()
-    assert np.isnan(state.load).all(), "no command, no sign"
-    state = robot.step(state.position + np.radians([1.0, 1.0, -1.0, -1.0, 1.0, -1.0]))
-    np.testing.assert_allclose(state.load, [[0.0, 0.2, -0.1, -0.4, 0.004, -1.0]], atol=1e-9)
-
-
-def test_a_cycle_without_time_for_currents_tells_none_and_is_no_longer_for_it(start):
-    def slow(command, nth):
-        if command == CURRENTS:
-            time.sleep(0.08)
-            return telling(nth)
-        return None
-
-    robot, fake = start(slow, period=0.05)
-    state = robot.read()
-    asked = fake.seen.count(CURRENTS)
-    for _ in range(5):
-        state = robot.step(state.position)
-        assert np.isnan(state.load).all()
-    assert fake.seen.count(CURRENTS) == asked
-
-
-@pytest.mark.parametrize("answer", [b"", frame(CURRENTS, struct.pack(">6h", 0, 0, 9999, 0, 0, 0))])
-def test_firmware_without_usable_currents_can_be_driven_and_tells_no_load(start, answer):
-    robot, fake = start(only(CURRENTS, ALWAYS, answer), period=0.1)
-    state = robot.read()
-    asked = fake.seen.count(CURRENTS)
-    assert robot.step(state.position).load is None
-    assert fake.seen.count(CURRENTS) == asked
-
-
-def test_a_garbled_answer_to_currents_costs_one_load(start):
-    garbled = telling(0, [0, -5, 0, 0, 0, 0])
-    robot, _ = start(
-        lambda command, nth: (garbled if nth == 2 else telling(nth)) if command == CURRENTS else None, period=0.3,
-        stuck=True,
-    )  # fmt: skip
-    command = robot.read().position + np.radians(1.0)
-    told = [np.isfinite(robot.step(command).load).all() for _ in range(3)]
-    assert told == [False, True, True]
 
 
 def test_commands_that_are_no_joint_positions_are_refused(start):

@@ -87,9 +87,6 @@ class Knowledge:
     should reach)"""
     noise: Array | float = OFFSET_SPREAD
     """(n,) standard deviation of loads about that line, share of the largest torque"""
-    proven: Array | float = 1.0
-    """(n,) loads up to which the line holds, shares of the largest torque; a servo may give no more. Below 1 where the
-    largest torque is not known, as with currents"""
 
     def __post_init__(self) -> None:
         positive = [np.isfinite(self.gain).all(), np.all(self.gain > 0.0), np.all(self.within > 0.0)]
@@ -155,7 +152,7 @@ class Following:
         given = np.broadcast_to(np.isfinite(knowledge.within), shape)
         gain = np.where(given, knowledge.gain, GAIN)
         spread = np.where(given, knowledge.within, GAIN_SPREAD * watching.SURE) / watching.SURE
-        tracks["given"], tracks["noise"], tracks["proven"] = given, knowledge.noise, knowledge.proven
+        tracks["given"], tracks["noise"] = given, knowledge.noise
         tracks["gain"], tracks["p00"] = gain, (spread * gain) ** 2
         tracks["least"] = np.maximum((1.0 - 2.0 * spread) * gain, LEAST_GAIN)
         tracks["offset"] = np.where(given, gain * knowledge.offset, 0.0)

@@ -10,7 +10,6 @@ unknown: on healthy arms those that no weight loads, since they never stand away
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,11 +41,9 @@ _ROUNDS = 20  # of reweighting (chosen: it settles in ten)
 _PER_MEDIAN = 1.4826  # standard deviation of normal residuals over the median of their sizes
 
 
-def servo_lines(arm: Arm, logs: Sequence[RunLog], *, own_shares: bool = True) -> Knowledge | None:
+def servo_lines(arm: Arm, logs: Sequence[RunLog]) -> Knowledge | None:
     """Read what ``logs`` of an arm tell of its servos; None where they tell of none.
 
-    ``own_shares`` tells that loads are shares of the torque that each servo really has. Otherwise lines are believed as
-    far as they were seen.
     A joint that would be taken for one that turns in these logs themselves is unknown too.
     """
     told = [log for log in logs if log.load is not None]
@@ -54,36 +51,23 @@ def servo_lines(arm: Arm, logs: Sequence[RunLog], *, own_shares: bool = True) ->
     if not rows:
         return None
     lines = [_line(*(np.concatenate([part[k][:, j] for part in rows]) for k in range(3))) for j in range(arm.joints)]
-    found = _Lines(*np.array(lines).T)
-    found = found._replace(within=np.where(found.within < watching.KNOWN, found.within, np.inf))
-    if own_shares:
-        found = found._replace(proven=np.ones(arm.joints))
+    gain, offset, within, noise = np.array(lines).T
+    within = np.where(within < watching.KNOWN, within, np.inf)
     for log in told:
-        known = _knowledge(found)
+        known = _knowledge(gain, offset, within, noise)
         if known is not None:
-            found = found._replace(within=np.where(_turns(arm, log, known), np.inf, found.within))
-    return _knowledge(found)
+            within = np.where(_turns(arm, log, known), np.inf, within)
+    return _knowledge(gain, offset, within, noise)
 
 
-class _Lines(NamedTuple):
-    """Slopes [1/rad], offsets, relative errors of slopes (infinite: unknown), noises and largest loads, each (n,)."""
-
-    gain: Array
-    offset: Array
-    within: Array
-    noise: Array
-    proven: Array
-
-
-_UNKNOWN = (1.0, 0.0, np.inf, 1.0, 1.0)
-
-
-def _knowledge(lines: _Lines) -> Knowledge | None:
-    if not np.isfinite(lines.within).any():
+def _knowledge(gain: Array, offset: Array, within: Array, noise: Array) -> Knowledge | None:
+    known = np.isfinite(within)
+    if not known.any():
         return None
     return Knowledge(
-        gain=lines.gain, offset=lines.offset / lines.gain, within=lines.within, noise=lines.noise, proven=lines.proven
-    )
+        gain=np.where(known, gain, 1.0), offset=np.where(known, offset / gain, 0.0), within=within,
+        noise=np.where(known, noise, 1.0),
+    )  # fmt: skip
 
 
 def _standing(arm: Arm, log: RunLog, load: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
@@ -109,11 +93,12 @@ def _commands(log: RunLog) -> tuple[Array, Array]:
     return low, high
 
 
-def _line(lead: Array, load: Array, use: NDArray[np.bool_]) -> tuple[float, ...]:
-    """Fit the line of one joint robustly; returns what `_Lines` holds of it."""
+def _line(lead: Array, load: Array, use: NDArray[np.bool_]) -> tuple[float, float, float, float]:
+    """Slope [1/rad], offset, relative error of the slope (infinite: unknown) and noise of one joint, robustly."""
     lead, load = lead[use], load[use]
+    unknown = (1.0, 0.0, np.inf, 1.0)
     if len(lead) < FEWEST or np.ptp(lead) == 0.0:
-        return _UNKNOWN
+        return unknown
     columns, weight = np.stack([lead, np.ones_like(lead)], axis=-1), np.ones_like(lead)
     for _ in range(_ROUNDS):
         root = np.sqrt(weight)
@@ -122,9 +107,8 @@ def _line(lead: Array, load: Array, use: NDArray[np.bool_]) -> tuple[float, ...]
         noise = max(_PER_MEDIAN * float(np.median(off)), LEAST_NOISE)
         weight = np.minimum(1.0, HUBER * noise / np.maximum(off, 1e-12))
     if slope <= 0.0:
-        return _UNKNOWN
-    within = LEAST_ERROR + SURE * noise / (slope * float(lead.std()))
-    return float(slope), float(offset), within, noise, float(np.abs(load[off <= HUBER * noise]).max())
+        return unknown
+    return float(slope), float(offset), LEAST_ERROR + SURE * noise / (slope * float(lead.std())), noise
 
 
 def _turns(arm: Arm, log: RunLog, known: Knowledge) -> NDArray[np.bool_]:

@@ -33,8 +33,8 @@ class JointState:
     fault: NDArray[np.bool_] | None = None
     """(B, n) whether a servo reports a fault, None where the robot does not report it"""
     load: Array | None = None
-    """(B, n) torque that each servo says it gives, as a share of its largest (or, as with currents, of one that it may
-    never reach), -1 to 1, positive with the joint; NaN where it says nothing this time, None where it never does"""
+    """(B, n) torque that each servo says it gives, as a share of its largest, -1 to 1, positive with the joint; None
+    where the robot does not report it"""
 
 
 @runtime_checkable

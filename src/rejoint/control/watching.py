@@ -54,7 +54,7 @@ TRACK = np.dtype(
         ("home", "f8"), ("moved", "f8"),
         ("gain", "f8"), ("least", "f8"), ("offset", "f8"), ("p00", "f8"), ("p01", "f8"), ("p11", "f8"),
         ("load", "f8"), ("load1", "f8"), ("load2", "f8"), ("expected", "f8"),
-        ("noise", "f8"), ("proven", "f8"),
+        ("noise", "f8"),
         ("still", "i8"), ("strikes", "i8"), ("steady", "i8"), ("moves", "i8"), ("full", "i8"), ("given", "?"),
     ]
 )  # fmt: skip
@@ -62,7 +62,7 @@ TRACK = np.dtype(
 [s]), ``travel`` [rad] how far the command has gone from there, ``stuck`` [rad] how far it went before the reading
 changed, at most, ``moves`` how often it did, and ``moved`` [rad] how far from ``home``, its first. Standing, it should
 tell the load ``gain`` * (command - position) + ``offset``, known with the covariance ``p``, and ``noise`` [share of the
-largest torque] about it; loads up to ``proven`` have been seen on it. A gain below ``least`` is
+largest torque] about it; a gain below ``least`` is
 not learned, or a joint that turns slowly would teach its own. Only a gain that was ``given`` beforehand tells of joints
 that turn: one learned from nothing says too little."""
 
@@ -110,8 +110,8 @@ def _judge(track, told, low, high, step):  # noqa: ANN001, ANN202
     """
     lead = 0.5 * (low + high)
     unsure = SURE * np.sqrt(track.p00 * lead * lead + 2.0 * track.p01 * lead + track.p11)
-    least = min(max(track.gain * low + track.offset, -1.0), track.proven)  # beyond that it may not have more
-    most = min(max(track.gain * high + track.offset, -track.proven), 1.0)
+    least = min(max(track.gain * low + track.offset, -1.0), 1.0)
+    most = min(max(track.gain * high + track.offset, -1.0), 1.0)
     if low < COUNTS * step:  # the dead zone of the servo
         least = min(least, 0.0)
     if high > -COUNTS * step:

@@ -24,7 +24,7 @@ DOUBTS = 5
 SAME = 2.0
 """[deg C] by which two such answers may differ (chosen: what a servo warms in a second, and a count)"""
 
-_SPARE = 1.25
+_SPARE = 1.5
 """Times what a question costs that a cycle must have left for one (chosen: answers jitter)"""
 _SMOOTHING = 0.2  # share of the newest cost in its running mean
 

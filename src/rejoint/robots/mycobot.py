@@ -18,7 +18,6 @@ import numpy as np
 from rejoint.arms import Arm, Array
 from rejoint.control.robot import JointState, Mask
 from rejoint.errors import InputError, RobotError
-from rejoint.robots.currents import Currents
 from rejoint.robots.health import Health
 from rejoint.robots.link import VendorLink
 from rejoint.robots.plausibility import Continuity, read_angles
@@ -67,7 +66,6 @@ class MyCobotRobot:
         self._command: Array | None = None
         self._state: JointState | None = None
         self._health = Health(link, arm.joints, self._settings.health_interval)
-        self._currents = Currents(link, arm.joints)
         self._read_cost: float | None = None
 
     @property
@@ -92,7 +90,6 @@ class MyCobotRobot:
         """
         if self._state is None:
             self._health.find()
-            self._currents.find()
         return self._link.insist(self._read_once)
 
     def step(self, command: Array, active: Mask | None = None) -> JointState:
@@ -109,11 +106,9 @@ class MyCobotRobot:
         period = self._rng.uniform(*self._settings.period)
         due = max(float(last.time[0]), time.monotonic() - period / 2) + period  # even a late command gets half of it
         self._send(command[0])
-        read_at = due - (self._read_cost or 0.0)
-        ask_at = read_at - self._currents.cost
+        ask_at = due - (self._read_cost or 0.0)
         self._health.poll(ask_at - time.monotonic())
-        self._currents.poll(read_at)
-        pause(read_at - time.monotonic())
+        pause(ask_at - time.monotonic())
         return self.read()
 
     def true_tcp(self) -> Array:
@@ -145,13 +140,11 @@ class MyCobotRobot:
         position = read_angles(reply, self._arm)
         self._continuity.check(now, position)
         age = self._continuity.accept(now, position, self._command)
-        load = self._currents.take(None if self._command is None else self._command - position)
         cost = min(now - began, self._settings.period[0])  # without the time of a reconnection
         self._read_cost = cost if self._read_cost is None else 0.8 * self._read_cost + 0.2 * cost
         self._state = JointState(
             time=np.array([now]), position=position[None], age=np.array([age]),
             temperature=self._health.temperature, fault=self._health.fault,
-            load=None if load is None else load[None],
         )  # fmt: skip
         return self._state
 

@@ -17,16 +17,12 @@ from rejoint.robots.address import SerialAddress, TcpAddress
 with warnings.catch_warnings():
     warnings.simplefilter("ignore", DeprecationWarning)
     from pymycobot import MyCobot280, MyCobot280Socket
-    from pymycobot.common import ProtocolCode
     from pymycobot.robot_info import RobotLimit
 
 LOWEST_DEG: tuple[float, ...] = tuple(RobotLimit.robot_limit["MyCobot280"]["angles_min"])
 """[deg] lowest joint angles that the clients accept"""
 HIGHEST_DEG: tuple[float, ...] = tuple(RobotLimit.robot_limit["MyCobot280"]["angles_max"])
 """[deg] highest joint angles that the clients accept"""
-
-CURRENTS: tuple[str, int] = ("_mesg", ProtocolCode.GET_SERVO_CURRENTS)
-"""Method of the clients, and its argument, that asks the servos for their currents [mA]; there is none by name"""
 
 
 def make_client(address: TcpAddress | SerialAddress) -> MyCobot280 | MyCobot280Socket:
@@ -53,4 +49,4 @@ def silenced() -> Iterator[None]:
         yield
 
 
-__all__ = ["CURRENTS", "HIGHEST_DEG", "LOWEST_DEG", "MyCobot280", "MyCobot280Socket", "make_client", "silenced"]
+__all__ = ["HIGHEST_DEG", "LOWEST_DEG", "MyCobot280", "MyCobot280Socket", "make_client", "silenced"]
