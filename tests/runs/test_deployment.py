@@ -129,10 +129,31 @@ def test_nothing_is_reached_within_no_distance():
 
 def test_a_stage_that_drives_knows_how_far_the_joints_of_this_arm_stick(tmp_path):
     run = Run.create(tmp_path / "run", "emulated:worn", ARM, 0)
-    assert guard_limits(run, ARM).sticks is None, "no diagnosis, nothing known"
+    assert guard_limits(run, ARM, "emulated:worn").sticks is None, "no diagnosis, nothing known"
     recording, _ = drive(NEAR)
     for name in ("excitation", "targets"):
         write_log(run.folder.log(name), recording.log(0, name))
-    sticks = guard_limits(run, ARM).sticks
+    sticks = guard_limits(run, ARM, "emulated:worn").sticks
     assert sticks.shape == (6,)
     assert sticks.max() > np.radians(1.0), "worn joints stick"
+    assert guard_limits(run, ARM, "emulated:worn").servos is not None, "servos that tell loads"
+
+
+@pytest.mark.parametrize(
+    ("own", "driven", "used"),
+    [
+        ("emulated:worn", "emulated:worn?seed=1", False),
+        ("emulated:worn", "tcp://127.0.0.1:9000", False),
+        ("tcp://127.0.0.1:9000", "emulated:worn", False),
+        ("tcp://127.0.0.1:9000", "tcp://192.168.1.5:9000", True),
+    ],
+)
+def test_what_a_run_knows_of_its_joints_is_used_for_its_own_arm_only(tmp_path, own, driven, used):
+    """A real arm has many addresses."""
+    run = Run.create(tmp_path / "run", own, ARM, 0)
+    recording, _ = drive(NEAR)
+    for name in ("excitation", "targets"):
+        write_log(run.folder.log(name), recording.log(0, name))
+    limits = guard_limits(run, ARM, driven)
+    assert (limits.sticks is not None) == used
+    assert (limits.servos is not None) == used

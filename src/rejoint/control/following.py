@@ -5,14 +5,17 @@ encoder tells the same for ever while the servo goes where it is sent (frozen), 
 else (blind) and runs away as soon as it is moved. Two rules tell them apart, once per cycle:
 
 * **Turning.** A servo gives a torque in proportion to the error that it sees. While a joint stands, its load is a line
-  over command minus reading. A load off that line, for two cycles or more, says that the joint turns although its
-  reading does not: by its own feedback (frozen), or by the voltage that a turning motor induces (blind). The line has
-  to be known beforehand (`Knowledge`) and is made more precise from the joint itself while it stands; learned from
+  over command minus reading. A load off that line says that the joint turns although its reading does not: by its own
+  feedback (frozen), or by the voltage that a turning motor induces (blind). It is believed when it is off by far, off
+  for two cycles, or off by little for twelve. The line has to be known beforehand (`Knowledge`; `rejoint.control.lines`
+  reads it from the arm's own diagnosis) and is made more precise from the joint itself while it stands; learned from
   nothing it only tells that a joint is stuck.
-* **Travel.** Where no load tells, a command may leave the place where the reading last changed by no more than
-  moves the tool by `TRAVEL`, and as far on top as the joint has been seen to stick. One whose reading has gone
-  nowhere in this run is not judged but held within `TRAVEL`: a frozen encoder then carries the tool no farther, and a
-  stuck joint is let be.
+* **Travel.** Where no load tells, a command may leave the place where the reading last changed by so much and no more.
+  How much depends on what is known. Where it is known how far the joint sticks (``sticks``, from the arm's own
+  diagnosis by `sticking`), `STICKING` times as far and `SLACK` more; joints that stick by more than `STICKY` are not
+  judged. Where it is not known, as far as moves the tool by `TRAVEL`, and as far on top as joints stick; one whose
+  reading has gone nowhere in this run is then not judged but held within `TRAVEL`: a frozen encoder carries the tool no
+  farther, and a stuck joint is let be.
 
 After a trip the joint is led back to the command under which its reading last changed: there it was in balance, and a
 blind servo gives the torque of then.
@@ -20,6 +23,7 @@ blind servo gives the torque of then.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -70,31 +74,43 @@ _TURNING, _UNKNOWN = 3, 2  # as in `watching`, which is imported late
 class Knowledge:
     """What is known of the servos of an arm before it moves: read from their registers, or measured when it was well.
 
-    A twin does not have it: the largest torque of a joint that never gave it is a guess, and a gain with it.
+    `rejoint.control.lines.servo_lines` measures it. A twin does not have it: the largest torque of a joint that never
+    gave it is a guess, and a gain with it.
     """
 
     gain: Array
     """(n,) or (B, n) [1/rad] share of its largest torque that a servo gives per radian of error"""
     offset: Array | float = 0.0
     """(n,) [rad] where a servo brings its joint without load, minus the command"""
-    within: float = 0.2
-    """largest relative error of ``gain`` (chosen: what a measurement of leads and loads should reach)"""
+    within: Array | float = 0.2
+    """(n,) largest relative error of ``gain``; infinite where nothing is known (chosen: what values from a data sheet
+    should reach)"""
+    noise: Array | float = OFFSET_SPREAD
+    """(n,) standard deviation of loads about that line, share of the largest torque"""
 
     def __post_init__(self) -> None:
-        if not (np.isfinite(self.gain).all() and (self.gain > 0.0).all() and self.within > 0.0):
-            raise InputError(f"following: gains and their errors must be positive, got {self.gain} and {self.within}")
+        positive = [np.isfinite(self.gain).all(), np.all(self.gain > 0.0), np.all(self.within > 0.0)]
+        if not (all(positive) and np.all(self.noise > 0.0)):
+            raise InputError(
+                f"following: gains, their errors and noises must be positive, got {self.gain}, {self.within} and "
+                f"{self.noise}"
+            )
+
+
+def states_of(log: RunLog) -> Iterator[JointState]:
+    """Give what was read in each row of a log."""
+    for row in range(len(log)):
+        rows = slice(row, row + 1)
+        load = None if log.servo_load is None else log.servo_load[rows]
+        yield JointState(time=log.time[rows], position=log.position[rows], age=np.zeros(1), load=load)
 
 
 def sticking(arm: Arm, log: RunLog) -> Array:
     """How far (n,) [rad] commands went in a log, at most, before the readings of their joints changed."""
-    positions, commands, nothing = log.position[:, None], log.command[:, None], np.zeros((1, 1))
-
-    def state(row: int) -> JointState:
-        return JointState(time=log.time[row : row + 1], position=positions[row], age=nothing[0])
-
-    following, aimed = Following(arm, state(0), commands[0]), np.zeros(1, dtype=bool)
-    for row in range(1, len(log)):
-        following.check(state(row), commands[row - 1], aimed)
+    states, aimed = states_of(log), np.zeros(1, dtype=bool)
+    following = Following(arm, next(states), log.command[:1])
+    for row, state in enumerate(states):
+        following.check(state, log.command[row : row + 1], aimed)
     found: Array = following._tracks["stuck"][0].copy()
     return found
 
@@ -121,19 +137,26 @@ class Following:
         self._tracks = np.zeros(shape, watching.TRACK)
         self._tracks["position"] = self._tracks["home"] = state.position
         self._tracks["held"] = sent
+        self._tracks["stuck"] = 0.0 if sticks is None else sticks
         self._tracks["since"] = state.time[:, None]
-        gain = np.broadcast_to(GAIN if knowledge is None else knowledge.gain, shape)
-        spread = GAIN_SPREAD if knowledge is None else knowledge.within / watching.SURE
-        self._tracks["given"] = knowledge is not None
-        self._tracks["gain"], self._tracks["p00"] = gain, (spread * gain) ** 2
-        self._tracks["least"] = np.maximum((1.0 - 2.0 * spread) * gain, LEAST_GAIN)
-        self._tracks["offset"] = 0.0 if knowledge is None else knowledge.gain * knowledge.offset
-        self._tracks["p11"] = (UNKNOWN_OFFSET if knowledge is None else OFFSET_SPREAD) ** 2
-        self._sent_at = np.repeat(state.time[:, None], watching.HISTORY, axis=1) - 1.0
+        self._know(knowledge or Knowledge(gain=np.full(shape, GAIN), within=np.inf))
+        self._sent_at = np.repeat(state.time[:, None], watching.HISTORY, axis=1)
         self._sent = np.repeat(np.asarray(sent, dtype=float)[:, None], watching.HISTORY, axis=1)
         self._verdict = np.zeros(shape, dtype=np.int64)
         self._nothing = np.zeros(shape)
         self._loaded = False
+
+    def _know(self, knowledge: Knowledge) -> None:
+        """Begin with the lines that are given, and elsewhere with one that is to be learned."""
+        tracks, shape = self._tracks, self._tracks.shape
+        given = np.broadcast_to(np.isfinite(knowledge.within), shape)
+        gain = np.where(given, knowledge.gain, GAIN)
+        spread = np.where(given, knowledge.within, GAIN_SPREAD * watching.SURE) / watching.SURE
+        tracks["given"], tracks["noise"] = given, knowledge.noise
+        tracks["gain"], tracks["p00"] = gain, (spread * gain) ** 2
+        tracks["least"] = np.maximum((1.0 - 2.0 * spread) * gain, LEAST_GAIN)
+        tracks["offset"] = np.where(given, gain * knowledge.offset, 0.0)
+        tracks["p11"] = np.where(given, knowledge.noise, UNKNOWN_OFFSET) ** 2
 
     def check(self, state: JointState, sent: Array, aimed: Mask) -> Mask | None:
         """Joints (B, n) that are not believed any more, None where all are.

@@ -17,7 +17,7 @@ from rejoint.arms import Array, tcp_position
 from rejoint.control.controller import Controller, Situation
 from rejoint.control.following import Following
 from rejoint.control.guard import TRIPS, Guarded, GuardLimits, Reason, Reasons, guard, warm_up
-from rejoint.control.progress import Progress, own
+from rejoint.control.progress import Progress, own, told_load
 from rejoint.control.recording import Cycle, OnCycle, Recorder, Recording, attach
 from rejoint.control.robot import JointState, Mask, Robot
 from rejoint.control.trips import trip_error
@@ -203,7 +203,7 @@ class _Loop:
         cycle = Cycle(
             time=before.state.time, position=before.state.position, command=command, target=before.target,
             target_index=index, since_target=before.since_target, true_tcp=self.robot.true_tcp().copy(), active=fresh,
-            reasons=reasons,
+            reasons=reasons, load=told_load(before.state),
         )  # fmt: skip
         self.recorder.cycles.append(cycle)
         if self.on_cycle is not None:
@@ -272,7 +272,7 @@ class _Loop:
                 self.recorder.cycles.append(
                     last._replace(
                         time=progress.state.time, position=progress.state.position, command=sent, active=where,
-                        true_tcp=self.robot.true_tcp().copy(),
+                        true_tcp=self.robot.true_tcp().copy(), load=told_load(progress.state),
                     )
                 )  # fmt: skip
         progress.sent = np.where(where[:, None], sent, progress.sent)

@@ -126,4 +126,10 @@ class Progress:
 
 def own(state: JointState) -> JointState:
     """Copy what is kept beyond this cycle: a robot may reuse its arrays."""
-    return replace(state, time=state.time.copy(), position=state.position.copy())
+    load = None if state.load is None else state.load.copy()
+    return replace(state, time=state.time.copy(), position=state.position.copy(), load=load)
+
+
+def told_load(state: JointState) -> Array:
+    """Return the loads (B, n) that a state tells; NaN where it tells none."""
+    return np.full(state.position.shape, np.nan) if state.load is None else state.load

@@ -36,6 +36,8 @@ class Cycle(NamedTuple):
     """(B,) whether the state is news: False once an arm is done or stopped"""
     reasons: Reasons
     """(B,) flags of the guard"""
+    load: Array
+    """(B, n) told by the servos, as `JointState.load`; NaN where none was"""
 
 
 OnCycle = Callable[[Cycle], object]
@@ -69,6 +71,8 @@ class Recording:
     """(T, B)"""
     reasons: Reasons
     """(T, B)"""
+    load: Array
+    """(T, B, n)"""
     tripped: Reasons
     """(B,) flags with which the guard stopped an arm, 0 where it did not"""
 
@@ -97,10 +101,12 @@ class Recording:
         times = self.time[rows, b]
         earlier = np.concatenate([[-np.inf], np.maximum.accumulate(times)[:-1]])
         rows = rows[times > earlier]
+        load = self.load[rows, b]
         return RunLog(
             arm=self.arm, joint_names=self.joint_names, robot=self.robot, label=label,
             time=self.time[rows, b], position=self.position[rows, b], command=self.command[rows, b],
             target=self.target[rows, b], true_tcp=self.true_tcp[rows, b],
+            servo_load=None if np.isnan(load).all() else load,
             extra={"controller": self.controller, **(extra or {})},
         )  # fmt: skip
 
@@ -128,7 +134,7 @@ class Recorder:
         vector, point, number = np.zeros((0, count, n)), np.zeros((0, count, 3)), np.zeros((0, count))
         empty = Cycle(
             number, vector, vector, point, number.astype(np.intp), number, point, number.astype(bool),
-            number.astype(np.uint16),
+            number.astype(np.uint16), vector,
         )  # fmt: skip
         return {name: column.copy() for name, column in empty._asdict().items()}
 

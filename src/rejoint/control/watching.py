@@ -14,16 +14,26 @@ and the time in which a worn joint sets off (chosen)."""
 STILL = 2
 """Cycles with the same reading after which a joint is taken to stand (chosen: the load is a median of three)."""
 STRIKES = 2
-"""Cycles in a row in which the load has to disagree (chosen)."""
-PUSHED, UNPUSHED_STRIKES = np.radians(0.3), 8
-"""[rad] travel of the command below which it takes more cycles (chosen: a joint that rings about its place shows one
-reading by chance for three or four)"""
+"""Cycles in a row in which the load has to disagree by more than `MARGIN` (chosen)."""
+PUSHED, UNPUSHED_STRIKES = np.radians(0.3), 4
+"""[rad] travel of the command below which it takes more cycles (chosen: a joint that rings about its place, or that
+another one shakes, shows one reading by chance for two or three)"""
 MARGIN = 0.03
-"""Share of the largest torque by which a load may be off (chosen: less is quicker, and was not wrong down to 0.025)"""
+"""Share of the largest torque by which a load may be off for one cycle (chosen: less is quicker, and was not wrong down
+to 0.025)"""
+SUDDEN, LIGHT = 0.08, np.radians(2.0)
+"""Share by which it may not even be for one cycle, in a joint that sticks by less than that [rad]. One that sticks more
+is off by far when it breaks loose, one cycle before its reading changes (chosen: light joints with nothing broken
+reached 0.05)"""
 COUNTS = 1.1
 """Encoder steps by which the servo's own reading may differ from the one told (chosen: dead zone and flicker)."""
+STEADY, STEADY_COUNTS = 12, 0.3
+"""Cycles for which no flicker stays unseen, and encoder steps by which a reading may then be off (chosen: in 128 runs
+with nothing broken loads were off for 8 cycles, and never for 12)"""
+STEADY_MARGIN, STEADY_NOISE = 0.002, 2.0
+"""Share of the largest torque by which a load may be off for so long, and times its noise that come on top (chosen)"""
 NOISE = 0.015
-"""Standard deviation of a load, share of the largest torque (chosen)."""
+"""Standard deviation of a load that is learned from, share of the largest torque (chosen)."""
 SURE = 1.5
 """Standard deviations of the expected load that are allowed for (chosen)."""
 KNOWN = 0.5
@@ -44,13 +54,15 @@ TRACK = np.dtype(
         ("home", "f8"), ("moved", "f8"),
         ("gain", "f8"), ("least", "f8"), ("offset", "f8"), ("p00", "f8"), ("p01", "f8"), ("p11", "f8"),
         ("load", "f8"), ("load1", "f8"), ("load2", "f8"), ("expected", "f8"),
-        ("still", "i8"), ("strikes", "i8"), ("moves", "i8"), ("full", "i8"), ("given", "?"),
+        ("noise", "f8"),
+        ("still", "i8"), ("strikes", "i8"), ("steady", "i8"), ("moves", "i8"), ("full", "i8"), ("given", "?"),
     ]
 )  # fmt: skip
 """What is remembered of a joint. ``held`` [rad] is the command in force when its reading last changed (at ``since``
 [s]), ``travel`` [rad] how far the command has gone from there, ``stuck`` [rad] how far it went before the reading
 changed, at most, ``moves`` how often it did, and ``moved`` [rad] how far from ``home``, its first. Standing, it should
-tell the load ``gain`` * (command - position) + ``offset``, known with the covariance ``p``; a gain below ``least`` is
+tell the load ``gain`` * (command - position) + ``offset``, known with the covariance ``p``, and ``noise`` [share of the
+largest torque] about it; a gain below ``least`` is
 not learned, or a joint that turns slowly would teach its own. Only a gain that was ``given`` beforehand tells of joints
 that turn: one learned from nothing says too little."""
 
@@ -73,15 +85,16 @@ def _follow(track, now, position, command):  # noqa: ANN001, ANN202
     track.moves += 1
     track.moved = max(track.moved, abs(position - track.home))
     track.position, track.held, track.since, track.travel = position, command, now, 0.0
-    track.still = track.strikes = track.full = 0
+    track.still = track.strikes = track.steady = track.full = 0
 
 
 @njit(cache=True)
-def _learn(track, lead):  # noqa: ANN001, ANN202
-    """Recursive least squares of load = gain * lead + offset."""
+def _learn(track, lead, spread):  # noqa: ANN001, ANN202
+    """Recursive least squares of load = gain * lead + offset, where the lead lies anywhere within ``spread`` [rad]."""
     a, b = track.p00 * lead + track.p01, track.p01 * lead + track.p11
     wrong = track.load - track.gain * lead - track.offset
-    share = NOISE * NOISE + lead * a + b
+    unsure = track.gain * spread
+    share = NOISE * NOISE + unsure * unsure / 12.0 + lead * a + b
     track.gain = max(track.gain + a * wrong / share, track.least)
     track.offset += b * wrong / share
     track.p00 -= a * a / share
@@ -90,8 +103,11 @@ def _learn(track, lead):  # noqa: ANN001, ANN202
 
 
 @njit(cache=True)
-def _judge(track, low, high, step):  # noqa: ANN001, ANN202
-    """Compare the load of a joint that stands with what its servo must give at leads from ``low`` to ``high``."""
+def _judge(track, told, low, high, step):  # noqa: ANN001, ANN202
+    """Compare the load ``told`` of a joint that stands with what its servo must give at leads from ``low`` to ``high``.
+
+    What is shown and learned from is the median of three loads instead.
+    """
     lead = 0.5 * (low + high)
     unsure = SURE * np.sqrt(track.p00 * lead * lead + 2.0 * track.p01 * lead + track.p11)
     least = min(max(track.gain * low + track.offset, -1.0), 1.0)
@@ -101,20 +117,34 @@ def _judge(track, low, high, step):  # noqa: ANN001, ANN202
     if high > -COUNTS * step:
         most = max(most, 0.0)
     track.expected = 0.5 * (least + most)
-    off = max(least - track.load, track.load - most)
     known = SURE * np.sqrt(track.p00) < KNOWN * track.gain
-    agrees = off <= MARGIN + COUNTS * step * abs(track.gain) + unsure
-    track.strikes = 0 if agrees or not track.given else track.strikes + 1
+    agrees = max(least - track.load, track.load - most) <= MARGIN + COUNTS * step * track.gain + unsure
     telling = high - low < LEARN_SPREAD and abs(lead) > COUNTS * step and abs(track.load) < FULL
     if (agrees or not known) and telling and LEARN_STILL <= track.still <= LEARN_LAST:
-        _learn(track, lead)
-    if track.strikes >= (STRIKES if abs(track.travel) > PUSHED else UNPUSHED_STRIKES):
-        return TURNING
+        _learn(track, lead, high - low)
+    if track.given:
+        if _turns(track, max(least - told, told - most) - unsure, step):
+            return TURNING
+    else:
+        track.strikes = 0 if agrees else track.strikes + 1
     if abs(track.load) >= FULL and track.load * lead > 0.0:
         track.full += 1
         return STANDING
-    explained = known and (agrees or track.given)
+    explained = known and (track.given or track.strikes < STRIKES)  # one that breaks loose disagrees for a cycle
     return STANDING if explained or track.full >= FULL_CYCLES else UNKNOWN
+
+
+@njit(cache=True)
+def _turns(track, off, step):  # noqa: ANN001, ANN202
+    """Whether a load that is ``off`` by what standing does not explain, now and before, says that the joint turns."""
+    reading = step * track.gain
+    track.strikes = track.strikes + 1 if off > MARGIN + COUNTS * reading else 0
+    steady = off > STEADY_MARGIN + STEADY_NOISE * track.noise + STEADY_COUNTS * reading
+    track.steady = track.steady + 1 if steady else 0
+    if abs(track.travel) > PUSHED:
+        sudden = off > SUDDEN + COUNTS * reading and track.stuck < LIGHT
+        return sudden or track.strikes >= STRIKES or track.steady >= STEADY
+    return track.strikes >= UNPUSHED_STRIKES or track.steady >= STEADY
 
 
 @njit(void(_TRACKS, float64[:, ::1], float64[:, :, ::1], _IN1, _IN1, _IN2, _IN2, _IN2, bool_, float64, int64[:, ::1]),
@@ -124,7 +154,8 @@ def watch(tracks, sent_at, sent, now, last, position, command, load, loaded, ste
 
     ``sent_at`` (B, HISTORY) [s] and ``sent`` (B, HISTORY, n) [rad], newest first, take over ``command`` (B, n), which
     was sent at the clock ``last`` (B,); ``now`` (B,) is that of the reading ``position`` (B, n), ``load`` (B, n) what
-    its servos told if ``loaded``, and ``step`` [rad] that of the encoders. A repeated answer says nothing new.
+    its servos told if ``loaded`` (NaN where they did not), and ``step`` [rad] that of the encoders. A repeated answer
+    says nothing new.
     """
     arms, joints = position.shape
     for i in range(arms):
@@ -138,6 +169,7 @@ def watch(tracks, sent_at, sent, now, last, position, command, load, loaded, ste
         reach = 0  # the newest command that has certainly arrived
         while reach < HISTORY - 1 and sent_at[i, reach] > now[i] - SETTLE:
             reach += 1
+        unsettled = sent_at[i, reach] > now[i] - SETTLE  # what was in force before the first command is not sure
         for j in range(joints):
             low = high = sent[i, reach, j]
             for h in range(reach):
@@ -147,9 +179,11 @@ def watch(tracks, sent_at, sent, now, last, position, command, load, loaded, ste
             verdict[i, j] = STANDING if track.still >= STILL else FINE
             if track.still >= STILL and not loaded:
                 verdict[i, j] = UNKNOWN
-            if loaded:
+            if loaded and (unsettled or np.isnan(load[i, j])):
+                verdict[i, j] = UNKNOWN if track.still >= STILL and not track.given else min(verdict[i, j], STANDING)
+            elif loaded:
                 told = load[i, j]
                 median = max(min(told, track.load1), min(max(told, track.load1), track.load2))
                 track.load2, track.load1, track.load = track.load1, told, median
                 if track.still >= STILL:
-                    verdict[i, j] = _judge(track, low - position[i, j], high - position[i, j], step)
+                    verdict[i, j] = _judge(track, told, low - position[i, j], high - position[i, j], step)

@@ -1,11 +1,11 @@
 """A run log while it is being made: what an arm did is on file before the process can die.
 
 A journal is a hidden file beside the run log that it becomes: a line of JSON that says whose it is, then rows of
-float64 (time, position, command, target, true TCP), each with its CRC-32. A thread writes them, so that a disk that is
-slow or full never holds up the control loop: ``append`` only packs a row. After ``kill -9`` all but the last `INTERVAL`
-is there, and `recover` makes an ordinary run log of it. After a loss of power, what the system had not yet written
-to the disk by itself is missing as well, on Linux usually the last half minute. Where writing fails, the run goes on:
-the arm is held as ever, and the whole of it is still in memory for the log at the end.
+float64 (time, position, command, target, true TCP; no loads), each with its CRC-32. A thread writes them, so that a
+disk that is slow or full never holds up the control loop: ``append`` only packs a row. After ``kill -9`` all but the
+last `INTERVAL` is there, and `recover` makes an ordinary run log of it. After a loss of power, what the system had not
+yet written to the disk by itself is missing as well, on Linux usually the last half minute. Where writing fails, the
+run goes on: the arm is held as ever, and the whole of it is still in memory for the log at the end.
 """
 
 from __future__ import annotations

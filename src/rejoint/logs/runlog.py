@@ -68,6 +68,9 @@ class RunLog:
     """(T, 3) [m] TCP target; NaN where there is none"""
     true_tcp: Array
     """(T, 3) [m] where the tool really was; NaN where nobody knows"""
+    servo_load: Array | None = None
+    """(T, n) torque that each servo told, a share of its largest, positive with the joint; NaN where it told none. None
+    if none ever was told"""
     extra: dict[str, str] = field(default_factory=dict)
     """anything else worth keeping: seed, profile, software version"""
 
@@ -79,7 +82,7 @@ class RunLog:
             "command": (rows, n),
             "target": (rows, 3),
             "true_tcp": (rows, 3),
-        }
+        } | ({} if self.servo_load is None else {"servo_load": (rows, n)})
         for name, shape in shapes.items():
             array = np.array(getattr(self, name), dtype=float)
             if array.shape != shape:
@@ -165,7 +168,7 @@ class RunLog:
 def write_log(path: Path, log: RunLog) -> None:
     """Write a run log as Parquet."""
     columns: dict[str, Array] = {"time": log.time}
-    for group in ("position", "command"):
+    for group in ("position", "command") + (() if log.servo_load is None else ("servo_load",)):
         columns |= {f"{group}.{name}": getattr(log, group)[:, i] for i, name in enumerate(log.joint_names)}
     for group in ("target", "true_tcp"):
         columns |= {f"{group}.{axis}": getattr(log, group)[:, i] for i, axis in enumerate(_AXES)}
@@ -193,6 +196,7 @@ def read_log(path: Path) -> RunLog:
             arm=header["arm"], joint_names=names, robot=header["robot"], label=header["label"],
             time=table["time"].to_numpy(), position=group("position", names), command=group("command", names),
             target=group("target", _AXES), true_tcp=group("true_tcp", _AXES), extra=header["extra"],
+            servo_load=group("servo_load", names) if f"servo_load.{names[0]}" in table.column_names else None,
         )  # fmt: skip
         if header.get("digest", _digest(log)) != _digest(log):  # logs of before there were digests have none
             raise FileError(path, CHANGED, remedy)
@@ -222,6 +226,7 @@ def _about(log: RunLog) -> dict[str, Any]:
 def _digest(log: RunLog) -> str:
     """Fingerprint of all that a log holds: Parquet's own checksums cover the columns, but not what they belong to."""
     found = hashlib.sha256(json.dumps(_about(log), sort_keys=True).encode())
-    for name in _ARRAYS:
+    arrays = _ARRAYS if log.servo_load is None else (*_ARRAYS, "servo_load")  # without loads it is as before
+    for name in arrays:
         found.update(np.ascontiguousarray(getattr(log, name), dtype="<f8").tobytes())
     return found.hexdigest()[:16]

@@ -13,6 +13,7 @@ MEANINGS = {
     "out of range": "a measured position lay far outside the joint limits",
     "temperature": "a servo was too hot",
     "servo fault": "a servo reported a fault",
+    "not following": "a joint's reading stood still and was not believed",
 }
 """What the trips of the guard mean, by `reason_names`"""
 

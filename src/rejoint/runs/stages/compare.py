@@ -197,7 +197,8 @@ class _Job:
         with noted():
             result = compare_controllers(
                 self._open, self.factories, self.targets, self.settings, on_progress=on_progress, on_trial=keep,
-                ledger=ledger, limits=guard_limits(self.run, self.arm), stance=stance_of(self.twin),
+                ledger=ledger, limits=guard_limits(self.run, self.arm, address_of(self.robot)),
+                stance=stance_of(self.twin),
             )  # fmt: skip
         result = replace(result, targets_file=self.file, period=self.period)
         return Compared(comparison=result, recommendation=recommend(result), logs=logs)

@@ -156,8 +156,8 @@ class _Drive:
 
         try:
             recording, found = deploy_to(
-                self.robot, self.controller, job, limits=guard_limits(self.run, arm), stance=stance_of(self.twin),
-                on_cycle=watch,
+                self.robot, self.controller, job, limits=guard_limits(self.run, arm, self.robot.address),
+                stance=stance_of(self.twin), on_cycle=watch,
             )  # fmt: skip
         except BaseException as error:
             partial, done = recording_of(error), deployed_of(error, arm, job)

@@ -17,12 +17,15 @@ from rejoint.control.contract import check_controller_period
 from rejoint.control.controller import Controller
 from rejoint.control.following import sticking
 from rejoint.control.guard import GuardLimits
+from rejoint.control.lines import servo_lines
 from rejoint.control.robot import Robot
 from rejoint.control.start import Stance
 from rejoint.logs.journal import Journal
 from rejoint.logs.runlog import read_log
+from rejoint.robots import place_of
 from rejoint.runs.given import Period, as_policy
 from rejoint.runs.run import Run
+from rejoint.system.errors import AddressError
 
 if TYPE_CHECKING:
     from rejoint.control.policy import Policy
@@ -48,13 +51,28 @@ def start_journal(run: Run, name: str, robot: Robot, label: str, rows: int = 0) 
     )
 
 
-def guard_limits(run: Run | None, arm: Arm) -> GuardLimits:
-    """Return what the guard allows, with how far the joints of this arm stick where its own diagnosis tells."""
+def guard_limits(run: Run | None, arm: Arm, robot: str) -> GuardLimits:
+    """Return what the guard allows, and, if ``robot`` is the run's own, what its diagnosis tells of its joints.
+
+    That is how far they stick, and the lines of load over error of servos that tell loads.
+    """
     limits = GuardLimits.of(arm)
-    logs = [] if run is None else [run.folder.log(name) for name in ("excitation", "targets")]
-    if not logs or not all(path.exists() for path in logs):
+    paths = [] if run is None else [run.folder.log(name) for name in ("excitation", "targets")]
+    if run is None or not _is_own(run, robot) or not all(path.exists() for path in paths):
         return limits
-    return replace(limits, sticks=np.max([sticking(arm, read_log(path)) for path in logs], axis=0))
+    logs = [read_log(path) for path in paths]
+    sticks = np.max([sticking(arm, log) for log in logs], axis=0)
+    return replace(limits, sticks=sticks, servos=servo_lines(arm, logs))
+
+
+def _is_own(run: Run, robot: str) -> bool:
+    """Whether ``robot`` may be the arm that a run measured: a real one has many addresses, a virtual one has one."""
+    if robot == run.robot:
+        return True
+    try:
+        return not any(place_of(address).virtual for address in (run.robot, robot))
+    except AddressError:  # a robot that was opened by other means
+        return False
 
 
 def stance_of(twin: Twin | None) -> Stance | None:

@@ -1,0 +1,179 @@
+"""The lines of load over error that the logs of an arm's own motion tell."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from rejoint.arms import mycobot280
+from rejoint.control import watching
+from rejoint.control.following import Following, Knowledge
+from rejoint.control.lines import FEWEST, servo_lines
+from rejoint.control.loop import play
+from rejoint.control.robot import JointState
+from rejoint.diagnosis.record import record
+from rejoint.lab.plant.wear import load_wear
+from rejoint.logs.runlog import RunLog, read_log, write_log
+from rejoint.robots.emulated import EmulatedRobot
+from rejoint.system.errors import InputError
+
+ARM = mycobot280()
+STEP = ARM.encoder_step
+GAIN = np.array([5.0, 8.0, 12.0, 20.0, 30.0, 60.0])
+
+
+def standing_log(gain=GAIN, offset=0.01, noise=0.0, holds=20, lead=0.02):
+    """A log of joints that stand while their commands are held, each hold at another lead up to ``lead`` [rad]."""
+    rng, rows = np.random.default_rng(0), 20 * holds
+    leads = np.repeat(rng.uniform(-lead, lead, (holds, 6)), 20, axis=0)
+    time, position = 0.025 * np.arange(rows), np.tile(STEP * np.round(ARM.rest / STEP), (rows, 1))
+    arrived = np.vstack([leads[:1], leads[:-1]])  # row k holds the command sent after its state was read
+    load = np.clip(gain * arrived + offset + rng.normal(0.0, max(noise, 1e-12), arrived.shape), -1.0, 1.0)
+    nowhere = np.full((rows, 3), np.nan)
+    return RunLog(
+        arm=ARM.name, joint_names=ARM.joint_names, robot="test:", label="standing", time=time, position=position,
+        command=position + leads, target=nowhere, true_tcp=nowhere, servo_load=load,
+    )  # fmt: skip
+
+
+def worn_logs(kind, count=2):
+    wears = [load_wear(f"{kind}?seed={i}", ARM) for i in range(count)]
+    return wears, [(log.excitation, log.targets) for log in record(EmulatedRobot(ARM, wears, seed=2), seed=0)]
+
+
+def test_a_line_is_read_from_joints_that_stand():
+    found = servo_lines(ARM, [standing_log()])
+    np.testing.assert_allclose(found.gain, GAIN, rtol=1e-3)
+    np.testing.assert_allclose(found.gain * found.offset, 0.01, atol=1e-4)
+    assert (found.within < 0.15).all()
+
+
+def test_the_noise_of_loads_is_told_and_makes_a_line_less_sure():
+    gain = np.full(6, 10.0)
+    quiet, noisy = (servo_lines(ARM, [standing_log(gain, noise=noise, lead=0.06)]) for noise in (0.001, 0.005))
+    np.testing.assert_allclose(noisy.noise, 0.005, rtol=0.3)
+    assert (noisy.within > quiet.within).all()
+    assert (np.abs(noisy.gain / gain - 1.0) < noisy.within).all()
+
+
+def test_joints_that_hardly_lead_tell_little_or_too_seldom_are_left_unknown():
+    log = standing_log(noise=0.002)
+    short = replace(log, servo_load=np.where(np.arange(len(log))[:, None] < FEWEST // 2, log.servo_load, np.nan))
+    assert servo_lines(ARM, [short]) is None
+    assert servo_lines(ARM, [replace(log, servo_load=None)]) is None
+    still = replace(log, command=np.where(np.arange(6) == 2, log.position, log.command))
+    assert np.isinf(servo_lines(ARM, [still]).within).tolist() == [False, False, True, False, False, False]
+    scatter = replace(
+        log, servo_load=np.where(np.arange(6) == 4, np.sin(np.arange(len(log)))[:, None] * 0.3, log.servo_load)
+    )
+    assert np.isinf(servo_lines(ARM, [scatter]).within).tolist() == [False, False, False, False, True, False]
+
+
+def test_a_joint_whose_own_log_looks_like_turning_is_left_unknown():
+    log = standing_log()
+    load = log.servo_load.copy()
+    load[200:206, 1] -= 0.2  # for longer than the monitor allows, for too short to bend the line
+    assert np.isinf(servo_lines(ARM, [replace(log, servo_load=load)]).within).tolist() == [False, True] + [False] * 4
+
+
+@pytest.mark.parametrize(("kind", "known"), [("worn", 12), ("healthy", 4)])
+def test_a_diagnosis_tells_the_lines_of_joints_that_sag_or_stick(kind, known):
+    wears, logs = worn_logs(kind)
+    count = 0
+    for wear, pair in zip(wears, logs, strict=True):
+        found = servo_lines(ARM, pair)
+        sure = np.isfinite(found.within)
+        count += np.count_nonzero(sure)
+        off = found.gain / (wear.position_gain / wear.torque_limit) - 1.0
+        assert (np.abs(off[sure]) < found.within[sure]).all()
+        assert sure[1], "the joint that carries most"
+    assert count >= known
+
+
+def test_loads_survive_the_disk_and_logs_without_them_stay_as_they_were(tmp_path):
+    log = standing_log()
+    write_log(tmp_path / "a.parquet", log)
+    np.testing.assert_array_equal(read_log(tmp_path / "a.parquet").servo_load, log.servo_load)
+    write_log(tmp_path / "b.parquet", replace(log, servo_load=None))
+    assert read_log(tmp_path / "b.parquet").servo_load is None
+    with pytest.raises(InputError, match="servo_load has shape"):
+        replace(log, servo_load=log.servo_load[:, :2])
+
+
+@pytest.mark.parametrize("tells_load", [True, False])
+def test_a_recording_keeps_what_servos_told(tells_load):
+    robot = EmulatedRobot(ARM, [load_wear("worn", ARM)], seed=1, tells_load=tells_load)
+    log = play(robot, lambda time: np.tile(ARM.rest, (len(time), 1)), 0.5).log(0, "still")
+    assert (log.servo_load is not None) == tells_load
+    if tells_load:
+        assert np.ptp(log.servo_load[:, 1]) > 0.0
+
+
+def watch(load_of, cycles=40, lead=0.02, within=0.02, sticks=0.0):
+    """First cycle in which joint 1, at a ``lead`` [rad] over a reading that stands, is not believed; None: never."""
+    position, told = np.tile(ARM.rest, (1, 1)), np.zeros((1, 6))
+    begin = JointState(time=np.zeros(1), position=position, age=np.zeros(1), load=told)
+    knowledge = Knowledge(gain=np.full(6, 10.0), within=within, noise=0.001)
+    monitor = Following(ARM, begin, position, knowledge, sticks=np.full(6, sticks))
+    for k in range(1, cycles):
+        sent = position.copy()
+        sent[0, 0] += lead if k > 1 else 0.0
+        load = told.copy()
+        load[0, 0] = load_of(k)
+        state = JointState(time=np.array([0.025 * k]), position=position, age=np.zeros(1), load=load)
+        bad = monitor.check(state, sent, np.zeros(1, dtype=bool))
+        if bad is not None:
+            assert bad[0].tolist() == [True] + [False] * 5
+            return k
+    return None
+
+
+def test_a_load_on_its_line_is_believed_and_one_off_it_the_sooner_the_farther_it_is():
+    line, after = 10.0 * 0.02, 10
+    assert watch(lambda _: line) is None
+    assert watch(lambda k: line if k < after else line - 0.12) == after
+    assert watch(lambda k: line if k < after else line - 0.12, sticks=np.radians(5.0)) == after + 1
+    assert watch(lambda k: line if k < after else line - 0.06) == after + watching.STRIKES - 1
+    assert watch(lambda k: line if k < after else line - 0.03) == after + watching.STEADY - 1
+    assert watch(lambda k: line if k != after else line - 0.06) is None, "one cycle is an accident"
+
+
+def test_a_joint_without_a_line_is_not_judged_by_its_load():
+    assert watch(lambda _: -0.5, within=np.r_[np.inf, np.full(5, 0.1)]) is None
+
+
+def learned(off_for, breaks_loose=False):
+    """Joints that are not believed, where a line was learned, a command goes far, and loads are off for some cycles."""
+    position, one = np.tile(ARM.rest, (1, 1)), np.arange(6) == 1
+    begin = JointState(time=np.zeros(1), position=position, age=np.zeros(1), load=np.zeros((1, 6)))
+    monitor, found, lead = Following(ARM, begin, position, sticks=np.full(6, 0.02)), [], 0.0
+    for k in range(1, 160):
+        load = 14.0 * lead - 0.3 * (150 <= k < 150 + off_for)
+        read = position + 0.01 * one * (breaks_loose and k >= 150 + off_for)
+        now = JointState(time=np.array([0.025 * k]), position=read, age=np.zeros(1), load=(load * one)[None])
+        bad = monitor.check(now, position + lead * one, np.ones(1, dtype=bool))
+        found += [] if bad is None else [bad[0].tolist()]
+        lead = 0.001 * (k // 8) + 0.04 * (k > 140)  # [rad] stands at every lead for a while
+    return found
+
+
+def test_a_joint_of_a_learned_line_may_be_off_it_for_a_cycle():
+    """It breaks loose, and its reading comes a cycle later than its load."""
+    assert learned(0) == learned(1) == learned(2, breaks_loose=True) == []
+    assert learned(4)[0] == [False, True, False, False, False, False]
+
+
+def test_a_load_that_was_not_told_says_nothing():
+    assert watch(lambda _: np.nan) is None
+    assert watch(lambda k: 0.2 if k < 10 else (np.nan, 0.08)[k % 2]) in (10, 11)
+
+
+def test_nothing_is_said_before_the_first_command_has_arrived():
+    """Which command was in force before, nobody knows: an arm that sags holds by another one than its position."""
+    assert watch(lambda _: 0.6, cycles=4) is None
+    assert watch(lambda _: 0.6) <= 6
+
+
+def test_knowledge_of_no_noise_is_refused():
+    with pytest.raises(InputError, match="noises must be positive"):
+        Knowledge(gain=np.ones(6), noise=0.0)
