@@ -16,13 +16,13 @@ import numpy as np
 
 from rejoint.arms import Array, mycobot280, so101
 from rejoint.control.catalogue import make_controller
+from rejoint.control.comparison.protocols import KINDS, Kind, measure_crossings, measure_holds, schedule
+from rejoint.control.comparison.result import Protocol
 from rejoint.control.guard import RAMP, GuardLimits, Reason, guard, reason_names
 from rejoint.control.loop import run
 from rejoint.control.robot import JointState
 from rejoint.lab.plant.wear import draw_wear, load_wear
 from rejoint.robots.emulated import EmulatedRobot
-from rejoint.runs.comparison.protocols import KINDS, Kind, measure_crossings, measure_holds, schedule
-from rejoint.runs.comparison.result import Protocol
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "control"))
 

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 
 from rejoint.arms import mycobot280
+from rejoint.control.comparison.protocols import Protocol
 from rejoint.control.policy import load_policy
 from rejoint.research.evaluation.family import Family, find_variant
 from rejoint.research.evaluation.trials import TrialSettings, try_controller
-from rejoint.runs.comparison.protocols import Protocol
 from rejoint.training.train import TrainingOptions, train
 
 ITERATIONS = 75

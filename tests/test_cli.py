@@ -17,11 +17,11 @@ from rejoint.arms import mycobot280
 from rejoint.cli import main
 from rejoint.cli.console import Terminal
 from rejoint.cli.options import controller_names, period_seconds
+from rejoint.control.comparison import Comparison
 from rejoint.control.robot import JointState
 from rejoint.logs.runlog import read_log
 from rejoint.robots import Place
 from rejoint.robots.emulated import EmulatedRobot
-from rejoint.runs.comparison import Comparison
 from rejoint.runs.folder import RunFolder, RunInfo
 from rejoint.runs.report.contents import read_contents
 from rejoint.runs.report.sections.details import commands

@@ -13,14 +13,14 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from rejoint.arms.arm import Arm
     from rejoint.arms.loading import load_arm
+    from rejoint.control.comparison.recommend import Recommendation
+    from rejoint.control.comparison.result import Comparison
     from rejoint.control.controller import Controller
+    from rejoint.control.deployment import Deployed
     from rejoint.control.policy import Policy
     from rejoint.control.robot import Robot
     from rejoint.diagnosis.diagnosis import Diagnosis
     from rejoint.logs.runlog import RunLog
-    from rejoint.runs.comparison.recommend import Recommendation
-    from rejoint.runs.comparison.result import Comparison
-    from rejoint.runs.deployment import Deployed
     from rejoint.runs.given import connect
     from rejoint.runs.repair import Repaired, Stage, repair
     from rejoint.runs.run import Run
@@ -63,9 +63,9 @@ _HOMES = {
     "control.robot": ("Robot",),
     "diagnosis.diagnosis": ("Diagnosis",),
     "logs.runlog": ("RunLog",),
-    "runs.comparison.recommend": ("Recommendation",),
-    "runs.comparison.result": ("Comparison",),
-    "runs.deployment": ("Deployed",),
+    "control.comparison.recommend": ("Recommendation",),
+    "control.comparison.result": ("Comparison",),
+    "control.deployment": ("Deployed",),
     "runs.given": ("connect",),
     "runs.repair": ("Repaired", "Stage", "repair"),
     "runs.run": ("Run",),

@@ -16,11 +16,11 @@ import torch
 from torch import nn
 
 from rejoint.arms import load_arm, mycobot280, write_arm_toml
+from rejoint.control.comparison.targets import read_targets
 from rejoint.control.policy import load_policy
 from rejoint.lab.plant.wear import load_wear
 from rejoint.logs import runlog
 from rejoint.logs.runlog import RunLog, read_log, write_log
-from rejoint.runs.comparison.targets import read_targets
 from rejoint.runs.folder import FORMAT, RunInfo, read_info
 from rejoint.runs.report.sections.training import read_curves
 from rejoint.runs.run import Run

@@ -57,12 +57,12 @@ def evaluate(
     one's own buys: `rejoint evaluate --identification 6 --policy runs/broad/policy.onnx --out runs/identified`
     """
     require("rejoint evaluate", "train", "report")
+    from rejoint.control.comparison.result import Protocol
     from rejoint.research.evaluation.contestants import classical, known_names, learned
     from rejoint.research.evaluation.evaluate import evaluate as run
     from rejoint.research.evaluation.family import VARIANTS, Family, find_variant
     from rejoint.research.evaluation.identification import evaluate_identification
     from rejoint.research.evaluation.trials import TrialSettings
-    from rejoint.runs.comparison.result import Protocol
 
     if family == (identification is not None):
         raise InputError("evaluate needs either --family or --identification N: the arms that controllers are tried on")

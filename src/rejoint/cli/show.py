@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from rejoint.cli.console import Terminal
+from rejoint.control.comparison.failure import failure
+from rejoint.control.comparison.recommend import Recommendation
+from rejoint.control.comparison.result import Comparison
 from rejoint.control.default import DefaultController
-from rejoint.runs.comparison.failure import failure
-from rejoint.runs.comparison.recommend import Recommendation
-from rejoint.runs.comparison.result import Comparison
 
 if TYPE_CHECKING:
+    from rejoint.control.deployment import Deployed
     from rejoint.diagnosis.diagnosis import Diagnosis
-    from rejoint.runs.deployment import Deployed
     from rejoint.training.train import TrainingResult
     from rejoint.twin.twin import Twin
 

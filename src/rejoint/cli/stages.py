@@ -13,7 +13,7 @@ from rejoint.arms import load_arm
 from rejoint.cli import offline, show
 from rejoint.cli import options as opt
 from rejoint.cli.console import Terminal
-from rejoint.runs.deployment import REACHED
+from rejoint.control.deployment import REACHED
 from rejoint.runs.folder import LOGS, RunFolder, locked
 from rejoint.runs.run import Run, newest_or_new
 from rejoint.system.errors import InputError

@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, TypeAlias, cast
 import numpy as np
 
 from rejoint.arms import Arm, Array, load_arm
+from rejoint.control.comparison.targets import draw_targets, read_targets
 from rejoint.control.robot import Robot
 from rejoint.logs.runlog import RunLog, read_log
 from rejoint.robots import open_robot, place_of
-from rejoint.runs.comparison.targets import draw_targets, read_targets
 from rejoint.runs.folder import LOGS, RunFolder
 from rejoint.runs.run import Run
 from rejoint.system.errors import FileError, InputError

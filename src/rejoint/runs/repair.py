@@ -8,9 +8,9 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, TypeVar, get_args
 
-from rejoint.runs.comparison.recommend import Recommendation, recommend
-from rejoint.runs.comparison.result import Comparison
-from rejoint.runs.comparison.targets import draw_targets
+from rejoint.control.comparison.recommend import Recommendation, recommend
+from rejoint.control.comparison.result import Comparison
+from rejoint.control.comparison.targets import draw_targets
 from rejoint.runs.given import (
     FIRST_ROBOT,
     ArmLike,

@@ -179,7 +179,8 @@ def hold_out(logs: Sequence[RunLog], settings: LogSettings) -> tuple[list[RunLog
 def _rows(log: RunLog, rows: slice, suffix: str) -> RunLog:
     return replace(
         log, label=log.label + suffix, time=log.time[rows], position=log.position[rows], command=log.command[rows],
-        target=log.target[rows], true_tcp=log.true_tcp[rows], servo_load=None if log.servo_load is None else log.servo_load[rows],
+        target=log.target[rows], true_tcp=log.true_tcp[rows],
+        servo_load=None if log.servo_load is None else log.servo_load[rows],
     )  # fmt: skip
 
 

@@ -6,6 +6,7 @@ import pytest
 from evaluation_samples import outcome
 
 from rejoint.arms import mycobot280
+from rejoint.control.comparison.result import Protocol
 from rejoint.control.integrator import IntegratorController
 from rejoint.research.evaluation.contestants import Contestant, check_names, classical
 from rejoint.research.evaluation.evaluate import evaluate, outcome_path
@@ -22,7 +23,6 @@ from rejoint.research.evaluation.outcome import Outcome, read_outcome, write_out
 from rejoint.research.evaluation.summary import summarise
 from rejoint.research.evaluation.tables import terminal_tables
 from rejoint.research.evaluation.trials import TrialSettings, try_controller
-from rejoint.runs.comparison.result import Protocol
 from rejoint.system.errors import InputError
 
 ARM = mycobot280()

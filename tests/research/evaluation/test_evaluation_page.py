@@ -9,6 +9,7 @@ from markupsafe import Markup
 
 from pages import Page, changed, put, rounds
 from rejoint.arms import mycobot280
+from rejoint.control.comparison.result import Protocol
 from rejoint.control.integrator import IntegratorController
 from rejoint.research.evaluation import page
 from rejoint.research.evaluation.contestants import Contestant
@@ -18,7 +19,6 @@ from rejoint.research.evaluation.result import Evaluation
 from rejoint.research.evaluation.summary import summarise
 from rejoint.research.evaluation.tables import HEADERS, pair_headers, terminal_tables
 from rejoint.research.evaluation.trials import TrialSettings
-from rejoint.runs.comparison.result import Protocol
 from rejoint.system.files import read_json
 from rejoint.system.statistics import Estimate
 

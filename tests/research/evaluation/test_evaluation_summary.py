@@ -7,10 +7,10 @@ import pytest
 from evaluation_samples import outcome
 
 from rejoint.arms import mycobot280
+from rejoint.control.comparison.result import Protocol
 from rejoint.control.guard import Reason
 from rejoint.research.evaluation.failures import FAR, list_failures, what_happened
 from rejoint.research.evaluation.summary import make_pair, make_row
-from rejoint.runs.comparison.result import Protocol
 from rejoint.system.statistics import wilson
 
 ARM = mycobot280()

@@ -13,6 +13,7 @@ from sketchbook import Sketchbook
 from pages import put, rounds
 from rejoint.arms import mycobot280, tcp_position
 from rejoint.arms.mycobot280 import DH_TABLE, PAPER_DH_TABLE
+from rejoint.control.comparison.result import Comparison
 from rejoint.control.policy import load_policy
 from rejoint.research.reproduction import paths
 from rejoint.research.reproduction.campaign import finished_file, run_experiments
@@ -25,7 +26,6 @@ from rejoint.research.reproduction.paths import FIG_11
 from rejoint.research.reproduction.recipe import TABLE_3, WORDS
 from rejoint.research.reproduction.registry import EXPERIMENTS, choose
 from rejoint.research.reproduction.trainings import LITERALLY, WORN
-from rejoint.runs.comparison.result import Comparison
 from rejoint.system.errors import InputError
 from rejoint.system.files import read_json, write_json
 from rejoint.training.presets import PAPER

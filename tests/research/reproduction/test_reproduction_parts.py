@@ -10,6 +10,8 @@ from sketchbook import Sketchbook
 from pages import rounds
 from rejoint.arms import mycobot280, tcp_position
 from rejoint.cli import main
+from rejoint.control.comparison.protocols import Crossings
+from rejoint.control.comparison.targets import draw_targets
 from rejoint.research.reproduction import gains, kinematics
 from rejoint.research.reproduction.campaign import run_experiments
 from rejoint.research.reproduction.experiment import QUICK, Bench, Number
@@ -28,8 +30,6 @@ from rejoint.research.reproduction.trainings import (
     recipe,
 )
 from rejoint.research.reproduction.wear import FIG_9
-from rejoint.runs.comparison.protocols import Crossings
-from rejoint.runs.comparison.targets import draw_targets
 from rejoint.runs.report.palette import BLUE, RED
 from rejoint.runs.report.sections.training import Curves
 from rejoint.system.errors import InputError, RejointError

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from rejoint.arms import gravity_torque, mycobot280, solve_position, tcp_position
+from rejoint.control.comparison.protocols import Holds
 from rejoint.control.controller import Situation
 from rejoint.control.feedforward import NOMINAL_STIFFNESS
 from rejoint.control.law import dls_step
@@ -14,7 +15,6 @@ from rejoint.research.rivals.adaptive import AdaptiveController, AdaptiveGains
 from rejoint.research.rivals.catalogue import RIVALS
 from rejoint.research.rivals.scheduled import JointSpeed, ScheduledController, ScheduledGains
 from rejoint.research.rivals.tuning import TuningSettings, cost
-from rejoint.runs.comparison.protocols import Holds
 
 ARM = mycobot280()
 TARGET = np.array([[0.18, 0.02, 0.20], [0.2, -0.05, 0.18]])

@@ -9,8 +9,7 @@ from markupsafe import Markup, escape
 
 from pages import Page
 from rejoint.arms import solve_position
-from rejoint.logs.runlog import RunLog
-from rejoint.runs.comparison.result import (
+from rejoint.control.comparison.result import (
     Comparison,
     ControllerRow,
     CrossingRow,
@@ -20,6 +19,7 @@ from rejoint.runs.comparison.result import (
     Protocol,
     Stay,
 )
+from rejoint.logs.runlog import RunLog
 from rejoint.runs.report.contents import read_contents
 from rejoint.runs.report.gallery import Gallery
 from rejoint.runs.report.page import make_page, render

@@ -10,7 +10,7 @@ import pytest
 from report_samples import SETTLED, make_comparison, write_curves
 
 from pages import Page
-from rejoint.runs.comparison.recommend import recommend
+from rejoint.control.comparison.recommend import recommend
 from rejoint.runs.folder import RunFolder, RunInfo
 from rejoint.runs.report.page import write_report
 from rejoint.runs.report.tables import comparison_table, comparison_view

@@ -12,9 +12,9 @@ from report_samples import make_comparison
 
 from pages import Page
 from rejoint.cli.options import controller_names, period_seconds
-from rejoint.runs.comparison import Comparison, recommend
-from rejoint.runs.comparison.recommend import NO_INTERVAL
-from rejoint.runs.comparison.result import Ended
+from rejoint.control.comparison import Comparison, recommend
+from rejoint.control.comparison.recommend import NO_INTERVAL
+from rejoint.control.comparison.result import Ended
 from rejoint.runs.folder import RunFolder, RunInfo
 from rejoint.runs.report.contents import read_contents
 from rejoint.runs.report.numerals import interval

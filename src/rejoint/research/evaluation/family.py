@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from rejoint.arms import Arm, Array
+from rejoint.control.comparison.targets import draw_targets
 from rejoint.lab.plant.wear import Wear, load_wear
 from rejoint.robots.emulated import EmulatedRobot
-from rejoint.runs.comparison.targets import draw_targets
 from rejoint.system.errors import InputError
 
 Interval = tuple[float, float]

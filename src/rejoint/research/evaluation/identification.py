@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from rejoint.arms import Arm
+from rejoint.control.comparison.targets import draw_targets
 from rejoint.control.controller import Controller
 from rejoint.control.feedforward import FeedforwardController
 from rejoint.control.policy import load_policy
@@ -25,7 +26,6 @@ from rejoint.research.evaluation.result import Evaluation
 from rejoint.research.evaluation.trials import Bench, TrialSettings, try_on
 from rejoint.research.rivals.mpc import MpcController
 from rejoint.robots.emulated import EmulatedRobot
-from rejoint.runs.comparison.targets import draw_targets
 from rejoint.runs.folder import RunFolder
 from rejoint.system.progress import Progress, part
 from rejoint.twin.twin import Twin

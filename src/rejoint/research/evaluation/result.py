@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from rejoint.control.comparison.result import Protocol
 from rejoint.research.evaluation.failures import Failure
 from rejoint.research.evaluation.family import Family
-from rejoint.runs.comparison.result import Protocol
 from rejoint.system.statistics import Estimate
 
 

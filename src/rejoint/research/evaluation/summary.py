@@ -7,13 +7,13 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from rejoint.arms import Arm, Array
+from rejoint.control.comparison.result import Protocol
 from rejoint.research.evaluation.contestants import Contestant
 from rejoint.research.evaluation.failures import FAR, list_failures
 from rejoint.research.evaluation.outcome import Outcome
 from rejoint.research.evaluation.paired import difference, time_ratio
 from rejoint.research.evaluation.result import Evaluation, Pair, Row, Within
 from rejoint.research.evaluation.trials import TrialSettings
-from rejoint.runs.comparison.result import Protocol
 from rejoint.system.statistics import Estimate, Labels, bootstrap_mean, clustered_share
 from rejoint.system.version import __version__
 

@@ -8,15 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from rejoint.arms import Arm, Array
+from rejoint.control.comparison.metrics import settled
+from rejoint.control.comparison.protocols import encoder_tcp, measure_crossings, measure_holds, schedule
+from rejoint.control.comparison.result import Protocol
 from rejoint.control.controller import Controller
 from rejoint.control.loop import run
 from rejoint.control.recording import Cycle, Recording
 from rejoint.research.evaluation.family import Family, Variant, family_targets, open_family
 from rejoint.research.evaluation.outcome import Outcome
 from rejoint.robots.emulated import EmulatedRobot
-from rejoint.runs.comparison.metrics import settled
-from rejoint.runs.comparison.protocols import encoder_tcp, measure_crossings, measure_holds, schedule
-from rejoint.runs.comparison.result import Protocol
 
 OnTargets = Callable[[int], object]
 """Called now and then with the number of targets that are done."""

@@ -10,6 +10,9 @@ import numpy as np
 
 from rejoint.arms import Arm
 from rejoint.control.catalogue import BASELINES
+from rejoint.control.comparison.compare import Settings, Trial, compare
+from rejoint.control.comparison.result import Comparison, ControllerRow
+from rejoint.control.comparison.targets import draw_targets
 from rejoint.control.controller import Controller
 from rejoint.control.policy import load_policy
 from rejoint.control.robot import Robot
@@ -18,9 +21,6 @@ from rejoint.research.reproduction.experiment import Bench, Drawing, Experiment,
 from rejoint.research.reproduction.figures import Ways, ways
 from rejoint.research.reproduction.trainings import WORN
 from rejoint.robots import open_robot
-from rejoint.runs.comparison.compare import Settings, Trial, compare
-from rejoint.runs.comparison.result import Comparison, ControllerRow
-from rejoint.runs.comparison.targets import draw_targets
 from rejoint.runs.report.motion import bounds, encoder_path
 from rejoint.runs.report.palette import look_of
 from rejoint.runs.report.sections.training import read_curves

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rejoint.arms import Arm
-from rejoint.runs.comparison.result import Protocol
+from rejoint.control.comparison.result import Protocol
 from rejoint.runs.folder import RunFolder
 from rejoint.system.progress import Progress, no_progress
 

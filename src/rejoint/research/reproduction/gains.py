@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from rejoint.arms import Array, solve_position, tcp_position
+from rejoint.control.comparison.targets import draw_targets
 from rejoint.research.reproduction.experiment import Bench, Drawing, Experiment, Findings, Grid, Number
 from rejoint.research.reproduction.figures import Ways, ways
-from rejoint.runs.comparison.targets import draw_targets
 from rejoint.runs.report.palette import BLUE, ORANGE, RED
 from rejoint.training.ranges import PaperRanges
 from rejoint.twin.batch import TwinBatch

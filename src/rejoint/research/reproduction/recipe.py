@@ -7,14 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from rejoint.arms import Array
+from rejoint.control.comparison.protocols import Crossings, measure_crossings, schedule
+from rejoint.control.comparison.targets import draw_targets
 from rejoint.control.loop import run as drive
 from rejoint.control.observation import SUCCESS_DISTANCE, layout_size
 from rejoint.control.policy import load_policy
 from rejoint.research.reproduction.experiment import Bench, Experiment, Findings, Grid, Number
 from rejoint.research.reproduction.trainings import LIMITED, LITERAL, LITERALLY, NOISY, WORN, recipe
 from rejoint.robots import open_robot
-from rejoint.runs.comparison.protocols import Crossings, measure_crossings, schedule
-from rejoint.runs.comparison.targets import draw_targets
 from rejoint.runs.report.sections.training import Curves, read_curves
 from rejoint.training.presets import PAPER
 

@@ -7,14 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from rejoint.arms import Array, frames, tcp_position
+from rejoint.control.comparison.protocols import measure_holds, schedule
+from rejoint.control.comparison.result import Protocol
+from rejoint.control.comparison.targets import draw_targets
 from rejoint.control.default import DefaultController
 from rejoint.control.loop import run as drive
 from rejoint.research.reproduction.experiment import Bench, Drawing, Experiment, Findings, Number
 from rejoint.research.reproduction.figures import postures
 from rejoint.robots import open_robot
-from rejoint.runs.comparison.protocols import measure_holds, schedule
-from rejoint.runs.comparison.result import Protocol
-from rejoint.runs.comparison.targets import draw_targets
 from rejoint.runs.report.figures import Series, error_per_target
 from rejoint.runs.report.palette import BLUE, RED
 from rejoint.system.statistics import cluster, spread

@@ -16,11 +16,11 @@ import numpy as np
 from cmaes import CMA  # type: ignore[import-untyped,unused-ignore]
 
 from rejoint.arms import Arm, Array
+from rejoint.control.comparison.protocols import Holds, measure_holds, schedule
+from rejoint.control.comparison.result import Protocol
 from rejoint.control.controller import Controller
 from rejoint.control.loop import run
 from rejoint.research.rivals.twinrobot import TwinRobot
-from rejoint.runs.comparison.protocols import Holds, measure_holds, schedule
-from rejoint.runs.comparison.result import Protocol
 from rejoint.training.ranges import Ranges
 
 T = TypeVar("T")

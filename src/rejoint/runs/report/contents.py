@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import TypeVar
 
 from rejoint.arms import Arm, load_arm
+from rejoint.control.comparison.result import Comparison
 from rejoint.control.contract import PolicyContract
 from rejoint.control.policy import load_policy
 from rejoint.diagnosis.diagnosis import Diagnosis
 from rejoint.logs.runlog import RunLog, read_log
-from rejoint.runs.comparison.result import Comparison
 from rejoint.runs.folder import RunFolder, RunInfo, read_info
 from rejoint.runs.report.sections.training import Curves, read_curves
 from rejoint.system.errors import FileError, InputError

@@ -7,7 +7,7 @@ from types import ModuleType
 
 import jinja2
 
-from rejoint.runs.comparison.recommend import Recommendation, recommend
+from rejoint.control.comparison.recommend import Recommendation, recommend
 from rejoint.runs.report.contents import Contents, read_contents
 from rejoint.runs.report.embed import theme_css
 from rejoint.runs.report.gallery import Gallery

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from rejoint.runs.comparison.result import Comparison, ControllerRow, Stay
+from rejoint.control.comparison.result import Comparison, ControllerRow, Stay
 from rejoint.runs.report.numerals import NEVER, UNKNOWN, interval, number, spread
 from rejoint.runs.report.palette import LOOKS, look_of
 from rejoint.runs.report.view import Cell, Row, Table

@@ -7,14 +7,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rejoint.arms import Arm, Array
+from rejoint.control.comparison.compare import Settings, Trial
+from rejoint.control.comparison.compare import compare as compare_controllers
+from rejoint.control.comparison.ledger import Ledger
+from rejoint.control.comparison.recommend import Recommendation, recommend
+from rejoint.control.comparison.result import Comparison, Protocol
 from rejoint.control.robot import Robot
 from rejoint.logs.runlog import RunLog, write_log
 from rejoint.robots import open_robot
-from rejoint.runs.comparison.compare import Settings, Trial
-from rejoint.runs.comparison.compare import compare as compare_controllers
-from rejoint.runs.comparison.ledger import Ledger
-from rejoint.runs.comparison.recommend import Recommendation, recommend
-from rejoint.runs.comparison.result import Comparison, Protocol
 from rejoint.runs.given import (
     ArmLike,
     Period,

@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from rejoint.control.controller import Controller
+from rejoint.control.deployment import REACHED, Deployed, Deployment, deployed_of
+from rejoint.control.deployment import deploy as deploy_to
 from rejoint.control.recording import Cycle, recording_of
 from rejoint.control.robot import Robot
-from rejoint.runs.deployment import REACHED, Deployed, Deployment, deployed_of
-from rejoint.runs.deployment import deploy as deploy_to
 from rejoint.runs.given import (
     ArmLike,
     Period,

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from rejoint.arms import Array
-from rejoint.runs.comparison.failure import failure
-from rejoint.runs.comparison.recommend import NO_INTERVAL
-from rejoint.runs.comparison.result import Comparison, ControllerRow
+from rejoint.control.comparison.failure import failure
+from rejoint.control.comparison.recommend import NO_INTERVAL
+from rejoint.control.comparison.result import Comparison, ControllerRow
 from rejoint.runs.report.figures import Series, error_per_target, intervals
 from rejoint.runs.report.gallery import Gallery
 from rejoint.runs.report.numerals import number

@@ -7,8 +7,8 @@ import shlex
 from collections.abc import Sequence
 from importlib import metadata
 
+from rejoint.control.comparison.result import Comparison
 from rejoint.robots import DEFAULT_ARM
-from rejoint.runs.comparison.result import Comparison
 from rejoint.runs.folder import LOGS
 from rejoint.runs.report.contents import Contents
 from rejoint.runs.report.numerals import UNKNOWN

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from rejoint.control.comparison.failure import failure
+from rejoint.control.comparison.recommend import NO_INTERVAL, Recommendation, difference
+from rejoint.control.comparison.result import Comparison, ControllerRow
 from rejoint.diagnosis.diagnosis import ringing_most
-from rejoint.runs.comparison.failure import failure
-from rejoint.runs.comparison.recommend import NO_INTERVAL, Recommendation, difference
-from rejoint.runs.comparison.result import Comparison, ControllerRow
 from rejoint.runs.folder import LOGS
 from rejoint.runs.report.contents import Contents
 from rejoint.runs.report.numerals import UNKNOWN, interval, number

@@ -8,12 +8,12 @@ import pytest
 
 from rejoint.arms import mycobot280
 from rejoint.control.catalogue import BASELINES
+from rejoint.control.comparison import Settings, compare
+from rejoint.control.comparison.ledger import Ledger
+from rejoint.control.comparison.result import Protocol
 from rejoint.control.guard import Reason
 from rejoint.control.loop import run as drive
 from rejoint.robots import open_robot
-from rejoint.runs.comparison import Settings, compare
-from rejoint.runs.comparison.ledger import Ledger
-from rejoint.runs.comparison.result import Protocol
 from rejoint.system.errors import FileError, NoReplyError
 
 ARM = mycobot280()
@@ -122,7 +122,7 @@ def test_a_trial_with_a_long_gap_is_driven_again(monkeypatch):
         reasons[5] |= np.uint16(Reason.GAP.value)
         return replace(recording, time=time, reasons=reasons)
 
-    monkeypatch.setattr(import_module("rejoint.runs.comparison.compare"), "run", pausing)
+    monkeypatch.setattr(import_module("rejoint.control.comparison.compare"), "run", pausing)
     one = replace(ALONE, repetitions=1)
     result = compare(
         connect,

@@ -12,11 +12,11 @@ import rejoint
 from rejoint.arms import heights, mycobot280
 from rejoint.cli import main
 from rejoint.control.catalogue import make_controller
+from rejoint.control.comparison import Protocol, Settings, compare, draw_targets, recommend
+from rejoint.control.comparison.failure import failure
 from rejoint.control.guard import GuardLimits
 from rejoint.control.policy import load_policy
 from rejoint.robots import open_robot
-from rejoint.runs.comparison import Protocol, Settings, compare, draw_targets, recommend
-from rejoint.runs.comparison.failure import failure
 from rejoint.runs.run import Run
 from rejoint.twin.file import write_twin
 

@@ -8,10 +8,10 @@ import pytest
 
 from rejoint.arms import Arm, load_arm, so101
 from rejoint.control.catalogue import make_controller
+from rejoint.control.comparison.compare import Settings, compare
+from rejoint.control.comparison.result import Protocol
+from rejoint.control.comparison.targets import draw_targets
 from rejoint.robots import open_robot
-from rejoint.runs.comparison.compare import Settings, compare
-from rejoint.runs.comparison.result import Protocol
-from rejoint.runs.comparison.targets import draw_targets
 from rejoint.twin.parameters import nominal_parameters
 
 

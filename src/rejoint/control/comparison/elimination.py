@@ -14,12 +14,12 @@ from dataclasses import replace
 import numpy as np
 
 from rejoint.arms import Arm, Array, tcp_position
+from rejoint.control.comparison.protocols import Kind
+from rejoint.control.comparison.result import Protocol
 from rejoint.control.controller import Controller, Situation
 from rejoint.control.guard import Reason
 from rejoint.control.recording import Recording
 from rejoint.control.robot import Mask
-from rejoint.runs.comparison.protocols import Kind
-from rejoint.runs.comparison.result import Protocol
 
 MISSES = 3
 """Targets missed in a row after which a controller is driven no further (chosen: one that reaches nine targets in ten

@@ -6,9 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rejoint.arms import mycobot280
-from rejoint.runs.comparison.metrics import crossing, oscillation, settled, stay_time
-from rejoint.runs.comparison.result import Protocol
-from rejoint.runs.comparison.targets import draw_targets, read_targets
+from rejoint.control.comparison.metrics import crossing, oscillation, settled, stay_time
+from rejoint.control.comparison.result import Protocol
+from rejoint.control.comparison.targets import draw_targets, read_targets
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.statistics import (
     FEWEST_CLUSTERS,

@@ -3,7 +3,7 @@
 On emulated arms all trials of a controller run side by side as one batch of equal arms with
 different noise, the same for every controller. On a real arm the trials run one after the other, the
 controllers interleaved in random order, so that a warming or loosening arm favours none of them; one that fails is
-driven no further (`rejoint.runs.comparison.elimination`).
+driven no further (`rejoint.control.comparison.elimination`).
 """
 
 from __future__ import annotations
@@ -14,6 +14,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from rejoint.arms import Arm, Array
+from rejoint.control.comparison.driven import Driven, Places, measure
+from rejoint.control.comparison.elimination import Elimination, Watched
+from rejoint.control.comparison.ledger import Ledger
+from rejoint.control.comparison.protocols import KINDS, Kind, schedule
+from rejoint.control.comparison.result import Comparison, Protocol
+from rejoint.control.comparison.summary import Tally, summarise
 from rejoint.control.contract import check_controller_period
 from rejoint.control.controller import Controller
 from rejoint.control.guard import GuardLimits
@@ -22,12 +28,6 @@ from rejoint.control.recording import Cycle, Recording
 from rejoint.control.robot import Robot
 from rejoint.control.start import Stance, begin
 from rejoint.logs.runlog import RunLog
-from rejoint.runs.comparison.driven import Driven, Places, measure
-from rejoint.runs.comparison.elimination import Elimination, Watched
-from rejoint.runs.comparison.ledger import Ledger
-from rejoint.runs.comparison.protocols import KINDS, Kind, schedule
-from rejoint.runs.comparison.result import Comparison, Protocol
-from rejoint.runs.comparison.summary import Tally, summarise
 from rejoint.system.errors import ContractError, InputError
 from rejoint.system.progress import Progress, no_progress
 

@@ -7,12 +7,12 @@ import pytest
 
 from rejoint.arms import gravity_torque, mycobot280, tcp_position
 from rejoint.control.catalogue import make_controller
+from rejoint.control.comparison import Comparison, Protocol, Settings, compare, difference, draw_targets, recommend
+from rejoint.control.comparison.protocols import encoder_tcp, measure_crossings, measure_holds, schedule
 from rejoint.control.integrator import IntegratorController
 from rejoint.control.loop import run
 from rejoint.control.robot import JointState
 from rejoint.logs.runlog import read_log, write_log
-from rejoint.runs.comparison import Comparison, Protocol, Settings, compare, difference, draw_targets, recommend
-from rejoint.runs.comparison.protocols import encoder_tcp, measure_crossings, measure_holds, schedule
 from rejoint.system.errors import GuardTripError, InputError
 from rejoint.system.files import read_json, write_json
 

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from rejoint.arms import Arm, Array
+from rejoint.control.comparison.protocols import Crossings, Holds, Kind, measure_crossings, measure_holds
+from rejoint.control.comparison.result import Ended, Protocol
 from rejoint.control.guard import Reason, reason_names
 from rejoint.control.recording import Recording
-from rejoint.runs.comparison.protocols import Crossings, Holds, Kind, measure_crossings, measure_holds
-from rejoint.runs.comparison.result import Ended, Protocol
 
 Places = tuple[tuple[int, int], ...]
 """Trials (target set, repetition)"""

@@ -16,8 +16,8 @@ import numpy as np
 
 from rejoint.arms import Array
 from rejoint.control.catalogue import CONTROLLERS
-from rejoint.runs.comparison.failure import failure
-from rejoint.runs.comparison.result import Comparison, ControllerRow
+from rejoint.control.comparison.failure import failure
+from rejoint.control.comparison.result import Comparison, ControllerRow
 from rejoint.system.statistics import FEWEST_CLUSTERS, Estimate, above_zero, cluster, paired_difference
 
 NO_INTERVAL = "too few trials for an interval"

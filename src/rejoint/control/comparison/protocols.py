@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, tcp_position
+from rejoint.control.comparison.metrics import crossing, oscillation, settled, stay_time
+from rejoint.control.comparison.result import Protocol
 from rejoint.control.loop import Schedule
 from rejoint.control.recording import Recording
-from rejoint.runs.comparison.metrics import crossing, oscillation, settled, stay_time
-from rejoint.runs.comparison.result import Protocol
 
 Kind = Literal["crossing", "hold"]
 KINDS: tuple[Kind, ...] = ("crossing", "hold")

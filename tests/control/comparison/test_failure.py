@@ -1,7 +1,7 @@
 """Why a controller failed, in words."""
 
+from rejoint.control.comparison.failure import MEANINGS
 from rejoint.control.guard import TRIPS, reason_names
-from rejoint.runs.comparison.failure import MEANINGS
 
 
 def test_every_reason_that_ends_a_motion_has_words():

@@ -16,9 +16,9 @@ from typing import Any
 
 import numpy as np
 
-from rejoint.runs.comparison.driven import Driven, Places
-from rejoint.runs.comparison.protocols import Crossings, Holds
-from rejoint.runs.comparison.result import Ended
+from rejoint.control.comparison.driven import Driven, Places
+from rejoint.control.comparison.protocols import Crossings, Holds
+from rejoint.control.comparison.result import Ended
 from rejoint.system.errors import FileError
 from rejoint.system.files import MEGABYTE, read_bounded, set_aside, unwritable
 

@@ -6,9 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Array
-from rejoint.control.robot import Robot
-from rejoint.runs.comparison.driven import Driven, Places
-from rejoint.runs.comparison.result import (
+from rejoint.control.comparison.driven import Driven, Places
+from rejoint.control.comparison.result import (
     Comparison,
     ControllerRow,
     CrossingRow,
@@ -20,6 +19,7 @@ from rejoint.runs.comparison.result import (
     Stay,
     Values,
 )
+from rejoint.control.robot import Robot
 from rejoint.system.statistics import Labels, cluster, clustered_share, spread
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, tcp_position
+from rejoint.control.comparison.result import Protocol
 from rejoint.control.contract import check_controller_period
 from rejoint.control.controller import Controller
 from rejoint.control.guard import GuardLimits, Reason, Reasons, reason_names
@@ -21,7 +22,6 @@ from rejoint.control.recording import OnCycle, Recording, recording_of
 from rejoint.control.robot import Robot
 from rejoint.control.start import Stance, begin
 from rejoint.logs.runlog import RunLog
-from rejoint.runs.comparison.result import Protocol
 from rejoint.system.errors import InputError
 
 Rows = NDArray[np.intp]

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from test_compare import ARM, PROTOCOL, STIFFNESS, SaggingRobot, factories
 
+from rejoint.control.comparison import Comparison, Settings, compare, draw_targets, recommend
+from rejoint.control.comparison.elimination import MISSES, Elimination
+from rejoint.control.comparison.failure import failure
 from rejoint.control.integrator import IntegratorController
 from rejoint.control.loop import Schedule, run
 from rejoint.control.recording import recording_of
 from rejoint.control.start import Stance
-from rejoint.runs.comparison import Comparison, Settings, compare, draw_targets, recommend
-from rejoint.runs.comparison.elimination import MISSES, Elimination
-from rejoint.runs.comparison.failure import failure
 from rejoint.system.errors import ContractError, GuardTripError, NotReadyError
 from rejoint.system.files import read_json, write_json
 from rejoint.training.presets import DEFAULT

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections import Counter
 
+from rejoint.control.comparison.result import ControllerRow
 from rejoint.control.guard import TRIPS, reason_names
-from rejoint.runs.comparison.result import ControllerRow
 
 MEANINGS = {
     "not finite": "a command or a measured position was not a number",

@@ -8,13 +8,13 @@ import pytest
 from rejoint.arms import mycobot280
 from rejoint.control.catalogue import make_controller
 from rejoint.control.default import DefaultController
+from rejoint.control.deployment import Deployment, deploy, deployed_of, judge
 from rejoint.control.guard import Reason
 from rejoint.control.recording import recording_of
 from rejoint.control.start import Stance
 from rejoint.logs.runlog import write_log
 from rejoint.robots import open_robot
 from rejoint.robots.emulated import EmulatedRobot
-from rejoint.runs.deployment import Deployment, deploy, deployed_of, judge
 from rejoint.runs.run import Run
 from rejoint.runs.stages.driving import guard_limits
 from rejoint.system.errors import ContractError, GuardTripError, InputError, NotReadyError
