@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -99,6 +99,15 @@ class RunLog:
 
     def __len__(self) -> int:
         return len(self.time)
+
+    def rows(self, which: slice) -> RunLog:
+        """Return some of the rows, with all else as it is."""
+        return replace(self, **{name: getattr(self, name)[which] for name in self.arrays})
+
+    @property
+    def arrays(self) -> tuple[str, ...]:
+        """Names of what has one row a reading."""
+        return _ARRAYS if self.servo_load is None else (*_ARRAYS, "servo_load")
 
     @classmethod
     def of(
@@ -226,7 +235,6 @@ def _about(log: RunLog) -> dict[str, Any]:
 def _digest(log: RunLog) -> str:
     """Fingerprint of all that a log holds: Parquet's own checksums cover the columns, but not what they belong to."""
     found = hashlib.sha256(json.dumps(_about(log), sort_keys=True).encode())
-    arrays = _ARRAYS if log.servo_load is None else (*_ARRAYS, "servo_load")  # without loads it is as before
-    for name in arrays:
+    for name in log.arrays:  # without loads it is as before
         found.update(np.ascontiguousarray(getattr(log, name), dtype="<f8").tobytes())
     return found.hexdigest()[:16]

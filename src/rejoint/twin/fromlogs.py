@@ -169,19 +169,12 @@ def hold_out(logs: Sequence[RunLog], settings: LogSettings) -> tuple[list[RunLog
         kept = set(settings.hold_out)
     elif len(ordered) < FEW_MOTIONS:
         cuts = [int(len(log) * (1.0 - KEPT_END)) for log in ordered]
-        seen = [_rows(log, slice(0, cut), "") for log, cut in zip(ordered, cuts, strict=True)]
-        return seen, [_rows(log, slice(cut, None), " (end)") for log, cut in zip(ordered, cuts, strict=True)]
+        seen = [log.rows(slice(0, cut)) for log, cut in zip(ordered, cuts, strict=True)]
+        ends = [log.rows(slice(cut, None)) for log, cut in zip(ordered, cuts, strict=True)]
+        return seen, [replace(end, label=f"{end.label} (end)") for end in ends]
     else:
         kept = set(names[:: settings.hold_out_every])
     return [log for log in ordered if log.label not in kept], [log for log in ordered if log.label in kept]
-
-
-def _rows(log: RunLog, rows: slice, suffix: str) -> RunLog:
-    return replace(
-        log, label=log.label + suffix, time=log.time[rows], position=log.position[rows], command=log.command[rows],
-        target=log.target[rows], true_tcp=log.true_tcp[rows],
-        servo_load=None if log.servo_load is None else log.servo_load[rows],
-    )  # fmt: skip
 
 
 def fit_motions(
