@@ -147,7 +147,11 @@ def repair(
         arm, name or file (`load_arm` cuts one out of a URDF); by default what the address names, else a myCobot 280
     preset
         recipe of the training: ``default``, ``paper`` (the literal method), or one of your own
-    controllers, targets, period
+    controllers
+        as for `compare`
+    targets
+        as for `compare`
+    period
         as for `compare`
     sets, repetitions
         as for `compare`; by default 3 and 2 for an emulated arm, 1 and 1 for a real one
