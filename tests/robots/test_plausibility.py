@@ -38,16 +38,48 @@ def test_unreadable_servos_are_named():
         judge(read_angles([0.0, 0.0, -180.08, 0.0, 0.0, 180.08]), ARM)
 
 
-def test_a_jump_depends_on_the_time_between_answers():
+HOME, FAR = np.zeros(6), np.radians([0, 40.0, 0, 0, 0, 0])
+
+
+def moving(*accepted):
+    """Return what has seen the arm at home, once or more often."""
     continuity = Continuity(ARM)
-    continuity.accept(0.0, np.zeros(6), None)
-    far = np.radians([0, 40.0, 0, 0, 0, 0])
-    with pytest.raises(ImpossibleReplyError, match="joint 2"):
-        continuity.check(0.05, far)
-    with pytest.raises(ImpossibleReplyError, match="joint 2"):
-        continuity.check(0.2, far)  # it stays impossible, however often it is asked for
-    continuity.check(0.06, np.zeros(6))
-    continuity.check(0.2, far)
+    for time in accepted:
+        continuity.check(time, HOME)
+        continuity.accept(time, HOME, None)
+    return continuity
+
+
+def test_a_jump_depends_on_the_time_between_answers():
+    continuity = moving(-0.05, 0.0)
+    for time in (0.05, 0.2, 0.3):  # it stays impossible, however often it is asked for
+        with pytest.raises(ImpossibleReplyError, match="joint 2 cannot have jumped"):
+            continuity.check(time, FAR)
+    continuity.check(0.06, HOME)
+    near = np.radians([0, 15.0, 0, 0, 0, 0])
+    continuity.check(0.06, near)
+
+
+def test_after_a_pause_two_answers_have_to_agree():
+    continuity = moving(0.0, 0.05)
+    with pytest.raises(ImpossibleReplyError, match="joint 2 is said, once, to have gone"):
+        continuity.check(0.55, FAR)
+    continuity.check(0.56, HOME)  # it was a wrong byte
+    continuity.accept(0.56, HOME, None)
+    with pytest.raises(ImpossibleReplyError):
+        continuity.check(1.1, FAR)
+    continuity.check(1.11, FAR + np.radians(1.0))  # it was not
+    continuity.accept(1.11, FAR, None)
+    continuity.check(1.16, FAR)
+
+
+def test_two_answers_that_agree_overrule_the_very_first_one():
+    continuity = moving(0.0)
+    with pytest.raises(ImpossibleReplyError):
+        continuity.check(0.05, FAR)
+    with pytest.raises(ImpossibleReplyError):
+        continuity.check(0.06, -FAR)
+    continuity.check(0.07, -FAR)
 
 
 def run(continuity, readings, commands, period=0.05):

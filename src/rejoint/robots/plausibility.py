@@ -15,6 +15,9 @@ JUMP_SLACK = np.radians(5.0)
 """[rad] covers that answers are sampled up to 30 ms away from their arrival (chosen)"""
 DOUBT = 1.0
 """[s] during which a doubted answer stays as impossible as it was (chosen: longer than it is asked for again)"""
+SURE = 0.1
+"""[s] of full speed that one answer alone is believed: after a pause a joint could be anywhere, and so a wrong byte could
+put it there (chosen: two periods of a slow wire)"""
 COMMAND_TRAVEL = np.radians(10.0)
 """[rad] a command that went this far moves at least one joint by an encoder step (chosen)"""
 COMMANDED_JOINTS = 2
@@ -44,6 +47,8 @@ class Continuity:
         self._max_speed = MAX_SPEED_FACTOR * arm.max_speed
         self._last: tuple[float, Array] | None = None
         self._doubted: float | None = None
+        self._candidate: Array | None = None
+        self._confirmed = False
         self._command_then: Array | None = None
         self._waiting_since: float | None = None
 
@@ -51,21 +56,29 @@ class Continuity:
         """ImpossibleReplyError if no servo gets from the last answer to ``position`` (n,) [rad] by ``time`` [s].
 
         An answer that comes again after it was doubted, within `DOUBT`, had no more time for its way than the first.
+        Where a joint went farther than in `SURE`, as it may after a pause, two answers have to agree; and two that do
+        overrule the very first one.
         """
         if self._last is None:
             return
         then, before = self._last
         if self._doubted is not None and time - self._doubted < DOUBT:
             time = self._doubted
-        reach = self._max_speed * max(time - then, 0.0) + JUMP_SLACK
-        jumped = np.abs(position - before) > reach
+        gone, elapsed = np.abs(position - before), max(time - then, 0.0)
+        jumped = gone > self._max_speed * elapsed + JUMP_SLACK
+        sudden = gone > self._max_speed * min(elapsed, SURE) + JUMP_SLACK
+        agreed = self._candidate is not None and bool((np.abs(position - self._candidate) <= JUMP_SLACK).all())
         self._doubted = time if jumped.any() else None
-        if jumped.any():
-            i = int(np.argmax(jumped))
+        doubtful = jumped.any() and self._confirmed
+        if doubtful or (sudden.any() and not agreed):
+            self._candidate = position
+            i = int(np.argmax(jumped if jumped.any() else sudden))
+            says = "cannot have jumped" if jumped.any() else "is said, once, to have gone"
             raise ImpossibleReplyError(
-                f"joint {i + 1} cannot have jumped from {np.degrees(before[i]):.1f} to "
-                f"{np.degrees(position[i]):.1f} deg in {time - then:.3f} s"
+                f"joint {i + 1} {says} from {np.degrees(before[i]):.1f} to {np.degrees(position[i]):.1f} deg in "
+                f"{elapsed:.3f} s"
             )
+        self._candidate = None
 
     def accept(self, time: float, position: Array, command: Array | None) -> float:
         """Take over an answer; return its age [s]: how long it should have changed and did not.
@@ -80,6 +93,7 @@ class Continuity:
             self._waiting_since = None
         elif command is not None and self._command_then is None:
             self._command_then = self._last[1]
+        self._confirmed = self._last is not None
         self._last = (time, position)
         if command is None or self._command_then is None:
             return 0.0
