@@ -16,8 +16,8 @@ JUMP_SLACK = np.radians(5.0)
 DOUBT = 1.0
 """[s] during which a doubted answer stays as impossible as it was (chosen: longer than it is asked for again)"""
 SURE = 0.1
-"""[s] of full speed that one answer alone is believed: after a pause a joint could be anywhere, and a wrong byte could put
-it there (chosen: two periods of a slow wire)"""
+"""[s] of full speed that one answer alone is believed: after a pause a joint could be anywhere, also where a wrong
+byte puts it (chosen: two periods of a slow wire)"""
 COMMAND_TRAVEL = np.radians(10.0)
 """[rad] a command that went this far moves at least one joint by an encoder step (chosen)"""
 COMMANDED_JOINTS = 2
