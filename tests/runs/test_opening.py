@@ -9,12 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import rejoint
 from rejoint.arms import mycobot280
 from rejoint.cli import main
 from rejoint.logs.journal import Journal
 from rejoint.logs.runlog import RunLog, write_log
 from rejoint.runs.folder import FORMAT, LOGS, RunFolder, RunInfo, locked
-from rejoint.runs.run import Run, exclusive, finish, is_finished
+from rejoint.runs.run import Run, exclusive, finish, is_finished, mark_quick, require_same_pace
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import write_json
 
@@ -158,3 +159,14 @@ def test_a_stage_that_fails_leaves_no_folder_that_it_has_not_begun(tmp_path: Pat
     with pytest.raises(FileError, match="nothing to work on"):
         stage(begun)
     assert begun.folder.info.exists()
+
+
+def test_a_full_repair_does_not_build_on_a_quick_one(tmp_path: Path) -> None:
+    run = Run.create(tmp_path / "run", "emulated:worn", ARM, 0)
+    mark_quick(run, quick=False)
+    require_same_pace(run, quick=False)
+    mark_quick(run, quick=True)
+    require_same_pace(run, quick=True)
+    with pytest.raises(InputError, match="a quick try, which is no result; give another --run"):
+        rejoint.repair(run=run)
+    assert sorted(path.name for path in run.path.iterdir()) == ["quick.json", "run.json"], "nothing has been begun"

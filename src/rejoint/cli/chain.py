@@ -63,6 +63,8 @@ def repair(
             on_stage=narrator.tell, on_progress=narrator.progress,
         )  # fmt: skip
     page = Path(os.path.relpath(found.page))
+    if quick:
+        terminal.say("A quick try: little of everything was done, so none of this is a result.")
     show.verdict(terminal, found.diagnosis, found.comparison, found.recommendation)
     terminal.result(str(page))
     terminal.finish({

@@ -109,6 +109,11 @@ class RunFolder:
         return self.path / "comparison.trials"
 
     @property
+    def quick(self) -> Path:
+        """What a stage that did little of everything leaves: nothing in the folder is a result."""
+        return self.path / "quick.json"
+
+    @property
     def finished(self) -> Path:
         """What `rejoint repair` leaves when all of it is done."""
         return self.path / "finished.json"

@@ -23,7 +23,7 @@ from rejoint.runs.given import (
     is_batchable,
     run_about,
 )
-from rejoint.runs.run import Run, finish, newest_or_new
+from rejoint.runs.run import Run, finish, newest_or_new, require_same_pace
 from rejoint.runs.stages.compare import Compared, compare
 from rejoint.runs.stages.diagnose import Diagnosed, diagnose
 from rejoint.runs.stages.driving import Controllers
@@ -189,6 +189,7 @@ def repair(
     folder = newest_or_new(address_of(robot), chosen, seed or 0)[0] if run is None else run
     about = run_about(folder, address_of(robot), chosen, seed)
     assert about is not None  # noqa: S101 - for the type checker; a folder was given
+    require_same_pace(about, quick=quick)
     chain = _Chain(about.begin(), on_stage, on_progress)
     found, emulated = chain.run, is_batchable(robot)
     chain.do("diagnose", lambda told: diagnose(robot, run=found, period=period, quick=quick, on_progress=told))

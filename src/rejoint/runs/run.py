@@ -182,6 +182,18 @@ def is_finished(folder: RunFolder) -> bool:
     return info.format == 1 or all(path.stat().st_mtime <= folder.report.stat().st_mtime for path in stages)
 
 
+def mark_quick(run: Run | None, *, quick: bool) -> None:
+    """Note that a stage did little of everything, if it did: what follows from it in this folder is no result."""
+    if run is not None and quick:
+        write_json(run.folder.quick, {"quick": datetime.now().isoformat(timespec="seconds")})
+
+
+def require_same_pace(run: Run, *, quick: bool) -> None:
+    """Raise InputError where a full repair would build on what a quick one left."""
+    if run.folder.quick.exists() and not quick:
+        raise InputError(f"{run.path} is of a quick try, which is no result; give another --run, or delete the folder")
+
+
 def finish(run: Run) -> None:
     """Note that all of a run is done: the next repair of that robot begins another one."""
     write_json(run.folder.finished, {"finished": datetime.now().isoformat(timespec="seconds")})

@@ -12,7 +12,10 @@ from report_samples import SETTLED, make_comparison, write_curves
 from pages import Page
 from rejoint.control.comparison.recommend import recommend
 from rejoint.runs.folder import RunFolder, RunInfo
-from rejoint.runs.report.page import write_report
+from rejoint.runs.report.contents import read_contents
+from rejoint.runs.report.gallery import Gallery
+from rejoint.runs.report.page import make_page, write_report
+from rejoint.runs.report.sections.verdict import QUICK
 from rejoint.runs.report.tables import comparison_table, comparison_view
 from rejoint.system.errors import FileError
 from rejoint.system.files import write_json
@@ -228,3 +231,10 @@ def test_results_that_are_missing_are_not_known(tmp_path, arm):
     assert [cell.split(" | ")[0] for cell in cells].count("not known") == 5
     assert cells[-1] == "6 trials stopped"
     assert np.isfinite(default.hold.settled.mean.value)
+
+
+def test_the_page_of_a_quick_try_says_first_that_it_is_no_result(run_folder):
+    assert QUICK not in write_report(run_folder.path).read_text(encoding="utf-8")
+    write_json(run_folder.quick, {"quick": "2026-11-21T00:00:00"})
+    assert make_page(read_contents(run_folder.path), Gallery()).verdict[0] == QUICK
+    assert QUICK in write_report(run_folder.path).read_text(encoding="utf-8")

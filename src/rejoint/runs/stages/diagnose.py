@@ -27,7 +27,7 @@ from rejoint.runs.given import (
     run_of_logs,
     source_of,
 )
-from rejoint.runs.run import Run, exclusive, remove_if_empty
+from rejoint.runs.run import Run, exclusive, mark_quick, remove_if_empty
 from rejoint.runs.stages.driving import start_journal
 from rejoint.system.errors import InputError
 from rejoint.system.files import read_json, require_space, saving, set_aside, write_json
@@ -166,6 +166,7 @@ def _drive(
     if run is not None and journal is not None:
         journal.close()
         with saving(result):
+            mark_quick(run, quick=quick)
             _write(run.folder, found, logs)
         journal.discard()
     return result

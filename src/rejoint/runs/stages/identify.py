@@ -11,7 +11,7 @@ from rejoint.diagnosis.segments import is_excitation
 from rejoint.logs.runlog import RunLog, read_log
 from rejoint.runs.folder import LOGS
 from rejoint.runs.given import ArmLike, LogsLike, RunLike, as_logs, as_run, run_of_logs
-from rejoint.runs.run import Run, exclusive
+from rejoint.runs.run import Run, exclusive, mark_quick
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import write_json
 from rejoint.system.progress import Progress, no_progress
@@ -77,6 +77,7 @@ def identify(
             raise InputError("identification: neither logs nor a run is given")
         found = as_run(run).seeded(seed)
         with exclusive(found):
+            mark_quick(found, quick=quick)
             twin = _from_excitation(found.arm, [_excitation(found)], found.seed, on_progress, quick=quick)
             _write(found, twin)
         return twin
@@ -88,6 +89,7 @@ def identify(
         twin = _from_any_motion(chosen, motions, beside, on_progress, quick=quick)
         if about is not None:
             _write(about.begin(), twin)
+            mark_quick(about, quick=quick)
     return twin
 
 

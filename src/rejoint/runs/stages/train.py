@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from rejoint.arms import Arm, load_arm
 from rejoint.control.policy import Policy
 from rejoint.runs.given import ArmLike, RunLike, TwinLike, as_arm, as_run, as_twin
-from rejoint.runs.run import exclusive
+from rejoint.runs.run import exclusive, mark_quick
 from rejoint.system.errors import InputError
 from rejoint.system.progress import Progress, no_progress
 
@@ -95,6 +95,7 @@ def train(
             raise InputError("training: a run has its own twin; give either a run or a twin")
         found = as_run(run).seeded(seed)
         with exclusive(found):
+            mark_quick(found, quick=quick)
             task = _Task(found.arm, found.twin, preset, found.seed, threads, resume, quick)
             return task.train(found.path, trainer, on_progress)
     known = None if twin is None else as_twin(twin)

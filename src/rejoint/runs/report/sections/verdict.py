@@ -21,6 +21,8 @@ MM, PERCENT = 1e3, 1e2
 BEFORE = "default"
 """The arm as it was: its own controller"""
 
+QUICK = "A quick try: little of everything was done, so nothing on this page is a result."
+
 STAGES = ("diagnose", "identify", "train", "compare")
 """In the order in which they are run"""
 
@@ -32,7 +34,7 @@ def page_of(contents: Contents, advice: Recommendation | None, sections: tuple[S
     return Page(
         title=f"Repair report: {contents.arm.name}",
         subtitle=f"{_source(robot)}{begun}",
-        verdict=_verdict(contents, advice),
+        verdict=(*((QUICK,) if contents.folder.quick.exists() else ()), *_verdict(contents, advice)),
         keys=_keys(contents, advice),
         told=_told(contents, advice, sections),
         sections=sections,
