@@ -91,6 +91,16 @@ def test_no_false_alarm(found, name):
     assert "No joint shows wear" in diagnosis.verdict
 
 
+def test_an_error_that_no_joint_explains_is_not_called_healthy(logs):
+    """As that of an arm whose zero is wrong: every joint does as it is asked, and the tool is elsewhere."""
+    entry = logs["healthy 1"]
+    elsewhere = dataclasses.replace(entry.targets, target=entry.targets.target + np.array([0.02, 0.0, 0.0]))
+    diagnosis = judge(ARM, dataclasses.replace(entry, targets=elsewhere), load_healthy(ARM))
+    assert kinds(diagnosis) == set()
+    assert diagnosis.condition == "worn"
+    assert "No joint shows why: look for a wrong zero" in diagnosis.verdict
+
+
 @pytest.mark.parametrize(
     ("name", "expected"),
     [

@@ -88,7 +88,7 @@ def judge(arm: Arm, logs: DiagnosisLogs, healthy: HealthyReference | None) -> Di
     return Diagnosis(
         arm=arm.name,
         robot=logs.targets.robot,
-        condition=condition_of(findings),
+        condition="worn" if _unexplained(open_loop, findings, healthy) else condition_of(findings),
         verdict=_verdict(open_loop, findings, healthy),
         findings=findings,
         unseen=_unseen(open_loop, measurement, healthy, HIDDEN_MARGIN_MM * length_size(arm)),
@@ -110,6 +110,11 @@ def _verdict(open_loop: OpenLoop, findings: tuple[Finding, ...], healthy: Health
         f"This arm misses its targets by {error.value:.1f} mm (mean of {len(open_loop.targets)}, spread "
         f"{open_loop.spread_mm:.1f} mm, by its own encoders{reference})."
     )
+    if _unexplained(open_loop, findings, healthy):
+        return (
+            f"{first} No joint shows why: look for a wrong zero of a joint (a twin tells offsets), for a load at the "
+            "tool, and for something in its way."
+        )
     if not findings:
         return f"{first} No joint shows wear that its encoder can see."
     joints = {finding.joint: finding for finding in reversed(findings)}  # the worst finding of a joint wins
@@ -120,6 +125,12 @@ def _verdict(open_loop: OpenLoop, findings: tuple[Finding, ...], healthy: Health
     more = f" {others} more joint{'s show' if others > 1 else ' shows'} wear." if others else ""
     lead = "Because" if error.value > (healthy.error_mm.high or 0.0 if healthy else 0.0) else "What is worn"
     return f"{first} {lead}: {named}.{'' if ringing in causes else _rings(ringing, findings)}{more}"
+
+
+def _unexplained(open_loop: OpenLoop, findings: tuple[Finding, ...], healthy: HealthyReference | None) -> bool:
+    """Whether an arm surely misses its targets by more than a healthy one, and no finding says why."""
+    least, usual = open_loop.error_mm.low, None if healthy is None else healthy.error_mm.high
+    return not findings and least is not None and usual is not None and least > usual
 
 
 def ringing_most(findings: tuple[Finding, ...]) -> Finding | None:
