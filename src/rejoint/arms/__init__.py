@@ -2,6 +2,7 @@
 
 from rejoint.arms.arm import Arm, Array, Box
 from rejoint.arms.collision import clearances, collides, segment_distance
+from rejoint.arms.displacement import Displacement
 from rejoint.arms.draft import Loaded
 from rejoint.arms.inverse import Solution, clip_norm, dls, solve_position
 from rejoint.arms.kinematics import (
@@ -20,8 +21,8 @@ from rejoint.arms.so101 import so101
 from rejoint.arms.tomlfile import write_arm_toml
 
 __all__ = [
-    "CATALOGUE", "Arm", "Array", "Box", "Loaded", "Solution", "clearances", "clip_norm", "collides", "dls", "frames",
-    "gravity_torque", "heights", "jacobian", "link_inertia", "load_arm", "mycobot280",
+    "CATALOGUE", "Arm", "Array", "Box", "Displacement", "Loaded", "Solution", "clearances", "clip_norm", "collides", "dls",
+    "frames", "gravity_torque", "heights", "jacobian", "link_inertia", "load_arm", "mycobot280",
     "position_kinematics", "read_arm", "segment_distance", "so101", "solve_position", "tcp_pose", "tcp_position",
     "write_arm_toml",
 ]  # fmt: skip

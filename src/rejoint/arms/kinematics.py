@@ -106,14 +106,14 @@ def jacobian(arm: Arm, q: Array) -> Array:
     return np.concatenate([position_kinematics(arm, q)[1], np.swapaxes(frames(arm, q).axis, -1, -2)], axis=-2)
 
 
-def gravity_torque(arm: Arm, q: Array) -> Array:
-    """Torque (..., n) [N m] with which the motors hold the arm against gravity at ``q`` (..., n)."""
+def gravity_torque(arm: Arm, q: Array, gravity: Array = GRAVITY) -> Array:
+    """Torque (..., n) [N m] with which the motors hold the arm against ``gravity`` (3,) [m/s^2] at ``q`` (..., n)."""
     f = frames(arm, q)
     com = f.position + np.einsum("...nij,nj->...ni", f.rotation, arm.com)
     # Of all that hangs on each joint: mass, and mass times lever.
     mass = np.cumsum(arm.mass[::-1])[::-1, None]
     first_moment = np.cumsum((arm.mass[:, None] * com)[..., ::-1, :], axis=-2)[..., ::-1, :] - mass * f.position
-    return -(_cross(f.axis, first_moment) @ GRAVITY)
+    return -(_cross(f.axis, first_moment) @ gravity)
 
 
 def link_inertia(arm: Arm, q: Array) -> Array:
