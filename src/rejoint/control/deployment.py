@@ -16,6 +16,7 @@ from rejoint.arms import Arm, Array, tcp_position
 from rejoint.control.comparison.result import Protocol
 from rejoint.control.contract import check_controller_period
 from rejoint.control.controller import Controller
+from rejoint.control.correction import Correction
 from rejoint.control.guard import GuardLimits, Reason, Reasons, reason_names
 from rejoint.control.loop import Schedule, run
 from rejoint.control.recording import OnCycle, Recording, recording_of
@@ -84,7 +85,7 @@ class Deployed:
 
 def deploy(
     robot: Robot, controller: Controller, job: Deployment, *, limits: GuardLimits | None = None,
-    stance: Stance | None = None, on_cycle: OnCycle | None = None,
+    stance: Stance | None = None, correction: Correction | None = None, on_cycle: OnCycle | None = None,
 ) -> tuple[Recording, Deployed]:  # fmt: skip
     """Bring one arm to its rest posture, slowly, and then to the targets of ``job``.
 
@@ -95,7 +96,9 @@ def deploy(
     start = begin(robot, limits, stance)
     check_controller_period(controller, start.usual_period())
     schedule = Schedule(dwell=job.dwell, sent=start.command[-1])
-    recording = run(robot, controller, job.targets[None], schedule, limits=limits, on_cycle=on_cycle)
+    recording = run(
+        robot, controller, job.targets[None], schedule, limits=limits, correction=correction, on_cycle=on_cycle
+    )
     return recording, judge(robot.arm, recording, job)
 
 
@@ -110,7 +113,7 @@ def deployed_of(error: BaseException, arm: Arm, job: Deployment) -> Deployed | N
 def judge(arm: Arm, recording: Recording, job: Deployment, *, ended: BaseException | None = None) -> Deployed:
     """Say what became of each target; ``ended`` is what ended the recording early."""
     rows = np.flatnonzero(recording.active[:, 0])
-    error = np.linalg.norm(recording.target[:, 0] - tcp_position(arm, recording.position[:, 0]), axis=-1)
+    error = np.linalg.norm(recording.aim[:, 0] - tcp_position(arm, recording.position[:, 0]), axis=-1)
     true_error = np.linalg.norm(recording.target[:, 0] - recording.true_tcp[:, 0], axis=-1)
     gap = recording.gaps()
     visits = []

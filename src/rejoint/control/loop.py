@@ -15,6 +15,7 @@ import numpy as np
 
 from rejoint.arms import Array, tcp_position
 from rejoint.control.controller import Controller, Situation
+from rejoint.control.correction import Correction
 from rejoint.control.following import Following
 from rejoint.control.guard import TRIPS, Guarded, GuardLimits, Reason, Reasons, guard, warm_up
 from rejoint.control.progress import Progress, own, told_load
@@ -60,6 +61,7 @@ def run(
     schedule: Schedule,
     *,
     limits: GuardLimits | None = None,
+    correction: Correction | None = None,
     on_cycle: OnCycle | None = None,
 ) -> Recording:
     """Drive ``robot`` to its ``targets`` (B, K, 3) [m], one after the other.
@@ -68,6 +70,7 @@ def run(
     dwell. Whatever ends the run early (a trip of the guard, an error of the robot, a signal) first
     stops the robot; the recording so far is on the error, see `recording_of`, and a note of what
     became of the arm. After a gap in its answers an arm goes on from where it is, slowly at first.
+    A ``correction`` says where the controller is to send the tool, so that it really arrives at its target.
     """
     targets = np.asarray(targets, dtype=float)
     if targets.ndim != 3 or targets.shape[0] != robot.count or targets.shape[1] == 0 or targets.shape[2] != 3:
@@ -75,8 +78,9 @@ def run(
     limits = GuardLimits.of(robot.arm) if limits is None else limits
     recorder = Recorder(robot=robot, controller=controller.name)
     loop = _Loop(
-        robot=robot, controller=controller, schedule=schedule, limits=limits, recorder=recorder, on_cycle=on_cycle
-    )
+        robot=robot, controller=controller, schedule=schedule, limits=limits, recorder=recorder, on_cycle=on_cycle,
+        correction=correction,
+    )  # fmt: skip
     _warm_up(limits)
     with noted():
         return _drive(loop, targets)
@@ -95,7 +99,7 @@ def _drive(loop: _Loop, targets: Array) -> Recording:
     progress: Progress | None = None
     try:
         check()
-        progress = Progress.begin(own(robot.read()), targets, loop.schedule.sent, loop.limits)
+        progress = Progress.begin(own(robot.read()), targets, loop.schedule.sent, loop.limits, loop.correction)
         loop.controller.reset(progress.situation(), np.ones(robot.count, dtype=bool))
         while loop.cycle(progress):
             check()
@@ -192,18 +196,20 @@ class _Loop:
     limits: GuardLimits
     recorder: Recorder
     on_cycle: OnCycle | None
+    correction: Correction | None
 
     def cycle(self, progress: Progress) -> bool:
         """Do one control cycle; returns whether there is another one."""
-        before, fresh, index = progress.situation(), progress.active, progress.index
+        before, target = progress.situation(), progress.target
+        fresh, index = progress.active, progress.index
         if self.schedule.give_up is not None:
             progress.active = fresh & ~self.schedule.give_up(before)
         renewed = progress.advance(progress.active & self._finished(before))
         command, reasons, speed = self._decide(progress, renewed)
         cycle = Cycle(
-            time=before.state.time, position=before.state.position, command=command, target=before.target,
-            target_index=index, since_target=before.since_target, true_tcp=self.robot.true_tcp().copy(), active=fresh,
-            reasons=reasons, load=told_load(before.state),
+            time=before.state.time, position=before.state.position, command=command, target=target,
+            aim=before.target, target_index=index, since_target=before.since_target,
+            true_tcp=self.robot.true_tcp().copy(), active=fresh, reasons=reasons, load=told_load(before.state),
         )  # fmt: skip
         self.recorder.cycles.append(cycle)
         if self.on_cycle is not None:
@@ -227,7 +233,10 @@ class _Loop:
         if not active.any():
             return Guarded(progress.sent, np.zeros(len(active), dtype=np.uint16), progress.speed)
         situation = progress.situation()
-        fresh = renewed | progress.gap
+        corrected = progress.aim_again()
+        if corrected is not None:
+            situation = progress.situation()
+        fresh = renewed | progress.gap if corrected is None else renewed | progress.gap | corrected
         if fresh.any():
             self.controller.reset(situation, fresh)
         aimed = np.isfinite(situation.target[:, 0])

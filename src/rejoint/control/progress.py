@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from rejoint.arms import Array
 from rejoint.control.controller import Situation
+from rejoint.control.correction import Correction
 from rejoint.control.following import Following
 from rejoint.control.limits import GuardLimits, Reasons
 from rejoint.control.robot import JointState, Mask
@@ -46,6 +47,7 @@ class Progress:
     tripped: Reasons
     period: Array
     following: Following
+    correction: Correction | None = None
     unbelieved: Mask | None = None
     """(B, n) joints whose readings are not believed in this cycle, None where all are"""
     last_time: Array = field(init=False)
@@ -55,15 +57,22 @@ class Progress:
     """(B,) whether the state came after a gap"""
     eased_until: Array = field(init=False)
     """(B,) [s]"""
+    aim: Array = field(init=False)
+    """(B, 3) [m] where the controllers are sent: the targets, or what a correction makes of them"""
 
     def __post_init__(self) -> None:
         self.last_time = self.state.time
         count = len(self.sent)
         self.usual, self.eased_until = np.full(count, np.nan), np.full(count, -np.inf)
         self.gap = np.zeros(count, dtype=bool)
+        self.aim = self.target
+        self._take_aim(np.ones(count, dtype=bool))
 
     @classmethod
-    def begin(cls, state: JointState, targets: Array, sent: Array | None, limits: GuardLimits) -> Progress:
+    def begin(
+        cls, state: JointState, targets: Array, sent: Array | None, limits: GuardLimits,
+        correction: Correction | None = None,
+    ) -> Progress:  # fmt: skip
         """Begin with ``targets`` (B, K, 3) [m] and the command in force, ``sent`` (B, n) [rad]; None: the position."""
         count = len(targets)
         if sent is not None and np.shape(sent) != state.position.shape:
@@ -73,7 +82,7 @@ class Progress:
             state=state, targets=targets, sent=sent, speed=np.zeros_like(sent), index=np.zeros(count, dtype=np.intp),
             set_at=state.time.copy(), active=np.ones(count, dtype=bool), tripped=np.zeros(count, dtype=np.uint16),
             period=np.full(count, FIRST_PERIOD),
-            following=Following(limits.arm, state, sent, limits.servos, sticks=limits.sticks),
+            following=Following(limits.arm, state, sent, limits.servos, sticks=limits.sticks), correction=correction,
         )  # fmt: skip
 
     @property
@@ -84,7 +93,7 @@ class Progress:
     def situation(self) -> Situation:
         """Return what a controller knows."""
         since = self.state.time - self.set_at
-        return Situation(state=self.state, target=self.target, sent=self.sent, since_target=since)
+        return Situation(state=self.state, target=self.aim, sent=self.sent, since_target=since)
 
     def advance(self, finished: Mask) -> Mask:
         """Set the next target where the present one is finished; returns the arms that got one."""
@@ -93,7 +102,24 @@ class Progress:
         self.active = self.active & ~(finished & last)
         self.index = self.index + renewed
         self.set_at = np.where(renewed, self.state.time, self.set_at)
+        if renewed.any():
+            self._take_aim(renewed)
         return renewed
+
+    def aim_again(self) -> Mask | None:
+        """Let the correction change aims on the way; returns the arms (B,) whose aim changed, None where none did."""
+        fresh = None if self.correction is None else self.correction.again(self.target, self.situation())
+        if fresh is None:
+            return None
+        changed = self.active & (fresh != self.aim).any(axis=-1)
+        self.aim = np.where(changed[:, None], fresh, self.aim)
+        return changed
+
+    def _take_aim(self, where: Mask) -> None:
+        """Aim at the targets that were just set for the arms in ``where`` (B,)."""
+        target = self.target
+        fresh = target if self.correction is None else self.correction.aim(target, self.sent, where)
+        self.aim = np.where(where[:, None], fresh, self.aim)
 
     def stepped(self, state: JointState, command: Array, speed: Array) -> None:
         """Take over what the robot was sent and what it answered."""

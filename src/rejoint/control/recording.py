@@ -26,6 +26,8 @@ class Cycle(NamedTuple):
     """(B, n) [rad] sent right after; repeats the last one where an arm was done or stopped"""
     target: Array
     """(B, 3) [m] target in force when the state was read; NaN where there is none"""
+    aim: Array
+    """(B, 3) [m] where the controller was sent: the target, or what a correction made of it"""
     target_index: NDArray[np.intp]
     """(B,) its index"""
     since_target: Array
@@ -60,6 +62,8 @@ class Recording:
     command: Array
     """(T, B, n) [rad]"""
     target: Array
+    """(T, B, 3) [m]"""
+    aim: Array
     """(T, B, 3) [m]"""
     target_index: NDArray[np.intp]
     """(T, B)"""
@@ -101,12 +105,13 @@ class Recording:
         times = self.time[rows, b]
         earlier = np.concatenate([[-np.inf], np.maximum.accumulate(times)[:-1]])
         rows = rows[times > earlier]
-        load = self.load[rows, b]
+        load, target, aim = self.load[rows, b], self.target[rows, b], self.aim[rows, b]
         return RunLog(
             arm=self.arm, joint_names=self.joint_names, robot=self.robot, label=label,
             time=self.time[rows, b], position=self.position[rows, b], command=self.command[rows, b],
-            target=self.target[rows, b], true_tcp=self.true_tcp[rows, b],
+            target=target, true_tcp=self.true_tcp[rows, b],
             servo_load=None if np.isnan(load).all() else load,
+            aim=None if np.array_equal(aim, target, equal_nan=True) else aim,
             extra={"controller": self.controller, **(extra or {})},
         )  # fmt: skip
 
@@ -133,7 +138,7 @@ class Recorder:
             return {name: np.stack([getattr(c, name) for c in self.cycles]) for name in Cycle._fields}
         vector, point, number = np.zeros((0, count, n)), np.zeros((0, count, 3)), np.zeros((0, count))
         empty = Cycle(
-            number, vector, vector, point, number.astype(np.intp), number, point, number.astype(bool),
+            number, vector, vector, point, point, number.astype(np.intp), number, point, number.astype(bool),
             number.astype(np.uint16), vector,
         )  # fmt: skip
         return {name: column.copy() for name, column in empty._asdict().items()}

@@ -38,6 +38,7 @@ unfold to any size"""
 _METADATA_KEY = b"rejoint"
 _AXES = ("x", "y", "z")
 _ARRAYS = ("time", "position", "command", "target", "true_tcp")
+_OPTIONAL = ("servo_load", "aim")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -71,6 +72,9 @@ class RunLog:
     servo_load: Array | None = None
     """(T, n) torque that each servo told, a share of its largest, positive with the joint; NaN where it told none. None
     if none ever was told"""
+    aim: Array | None = None
+    """(T, 3) [m] where the controller was sent instead of the target, since the tool stands beside where the encoders
+    see it; None if that was the target"""
     extra: dict[str, str] = field(default_factory=dict)
     """anything else worth keeping: seed, profile, software version"""
 
@@ -82,8 +86,11 @@ class RunLog:
             "command": (rows, n),
             "target": (rows, 3),
             "true_tcp": (rows, 3),
-        } | ({} if self.servo_load is None else {"servo_load": (rows, n)})
-        for name, shape in shapes.items():
+            "servo_load": (rows, n),
+            "aim": (rows, 3),
+        }
+        for name in self.arrays:
+            shape = shapes[name]
             array = np.array(getattr(self, name), dtype=float)
             if array.shape != shape:
                 raise InputError(f"run log {self.label}: {name} has shape {array.shape}, expected {shape}")
@@ -107,7 +114,7 @@ class RunLog:
     @property
     def arrays(self) -> tuple[str, ...]:
         """Names of what has one row a reading."""
-        return _ARRAYS if self.servo_load is None else (*_ARRAYS, "servo_load")
+        return (*_ARRAYS, *(name for name in _OPTIONAL if getattr(self, name) is not None))
 
     @classmethod
     def of(
@@ -179,7 +186,7 @@ def write_log(path: Path, log: RunLog) -> None:
     columns: dict[str, Array] = {"time": log.time}
     for group in ("position", "command") + (() if log.servo_load is None else ("servo_load",)):
         columns |= {f"{group}.{name}": getattr(log, group)[:, i] for i, name in enumerate(log.joint_names)}
-    for group in ("target", "true_tcp"):
+    for group in ("target", "true_tcp") + (() if log.aim is None else ("aim",)):
         columns |= {f"{group}.{axis}": getattr(log, group)[:, i] for i, axis in enumerate(_AXES)}
     header = {"format": FORMAT, **_about(log), "digest": _digest(log)}
     table = pa.table(columns).replace_schema_metadata({_METADATA_KEY: json.dumps(header).encode()})
@@ -206,6 +213,7 @@ def read_log(path: Path) -> RunLog:
             time=table["time"].to_numpy(), position=group("position", names), command=group("command", names),
             target=group("target", _AXES), true_tcp=group("true_tcp", _AXES), extra=header["extra"],
             servo_load=group("servo_load", names) if f"servo_load.{names[0]}" in table.column_names else None,
+            aim=group("aim", _AXES) if "aim.x" in table.column_names else None,
         )  # fmt: skip
         if header.get("digest", _digest(log)) != _digest(log):  # logs of before there were digests have none
             raise FileError(path, CHANGED, remedy)

@@ -22,6 +22,7 @@ from rejoint.control.comparison.result import Comparison, Protocol
 from rejoint.control.comparison.summary import Tally, summarise
 from rejoint.control.contract import check_controller_period
 from rejoint.control.controller import Controller
+from rejoint.control.correction import Correction
 from rejoint.control.guard import GuardLimits
 from rejoint.control.loop import move, run
 from rejoint.control.recording import Cycle, Recording
@@ -34,6 +35,7 @@ from rejoint.system.progress import Progress, no_progress
 OpenRobot = Callable[[int, int], Robot]
 """Opens a robot of ``count`` arms with a noise ``seed``."""
 ControllerFactory = Callable[[Arm], Controller]
+MakeCorrection = Callable[[Arm], Correction]
 
 _PROGRESS_CYCLES = 40
 """Cycles between two reports of progress (chosen: about a second of a real arm)."""
@@ -98,6 +100,7 @@ def compare(
     ledger: Ledger | None = None,
     limits: GuardLimits | None = None,
     stance: Stance | None = None,
+    correction: MakeCorrection | None = None,
 ) -> Comparison:
     """Compare ``controllers`` by name on ``targets`` (S, K, 3) [m].
 
@@ -105,6 +108,7 @@ def compare(
     comparison, as does an error of the robot. A command that is not a number costs its controller the trial in both.
     What is done already by the ``ledger`` is not driven again. ``limits`` are the guard's, by default those of the arm.
     A single arm that does not stand at rest as its ``stance`` says is not driven: NotReadyError.
+    A ``correction`` aims for all controllers alike.
     """
     targets = np.asarray(targets, dtype=float)
     if targets.ndim != 3 or targets.shape[2] != 3 or 0 in targets.shape or not np.isfinite(targets).all():
@@ -115,7 +119,7 @@ def compare(
     session = _Session(
         open_robot=open_robot, controllers=dict(controllers), targets=targets, settings=settings, shape=shape,
         tallies={name: Tally(shape, settings.protocol) for name in controllers},
-        ledger=ledger or Ledger.nowhere(), limits=limits, stance=stance,
+        ledger=ledger or Ledger.nowhere(), limits=limits, stance=stance, correction=correction,
         progress=_Targets(on_progress, len(controllers) * len(KINDS) * int(np.prod(shape))), on_trial=on_trial,
     )  # fmt: skip
     robot = session.run_batched() if settings.batched else session.run_interleaved()
@@ -135,6 +139,7 @@ class _Session:
     ledger: Ledger
     limits: GuardLimits | None
     stance: Stance | None
+    correction: MakeCorrection | None
     progress: _Targets
     on_trial: OnTrial | None
     left_out: list[str] = field(default_factory=list)
@@ -192,7 +197,8 @@ class _Session:
         failed = False
         if isinstance(controller, Watched):
             plan = replace(plan, give_up=controller.give_up)
-        recording = run(robot, controller, targets, plan, limits=self.limits, on_cycle=on_cycle)
+        aiming = None if self.correction is None else self.correction(robot.arm)
+        recording = run(robot, controller, targets, plan, limits=self.limits, correction=aiming, on_cycle=on_cycle)
         if isinstance(controller, Watched):
             recording, failed = controller.mark(recording), controller.failed
         if self.on_trial is not None:

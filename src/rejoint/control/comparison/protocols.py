@@ -111,10 +111,10 @@ def measure_holds(arm: Arm, recording: Recording, targets: Array, protocol: Prot
 
 
 def _errors(arm: Arm, recording: Recording, tcp: Array | None = None) -> tuple[Array, Array]:
-    """Compute encoder and true error, each (T, B) [m]."""
+    """Compute encoder error, from the aim, and true error, from the target, each (T, B) [m]."""
     tcp = encoder_tcp(arm, recording) if tcp is None else tcp
     return (
-        np.linalg.norm(tcp - recording.target, axis=-1),
+        np.linalg.norm(tcp - recording.aim, axis=-1),
         np.linalg.norm(recording.true_tcp - recording.target, axis=-1),
     )
 

@@ -115,7 +115,7 @@ def _last_seconds(
     count, length, n = targets.shape[0], targets.shape[1], arm.joints
     found = {name: _unknown((count, length, n)) for name in ("lead", "swing", "saturation")}
     found |= {name: _unknown((count, length)) for name in ("approach", "limited")}
-    error = np.linalg.norm(encoder_tcp(arm, recording) - recording.target, axis=-1)
+    error = np.linalg.norm(encoder_tcp(arm, recording) - recording.aim, axis=-1)
     for b in range(count):
         for k in range(length):
             rows = np.flatnonzero(recording.active[:, b] & (recording.target_index[:, b] == k))
