@@ -44,7 +44,7 @@ class Correction(Protocol):
         """Once a control cycle, return new aims (B, 3) [m]; None where the present ones, in ``situation``, stay."""
 
 
-@dataclass(kw_only=True, eq=False)
+@dataclass(eq=False)
 class Modelled:
     """Aims by what is known of the displacements, and once more where the arm has settled."""
 

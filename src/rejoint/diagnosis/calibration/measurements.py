@@ -17,6 +17,9 @@ from rejoint.system.errors import InputError
 
 Numbers = NDArray[np.int64]
 
+NOISE = 0.5e-3
+"""[m] standard deviation of a coordinate where it is not told (chosen: a ruler read with care)"""
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Measurements:
@@ -50,6 +53,8 @@ class Measurements:
         for name, shape in shapes.items():
             if getattr(self, name).shape != shape:
                 raise InputError(f"measurements: {name} has shape {getattr(self, name).shape}, expected {shape}")
+        if np.isinf(self.point).any() or not (np.isfinite(self.point).any(axis=1)).all():
+            raise InputError("measurements: every row needs at least one coordinate of the tool, in metres")
         if not np.isfinite(self.position).all() or not (self.sigma > 0.0).all():
             raise InputError("measurements: joint positions must be finite and standard deviations positive")
 

@@ -1,0 +1,165 @@
+"""Files of measurements: Parquet, and CSV for everybody else's tracker, gauge and spreadsheet.
+
+Columns: ``position.JOINT`` and, where it is known, ``approach.JOINT``; ``x``, ``y``, ``z`` and ``sigma`` of the tool;
+and ``posture``, the number of the posture. In Parquet they are in rad and m. In CSV every name ends with its unit
+(``position.joint1_deg``, ``x_mm``); an empty cell is a coordinate that was not measured, and ``approach``, ``sigma``
+and ``posture`` may be missing.
+"""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import io
+import json
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from rejoint.arms import Arm, Array
+from rejoint.diagnosis.calibration.measurements import NOISE, Measurements
+from rejoint.logs.runlog import read_parquet
+from rejoint.system.errors import FileError, InputError, first_line
+from rejoint.system.files import CHANGED, MEGABYTE, read_bounded, write_whole
+
+FORMAT = 1
+CSV_MOST = 4 * MEGABYTE
+"""Largest CSV file that is read (chosen: ten thousand measurements)"""
+
+_KEY = b"rejoint"
+_AXES = ("x", "y", "z")
+_REMEDY = "measure again, or take another file"
+_DEG, _MM = np.pi / 180.0, 1e-3
+
+
+def write_measurements(path: Path, arm: Arm, measured: Measurements) -> None:
+    """Write measurements of ``arm`` as Parquet, or as CSV where the name ends in ``.csv``."""
+    columns = _columns(arm, measured)
+    if path.suffix.lower() == ".csv":
+        write_whole(path, lambda temporary: temporary.write_text(_as_csv(columns), encoding="utf-8"))
+        return
+    about = {"arm": arm.name, "joints": list(arm.joint_names), "frame": measured.frame, "source": measured.source}
+    header = {"format": FORMAT, **about, "digest": _digest(measured)}
+    table = pa.table(columns).replace_schema_metadata({_KEY: json.dumps(header).encode()})
+    write_whole(path, lambda temporary: pq.write_table(table, temporary, write_page_checksum=True))
+
+
+def read_measurements(path: Path, arm: Arm, *, frame: str = "base", source: str = "tracker") -> Measurements:
+    """Read measurements of ``arm``, CSV or Parquet; FileError says what cannot be used and why.
+
+    A CSV file does not tell in which ``frame`` its points are and what their ``source`` is.
+    """
+    try:
+        if path.suffix.lower() == ".csv":
+            return _from_csv(path, arm, frame, source)
+        return _from_parquet(path, arm)
+    except FileNotFoundError as error:
+        raise FileError(path, "no such file", "check the path") from error
+    except (OSError, pa.ArrowException, UnicodeDecodeError, csv.Error, KeyError, TypeError, ValueError) as error:
+        raise FileError(path, f"not readable measurements ({first_line(error)})", _REMEDY) from error
+
+
+def _columns(arm: Arm, measured: Measurements) -> dict[str, Array]:
+    columns: dict[str, Array] = {"posture": measured.posture.astype(float)}
+    for group in ("position", "approach"):
+        columns |= {f"{group}.{name}": getattr(measured, group)[:, i] for i, name in enumerate(arm.joint_names)}
+    columns |= {axis: measured.point[:, i] for i, axis in enumerate(_AXES)}
+    return columns | {"sigma": measured.sigma}
+
+
+def _digest(measured: Measurements) -> str:
+    found = hashlib.sha256(f"{measured.frame} {measured.source}".encode())
+    for name in ("position", "approach", "point", "sigma", "posture"):
+        found.update(np.ascontiguousarray(getattr(measured, name), dtype="<f8").tobytes())
+    return found.hexdigest()[:16]
+
+
+def _from_parquet(path: Path, arm: Arm) -> Measurements:
+    table = read_parquet(path, _REMEDY)
+    if _KEY not in (table.schema.metadata or {}):
+        raise FileError(path, "no measurements, but some other table", _REMEDY)
+    header = json.loads(table.schema.metadata[_KEY])
+    if header.get("format") != FORMAT or "frame" not in header:
+        raise FileError(path, f"measurements of format {header.get('format')}, expected {FORMAT}", _REMEDY)
+    if header["arm"] != arm.name or tuple(header["joints"]) != arm.joint_names:
+        raise FileError(path, f"measurements of arm {header['arm']}, expected {arm.name}", "name the right arm")
+    columns = {name: table[name].to_numpy() for name in table.column_names}
+    found = _assemble(columns, arm, header["frame"], header["source"])
+    if header["digest"] != _digest(found):
+        raise FileError(path, CHANGED, _REMEDY)
+    return found
+
+
+def _assemble(columns: dict[str, Array], arm: Arm, frame: str, source: str) -> Measurements:
+    rows = len(columns["x"])
+
+    def group(prefix: str) -> Array:
+        return np.stack([columns[f"{prefix}.{name}"] for name in arm.joint_names], axis=-1)
+
+    told = f"approach.{arm.joint_names[0]}" in columns
+    return Measurements(
+        position=group("position"),
+        approach=group("approach") if told else np.full((rows, arm.joints), np.nan),
+        point=np.stack([columns[axis] for axis in _AXES], axis=-1),
+        sigma=columns.get("sigma", np.full(rows, NOISE)),
+        posture=np.asarray(columns.get("posture", np.arange(rows, dtype=float)), dtype=np.int64),
+        frame=frame, source=source,
+    )  # fmt: skip
+
+
+def _units(name: str) -> tuple[str, float]:
+    """Name of a column in CSV, and its unit."""
+    if name == "posture":
+        return name, 1.0
+    return (f"{name}_mm", _MM) if name in (*_AXES, "sigma") else (f"{name}_deg", _DEG)
+
+
+def _as_csv(columns: dict[str, Array]) -> str:
+    text = io.StringIO(newline="")
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow([_units(name)[0] for name in columns])
+    scaled = [(values / _units(name)[1], 0 if name == "posture" else 4) for name, values in columns.items()]
+    for row in range(len(columns["x"])):
+        writer.writerow("" if np.isnan(values[row]) else f"{values[row]:.{digits}f}" for values, digits in scaled)
+    return text.getvalue()
+
+
+def _from_csv(path: Path, arm: Arm, frame: str, source: str) -> Measurements:
+    text = read_bounded(path, CSV_MOST, "give fewer measurements").decode("utf-8-sig")
+    lines = [line for line in csv.reader(io.StringIO(text, newline="")) if any(map(str.strip, line))]
+    names = [cell.strip() for cell in lines[0]] if lines else []
+    joints = [f"position.{name}" for name in arm.joint_names]
+    known = [*joints, *(f"approach.{name}" for name in arm.joint_names), *_AXES, "sigma", "posture"]
+    wanted = {_units(name)[0]: name for name in known}
+    missing = [_units(name)[0] for name in (*joints, *_AXES) if _units(name)[0] not in names]
+    strange = [name for name in names if name not in wanted]
+    if missing or strange or len(set(names)) != len(names):
+        found = f"columns {', '.join(names) or 'none'}"
+        raise FileError(path, f"{found}; missing: {', '.join(missing) or 'none'}", f"name them {', '.join(wanted)}")
+    if len(lines) == 1:
+        raise FileError(path, "no measurements below the header", "add one line for each")
+    table = np.array([_numbers(path, number, line, names) for number, line in enumerate(lines[1:], start=2)])
+    columns = {wanted[name]: table[:, i] * _units(wanted[name])[1] for i, name in enumerate(names)}
+    blank = np.isnan(columns.get("posture", np.zeros(1)))
+    if blank.any():
+        raise FileError(
+            path, f"line {int(np.argmax(blank)) + 2} has no posture", "number the postures, or leave that column out"
+        )
+    try:
+        return _assemble(columns, arm, frame, source)
+    except InputError as error:
+        raise FileError(path, str(error), _REMEDY) from error
+
+
+def _numbers(path: Path, number: int, line: list[str], names: list[str]) -> list[float]:
+    if len(line) != len(names):
+        raise FileError(path, f"line {number} has {len(line)} cells, expected {len(names)}", "correct that line")
+    try:
+        values = [float(cell) if cell.strip() else float("nan") for cell in line]
+    except ValueError as error:
+        raise FileError(path, f"line {number}: {first_line(error)}", "correct that line") from error
+    if np.isinf(values).any():
+        raise FileError(path, f"line {number} holds an infinite number", "correct that line")
+    return values

@@ -1,0 +1,98 @@
+"""Measuring an arm: slowly and under the guard from posture to posture, each from two sides."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from rejoint.arms import Array, tcp_position
+from rejoint.control.guard import GuardLimits
+from rejoint.control.loop import move
+from rejoint.control.recording import Recording
+from rejoint.control.robot import Robot
+from rejoint.control.start import Stance, begin
+from rejoint.diagnosis.calibration.gauges import Gauge, Stop
+from rejoint.diagnosis.calibration.measurements import Measurements
+from rejoint.system.errors import InputError
+from rejoint.system.progress import Progress, no_progress
+from rejoint.system.stopping import check, noted
+
+SPEED = 0.5
+"""[rad/s] of the fastest joint on the way (chosen: a fifth of what joints can do)"""
+SETTLE = 1.5
+"""[s] in which an arm comes to rest (chosen: worn arms ring for less than one)"""
+WINDOW = 0.4
+"""[s] at its end whose readings are averaged (chosen: 16 at 25 ms)"""
+DETOUR = np.radians(6.0)
+"""[rad] from which each joint comes to a posture (chosen: more than sag and play of a worn joint)"""
+
+OnMeasured = Callable[[Measurements], object]
+"""Called after each measurement with all of them, so that they can be kept"""
+
+
+@dataclass(kw_only=True, eq=False)
+class _Rows:
+    position: list[Array] = field(default_factory=list)
+    approach: list[Array] = field(default_factory=list)
+    point: list[Array] = field(default_factory=list)
+    posture: list[int] = field(default_factory=list)
+
+    def measurements(self, gauge: Gauge) -> Measurements:
+        return Measurements(
+            position=np.array(self.position), approach=np.array(self.approach), point=np.array(self.point),
+            sigma=np.full(len(self.posture), gauge.sigma), posture=np.array(self.posture), frame=gauge.frame,
+            source=gauge.source,
+        )  # fmt: skip
+
+
+def measure(
+    robot: Robot, gauge: Gauge, postures: Array, *, visits: int = 2, limits: GuardLimits | None = None,
+    stance: Stance | None = None, on_progress: Progress = no_progress, on_measured: OnMeasured | None = None,
+) -> Measurements:  # fmt: skip
+    """Bring one arm to ``postures`` (K, n) [rad] and measure its tool at each.
+
+    With two ``visits`` each posture is reached from both sides of every joint, one after the other. InputError where
+    nothing was measured; what `run` raises where the motion had to be ended.
+    """
+    limits = limits or GuardLimits.of(robot.arm)
+    with noted():
+        sent = begin(robot, limits, stance).command[-1]
+    rows, total = _Rows(), visits * len(postures)
+    for number in range(total):
+        posture = postures[number // visits]
+        side = 1.0 if (number + number // visits) % 2 == 0 else -1.0  # the second side of one, the first of the next
+        on_progress(number / total, f"measurement {number + 1} of {total}")
+        before = np.clip(posture - side * DETOUR, limits.lower, limits.upper)
+        came = _go(robot, before, sent, limits, settle=0.3)
+        stood = _go(robot, posture, came.command[-1], limits, settle=SETTLE)
+        sent = stood.command[-1]
+        position = _reading(stood)
+        point = gauge.measure(robot, Stop(number + 1, total, tcp_position(robot.arm, position)))
+        check()
+        if not np.isfinite(point).any():
+            continue
+        rows.position.append(position)
+        rows.approach.append(came.position[-1, 0])
+        rows.point.append(point)
+        rows.posture.append(number // visits)
+        if on_measured is not None:
+            on_measured(rows.measurements(gauge))
+    on_progress(1.0, "measured")
+    with noted():
+        move(robot, robot.arm.rest, sent=sent, limits=limits)
+    if not rows.posture:
+        raise InputError("calibration: nothing was measured; type x, y and z of the tool at each stop")
+    return rows.measurements(gauge)
+
+
+def _go(robot: Robot, posture: Array, sent: Array, limits: GuardLimits, settle: float) -> Recording:
+    with noted():
+        return move(robot, posture, sent=sent, speed=SPEED, settle=settle, limits=limits)
+
+
+def _reading(recording: Recording) -> Array:
+    """Mean of the last readings (n,) [rad]."""
+    rows = recording.time[:, 0] > recording.time[-1, 0] - WINDOW
+    return np.asarray(recording.position[rows, 0].mean(axis=0))

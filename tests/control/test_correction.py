@@ -1,0 +1,136 @@
+"""Laws of aiming: what lies behind the encoders is taken out, by the same layer for every controller."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from rejoint.arms import Displacement, mycobot280, solve_position, tcp_position
+from rejoint.control.controller import Situation
+from rejoint.control.correction import MOST, Modelled
+from rejoint.control.default import DefaultController
+from rejoint.control.deployment import Deployment, deploy
+from rejoint.control.integrator import IntegratorController
+from rejoint.control.loop import Schedule, run
+from rejoint.control.robot import JointState
+from rejoint.logs.runlog import RunLog
+from rejoint.system.errors import InputError
+
+ARM = mycobot280()
+TARGETS = ARM.targets.sample(np.random.default_rng(4), (3, 2))
+EVERY = np.ones(3, dtype=bool)
+
+
+def displaced(seed=1, arm=ARM):
+    rng = np.random.default_rng(seed)
+    n = arm.joints
+    return replace(
+        Displacement.none(arm), offset=rng.normal(0.0, 0.01, n), compliance=rng.uniform(0.0, 0.03, n),
+        play=rng.uniform(0.0, 0.03, n), twist=rng.normal(0.0, 1.0, (n + 1, 6)) * ([1e-3] * 3 + [5e-3] * 3),
+    )  # fmt: skip
+
+
+class PerfectServos:
+    """Arms whose encoders come to where they were sent, and whose tools do not."""
+
+    arm, address = ARM, "test:displaced"
+
+    def __init__(self, displacement, count=3):
+        self.displacement, self.count = displacement, count
+        self.position, self.time = np.tile(ARM.rest, (count, 1)), np.zeros(count)
+
+    def read(self):
+        return JointState(time=self.time.copy(), position=self.position.copy(), age=np.zeros(self.count))
+
+    def step(self, command, active=None):
+        active = np.ones(self.count, bool) if active is None else active
+        self.position = np.where(active[:, None], 0.5 * (command + self.position), self.position)
+        self.time = self.time + np.where(active, 0.025, 0.0)
+        return self.read()
+
+    def true_tcp(self):
+        return self.displacement.tool(ARM, self.position)
+
+    def stop(self):
+        pass
+
+    def close(self):
+        pass
+
+
+def errors(recording):
+    last = recording.since_target > 5.0
+    by_encoders = np.linalg.norm(tcp_position(ARM, recording.position) - recording.target, axis=-1)[last]
+    true = np.linalg.norm(recording.true_tcp - recording.target, axis=-1)[last]
+    return by_encoders, true
+
+
+@pytest.mark.parametrize("make", [DefaultController, IntegratorController])
+def test_the_tool_arrives_and_the_encoders_see_it_beside_the_target(make):
+    displacement = displaced()
+    schedule = Schedule(dwell=6.0)
+    plain = run(PerfectServos(displacement), make(ARM), TARGETS, schedule)
+    aimed = run(PerfectServos(displacement), make(ARM), TARGETS, schedule, correction=Modelled(ARM, displacement))
+    assert errors(plain)[0].max() < 0.6e-3
+    assert errors(plain)[1].mean() > 3e-3
+    assert errors(aimed)[1].max() < 0.6e-3
+    assert errors(aimed)[0].mean() > 3e-3
+    np.testing.assert_array_equal(aimed.target, np.where(np.isfinite(plain.target), plain.target, aimed.target))
+
+
+def test_without_a_correction_the_aim_is_the_target_and_the_log_has_none(tmp_path):
+    recording = run(PerfectServos(displaced()), DefaultController(ARM), TARGETS, Schedule(dwell=0.5))
+    np.testing.assert_array_equal(recording.aim, recording.target)
+    assert recording.log(0, "one").aim is None
+
+
+def test_a_log_keeps_target_and_aim(tmp_path):
+    displacement = displaced()
+    recording = run(
+        PerfectServos(displacement), DefaultController(ARM), TARGETS, Schedule(dwell=0.5),
+        correction=Modelled(ARM, displacement),
+    )  # fmt: skip
+    log = recording.log(1, "one")
+    log.save(tmp_path / "one.parquet")
+    kept = RunLog.load(tmp_path / "one.parquet")
+    np.testing.assert_array_equal(kept.aim, log.aim)
+    np.testing.assert_array_equal(kept.target[0], TARGETS[1, 0])
+    assert np.linalg.norm(kept.aim[0] - kept.target[0]) > 1e-3
+    assert len(kept.rows(slice(0, 5)).aim) == 5
+
+
+def test_an_aim_of_another_posture_is_mended_when_the_arm_has_settled():
+    """A law that ends in another posture than the inverse kinematics from the start: here a bent elbow start."""
+    displacement = displaced()
+    modelled = Modelled(ARM, displacement)
+    far = np.tile(ARM.rest + 0.4, (3, 1))
+    target = TARGETS[:, 0]
+    aim = modelled.aim(target, far, EVERY)
+    settled = solve_position(ARM, aim, np.tile(ARM.rest, (3, 1))).q  # where another law brought the arm
+    off = np.linalg.norm(displacement.tool(ARM, settled) - target, axis=-1)
+    found = None
+    for cycle in range(40):
+        state = JointState(time=np.full(3, 0.025 * cycle), position=settled, age=np.zeros(3))
+        found = modelled.again(target, Situation(state=state, target=aim, sent=settled, since_target=state.time))
+        if found is not None:
+            break
+    assert found is not None
+    assert cycle * 0.025 > 0.3
+    again = solve_position(ARM, found, settled).q
+    assert (np.linalg.norm(displacement.tool(ARM, again) - target, axis=-1) < np.maximum(0.3 * off, 2.5e-4)).all()
+
+
+def test_a_shift_that_no_arm_needs_is_refused():
+    huge = replace(Displacement.none(ARM), offset=np.full(ARM.joints, 0.4))
+    with pytest.raises(InputError, match=f"at most {1e3 * MOST:.0f}"):
+        Modelled(ARM, huge).aim(TARGETS[:, 0], np.tile(ARM.rest, (3, 1)), EVERY)
+
+
+def test_a_deployment_counts_targets_by_the_aim_and_tells_the_true_error():
+    displacement = displaced(2)
+    job = Deployment(controller="default", targets=TARGETS[0], dwell=3.0)
+    robot = PerfectServos(displacement, count=1)
+    _, found = deploy(robot, DefaultController(ARM), job, correction=Modelled(ARM, displacement))
+    assert not found.missed
+    assert max(visit.true_error for visit in found.visits) < 0.4e-3
+    assert max(visit.error for visit in found.visits) < 0.4e-3
