@@ -53,6 +53,10 @@ class Holds:
     """[m] root mean square distance of the encoder TCP from its mean, last part"""
     stay: Array
     """(W, B, K) [s] after which the error stays below each distance; infinite where it does not"""
+    away: Array
+    """(B, K, 3) [m] mean place of the tool by the encoders less the aim, over the same time"""
+    away_true: Array
+    """(B, K, 3) [m] mean place of the tool itself less the target"""
 
 
 def schedule(kind: Kind, protocol: Protocol, *, keep_going: bool, sent: Array | None = None) -> Schedule:
@@ -96,7 +100,7 @@ def measure_holds(arm: Arm, recording: Recording, targets: Array, protocol: Prot
     shape = targets.shape[:2]
     result = Holds(
         settled=_unknown(shape), settled_true=_unknown(shape), oscillation=_unknown(shape),
-        stay=_unknown((len(protocol.within), *shape)),
+        stay=_unknown((len(protocol.within), *shape)), away=_unknown((*shape, 3)), away_true=_unknown((*shape, 3)),
     )  # fmt: skip
     for b, k, rows in _segments(recording, targets):
         since = recording.since_target[rows, b]
@@ -104,6 +108,9 @@ def measure_holds(arm: Arm, recording: Recording, targets: Array, protocol: Prot
             continue
         result.settled[b, k] = settled(since, error[rows, b], protocol.window)
         result.settled_true[b, k] = settled(since, true_error[rows, b], protocol.window)
+        last = rows[since > since[-1] - protocol.window]
+        result.away[b, k] = (tcp[last, b] - recording.aim[last, b]).mean(axis=0)
+        result.away_true[b, k] = (recording.true_tcp[last, b] - recording.target[last, b]).mean(axis=0)
         result.oscillation[b, k] = oscillation(since, tcp[rows, b], protocol.window)
         for w, within in enumerate(protocol.within):
             result.stay[w, b, k] = stay_time(since, error[rows, b], within)

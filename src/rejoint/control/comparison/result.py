@@ -44,6 +44,18 @@ class CrossingRow:
 
 
 @dataclass(frozen=True, kw_only=True)
+class PoseAccuracy:
+    """Accuracy in the terms of ISO 9283, over all targets as poses."""
+
+    cycles: int
+    """that each pose was attained; the norm asks for 30"""
+    accuracy: Spread
+    """[m] position accuracy AP"""
+    repeatability: Spread | None
+    """[m] position repeatability RP; None for a single cycle"""
+
+
+@dataclass(frozen=True, kw_only=True)
 class HoldRow:
     """Every target held for a while, whether it is reached or not."""
 
@@ -55,6 +67,10 @@ class HoldRow:
     """from the widest distance to the narrowest; empty where nothing was held"""
     oscillation: Spread | None
     """[m] root mean square distance of the encoder TCP from its mean, last part of each hold"""
+    poses: PoseAccuracy | None = None
+    """by the encoders; None in files of earlier versions"""
+    poses_true: PoseAccuracy | None = None
+    """of the tool itself; None where nobody knows it"""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Array
+from rejoint.control.comparison import iso
 from rejoint.control.comparison.driven import Driven, Places
 from rejoint.control.comparison.result import (
     Comparison,
@@ -15,6 +16,7 @@ from rejoint.control.comparison.result import (
     GuardCount,
     HoldRow,
     Outcomes,
+    PoseAccuracy,
     Protocol,
     Stay,
     Values,
@@ -31,6 +33,7 @@ class Tally:
         self.crossed, self.crossing_error, self.crossing_true, self.crossing_time = _unknown(4, shape)
         self.settled, self.settled_true, self.oscillation = _unknown(3, shape)
         self.stay = _unknown(len(protocol.within), shape)
+        self.away, self.away_true = _unknown(2, (*shape, 3))
         self.held = np.zeros(shape, dtype=bool)
         self.cycles, self.out = 0, ""
         self.ended: list[Ended] = []
@@ -48,6 +51,7 @@ class Tally:
             self.held[at] = True
             self.settled[at], self.settled_true[at] = held.settled, held.settled_true
             self.oscillation[at], self.stay[(slice(None), *at)] = held.oscillation, held.stay
+            self.away[at], self.away_true[at] = held.away, held.away_true
         self.cycles += driven.cycles
         self.ended += driven.ended
         for reason, cycles in driven.reasons.items():
@@ -90,6 +94,8 @@ class Tally:
             settled_true=spread(self.settled_true.ravel(), labels),
             stays=tuple(stays),
             oscillation=spread(self.oscillation.ravel(), labels),
+            poses=_pose_accuracy(self.away),
+            poses_true=_pose_accuracy(self.away_true),
         )
 
     def _guard_counts(self) -> tuple[GuardCount, ...]:
@@ -132,6 +138,17 @@ def summarise(robot: Robot, seed: int, batched: bool, targets: Array, tallies: d
         clusters=cluster(first.shape)[0],
         rows=tuple(tally.row(name) for name, tally in tallies.items()),
     )
+
+
+def _pose_accuracy(away: Array) -> PoseAccuracy | None:
+    """Accuracy of the poses (S, K) from what R cycles attained of each, ``away`` (S, R, K, 3) [m] from where it is."""
+    places = np.moveaxis(away, 1, 2)  # (S, K, R, 3)
+    each = np.arange(places.shape[0] * places.shape[1])
+    accuracy = spread(iso.position_accuracy(places, np.zeros(3)).ravel(), each)
+    repeatability = spread(iso.position_repeatability(places).ravel(), each)
+    if accuracy is None:
+        return None
+    return PoseAccuracy(cycles=places.shape[2], accuracy=accuracy, repeatability=repeatability)
 
 
 def _unknown(count: int, shape: tuple[int, ...]) -> Array:

@@ -1,0 +1,40 @@
+"""Hand-worked numbers of ISO 9283 and ISO 230-2."""
+
+import numpy as np
+import pytest
+
+from rejoint.control.comparison.iso import direction_variation, position_accuracy, position_repeatability, reversal
+
+CROSS = np.array([[1.0, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]])
+
+
+def test_accuracy_is_the_distance_of_the_mean_however_wide_the_places_lie():
+    assert position_accuracy(CROSS + [3.0, 4.0, 0.0], np.zeros(3)) == pytest.approx(5.0)
+    assert position_accuracy(10 * CROSS + [3.0, 4.0, 0.0], np.zeros(3)) == pytest.approx(5.0)
+
+
+def test_repeatability_of_equal_distances_is_that_distance():
+    assert position_repeatability(CROSS + [9.0, 9.0, 9.0]) == pytest.approx(1.0)
+
+
+def test_repeatability_adds_three_standard_deviations():
+    places = np.array([[-3.0, 0, 0], [0, 0, 0], [3, 0, 0]])  # distances 3, 0, 3: mean 2, deviation sqrt(3)
+    assert position_repeatability(places) == pytest.approx(2.0 + 3.0 * np.sqrt(3.0))
+
+
+def test_one_cycle_has_no_repeatability():
+    assert np.isnan(position_repeatability(CROSS[:1]))
+
+
+def test_poses_are_judged_one_by_one():
+    both = np.stack([CROSS, 2 * CROSS])
+    np.testing.assert_allclose(position_repeatability(both), [1.0, 2.0])
+    np.testing.assert_allclose(position_accuracy(both, np.array([[0, 0, 1.0], [0, 2.0, 0]])), [1.0, 2.0])
+
+
+def test_variation_is_between_the_farthest_directions():
+    assert direction_variation(np.array([[0.0, 0, 0], [1, 0, 0], [0, 0, 2]])) == pytest.approx(np.sqrt(5.0))
+
+
+def test_reversal_is_the_play_between_two_sides():
+    assert reversal(CROSS + [0.5, 0, 0], CROSS - [0.5, 0, 0]) == pytest.approx(1.0)
