@@ -19,11 +19,14 @@ if TYPE_CHECKING:
     from rejoint.control.deployment import Deployed
     from rejoint.control.policy import Policy
     from rejoint.control.robot import Robot
+    from rejoint.diagnosis.calibration.calibration import Calibration
+    from rejoint.diagnosis.calibration.measurements import Measurements
     from rejoint.diagnosis.diagnosis import Diagnosis
     from rejoint.logs.runlog import RunLog
     from rejoint.runs.given import connect
     from rejoint.runs.repair import Repaired, Stage, repair
     from rejoint.runs.run import Run
+    from rejoint.runs.stages.calibrate import Calibrated, calibrate
     from rejoint.runs.stages.compare import Compared, compare
     from rejoint.runs.stages.deploy import deploy
     from rejoint.runs.stages.diagnose import Diagnosed, diagnose
@@ -61,6 +64,8 @@ _HOMES = {
     "control.controller": ("Controller",),
     "control.policy": ("Policy",),
     "control.robot": ("Robot",),
+    "diagnosis.calibration.calibration": ("Calibration",),
+    "diagnosis.calibration.measurements": ("Measurements",),
     "diagnosis.diagnosis": ("Diagnosis",),
     "logs.runlog": ("RunLog",),
     "control.comparison.recommend": ("Recommendation",),
@@ -69,6 +74,7 @@ _HOMES = {
     "runs.given": ("connect",),
     "runs.repair": ("Repaired", "Stage", "repair"),
     "runs.run": ("Run",),
+    "runs.stages.calibrate": ("Calibrated", "calibrate"),
     "runs.stages.compare": ("Compared", "compare"),
     "runs.stages.deploy": ("deploy",),
     "runs.stages.diagnose": ("Diagnosed", "diagnose"),
@@ -92,12 +98,13 @@ _HOMES = {
 _HOME = {name: home for home, names in _HOMES.items() for name in names}
 
 __all__ = [
-    "AddressError", "Arm", "Compared", "Comparison", "ConnectionLostError", "ContractError", "Controller", "Deployed",
-    "Diagnosed", "Diagnosis", "FileError", "GuardTripError", "ImpossibleReplyError", "InputError", "Interrupted",
-    "Judgement", "MissingExtraError", "NoReplyError", "NotReadyError", "Policy", "PowerLostError", "ProfileError",
-    "Progress", "Recommendation", "RejointError", "Repaired", "Replayed", "Robot", "RobotError", "Run", "RunLog",
-    "Stage", "StaleReplyError", "TrainedPolicy", "Twin", "UnsavedError", "__version__", "compare", "connect", "deploy",
-    "diagnose", "identify", "load_arm", "repair", "replay", "report", "train",
+    "AddressError", "Arm", "Calibrated", "Calibration", "Compared", "Comparison", "ConnectionLostError",
+    "ContractError", "Controller", "Deployed", "Diagnosed", "Diagnosis", "FileError", "GuardTripError",
+    "ImpossibleReplyError", "InputError", "Interrupted", "Judgement", "Measurements", "MissingExtraError",
+    "NoReplyError", "NotReadyError", "Policy", "PowerLostError", "ProfileError", "Progress", "Recommendation",
+    "RejointError", "Repaired", "Replayed", "Robot", "RobotError", "Run", "RunLog", "Stage", "StaleReplyError",
+    "TrainedPolicy", "Twin", "UnsavedError", "__version__", "calibrate", "compare", "connect", "deploy", "diagnose",
+    "identify", "load_arm", "repair", "replay", "report", "train",
 ]  # fmt: skip
 
 

@@ -20,6 +20,7 @@ from rejoint.system.progress import Progress, no_progress
 
 TITLES = {
     "diagnose": ("Diagnosis: ten targets open loop, then an excitation of every joint", "diagnosing"),
+    "calibrate": ("Calibration: where the tool really is, measured from outside", "calibrating"),
     "identify": ("Twin: fitting a simulation to this arm", "identifying"),
     "train": ("Training: a policy on randomised copies of the twin", "training"),
     "compare": ("Comparison: every controller on this arm, with the same targets", "comparing"),
@@ -93,7 +94,7 @@ class _Narrator:
         self._bar.close()
         heading, doing = TITLES[stage.name]
         if stage.state != "done":
-            self._terminal.stage(f"{stage.number}/{len(TITLES)}  {heading}")
+            self._terminal.stage(f"{stage.number}/{stage.total}  {heading}")
         if stage.state == "kept":
             self._terminal.say(f"already done, as it was asked for then: {stage.file}")
         if stage.state == "started":
@@ -104,4 +105,4 @@ class _Narrator:
     def progress(self, share: float, what: str) -> None:
         """Show how far the stage is, given how far all of them are."""
         if self._stage is not None:
-            self._update(len(TITLES) * share - (self._stage.number - 1), what)
+            self._update(self._stage.total * share - (self._stage.number - 1), what)

@@ -38,6 +38,10 @@ RunSeed = Annotated[int | None, typer.Option("--seed", help="Seed; by default th
 Quick = Annotated[bool, typer.Option("--quick", help="Do little of everything, for a first try; no result.")]
 Json = Annotated[bool, typer.Option("--json", help="End standard output with one line of JSON.")]
 Preset = Annotated[str, typer.Option(help="Training recipe: default, or paper (the literal method).")]
+Calibration = Annotated[
+    str | None,
+    typer.Option(help="calibration.toml to correct by, or none; by default that of the run, see `rejoint calibrate`."),
+]
 Targets = Annotated[Path | None, typer.Option(help="CSV file of targets in mm with the header x,y,z.")]
 Controllers = Annotated[
     str, typer.Option(help="Comma-separated controllers, or 'all'. The policy takes part where there is one.")

@@ -15,6 +15,7 @@ from rejoint.control.default import DefaultController
 if TYPE_CHECKING:
     from rejoint.control.deployment import Deployed
     from rejoint.diagnosis.diagnosis import Diagnosis
+    from rejoint.runs.stages.calibrate import Calibrated
     from rejoint.training.train import TrainingResult
     from rejoint.twin.twin import Twin
 
@@ -29,6 +30,8 @@ def stage(terminal: Terminal, name: str, result: Any) -> None:  # noqa: ANN401 -
         twin(terminal, result)
     elif name == "train":
         training(terminal, result.training)
+    elif name == "calibrate":
+        calibration(terminal, result)
     elif name == "compare":
         comparison(terminal, result.comparison, result.recommendation)
 
@@ -53,6 +56,31 @@ def twin(terminal: Terminal, result: Twin) -> None:
     )
     if result.unknown:
         terminal.say(f"The data cannot tell: {', '.join(result.unknown)}; they keep their prior range.")
+
+
+def calibration(terminal: Terminal, found: Calibrated) -> None:
+    """Print where the tool is behind the encoders, and whether correcting for it helps."""
+    own, measured = found.calibration, found.measurements
+    for row in own.suspects:
+        place = ", ".join(f"{1e3 * value:.1f}" for value in measured.point[row])
+        terminal.result(
+            f"  ! Measurement {row + 1} ({place} mm) does not fit to the others: read wrong, or touched hard? Measure "
+            "it again."
+        )
+    if found.reversal:
+        terminal.say(
+            f"Reversal value at the tool (ISO 230-2, from {len(found.reversal)} postures): mean "
+            f"{1e3 * float(np.mean(found.reversal)):.1f} mm, largest {1e3 * max(found.reversal):.1f} mm."
+        )
+    before, after = 1e3 * found.before, 1e3 * found.after
+    terminal.result(
+        f"At {own.points} measurements, each predicted without its own posture, the tool was {before:.2f} mm from "
+        f"where the encoders see it, and {after:.2f} mm from where the calibration does."
+    )
+    if own.used:
+        terminal.result("The correction clearly helps and will be used.")
+    else:
+        terminal.result("The correction does not clearly help and will not be used.")
 
 
 def training(terminal: Terminal, result: TrainingResult) -> None:

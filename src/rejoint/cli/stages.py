@@ -157,6 +157,7 @@ def compare(
     controllers: opt.Controllers = "all",
     sets: Annotated[int, typer.Option(help="Target sets of ten targets each.", min=1)] = 10,
     repetitions: Annotated[int, typer.Option(help="Repetitions of every target set.", min=1)] = 6,
+    calibration: opt.Calibration = None,
     period: opt.Period = None,
     seed: opt.RunSeed = None,
     json: opt.Json = False,
@@ -169,7 +170,7 @@ def compare(
     with terminal.unsaved(partial(show.stage, terminal, "compare")), terminal.progress("comparing") as update:
         found = rejoint.compare(
             robot, opt.controller_names(controllers), targets, run=run, sets=sets, repetitions=repetitions,
-            period=opt.period_seconds(period), seed=seed, on_progress=update,
+            calibration=calibration, period=opt.period_seconds(period), seed=seed, on_progress=update,
         )  # fmt: skip
     show.stage(terminal, "compare", found)
     terminal.result(f"Next: rejoint report {run}")
@@ -185,6 +186,7 @@ def deploy(
     within: Annotated[float, typer.Option(help="Distance in mm at which a target counts as reached.", min=0.01)] = (
         1e3 * REACHED
     ),
+    calibration: opt.Calibration = None,
     period: opt.Period = None,
     seed: opt.RunSeed = None,
     json: opt.Json = False,
@@ -200,7 +202,7 @@ def deploy(
     with terminal.unsaved(tell), terminal.progress("deploying") as update:
         done = rejoint.deploy(
             robot, controller, targets, run=run, dwell=dwell, within=1e-3 * within,
-            period=opt.period_seconds(period), seed=seed, on_progress=update, on_end=tell,
+            calibration=calibration, period=opt.period_seconds(period), seed=seed, on_progress=update, on_end=tell,
         )  # fmt: skip
     tell(done)
     errors = [None if visit.error is None else 1e3 * visit.error for visit in done.visits]

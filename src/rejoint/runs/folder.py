@@ -84,6 +84,16 @@ class RunFolder:
         return self.path / "twin.toml"
 
     @property
+    def measurements(self) -> Path:
+        """Where the tool was seen from outside."""
+        return self.path / "measurements.parquet"
+
+    @property
+    def calibration(self) -> Path:
+        """What lies behind the encoders, and whether to correct by it."""
+        return self.path / "calibration.toml"
+
+    @property
     def judgement(self) -> Path:
         """The twin and others judged on motion that the fit has not seen."""
         return self.path / "judgement.json"

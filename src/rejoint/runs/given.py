@@ -23,6 +23,7 @@ from rejoint.system.errors import FileError, InputError
 
 if TYPE_CHECKING:
     from rejoint.control.policy import Policy
+    from rejoint.diagnosis.calibration.calibration import Calibration
     from rejoint.twin.twin import Twin
 
 ArmLike: TypeAlias = "Arm | str | Path"
@@ -36,6 +37,8 @@ LogsLike: TypeAlias = "RunLog | Path | str | Sequence[RunLog | Path | str]"
 
 TwinLike: TypeAlias = "Twin | Path | str"
 PolicyLike: TypeAlias = "Policy | Path | str"
+CalibrationLike: TypeAlias = "Calibration | Path | str"
+"""A calibration, its file, or ``none`` for no correction"""
 RunLike: TypeAlias = "Run | Path | str"
 """A run, or its folder"""
 
@@ -185,6 +188,22 @@ def as_policy(given: PolicyLike) -> Policy:
     from rejoint.control.policy import Policy
 
     return Policy.load(given)
+
+
+def as_calibration(given: CalibrationLike | None, run: Run | None, arm: Arm) -> Calibration | None:
+    """Return the calibration given, that of its file, or that of the run; None where there is none, or for ``none``.
+
+    ContractError where it is of another arm than ``arm``.
+    """
+    from rejoint.diagnosis.calibration.file import read_calibration
+
+    if given is None:
+        file = None if run is None else run.folder.calibration
+        return None if file is None or not file.exists() else read_calibration(file, arm)
+    if isinstance(given, Path | str):
+        return None if str(given) == "none" else read_calibration(Path(given), arm)
+    given.require(arm)
+    return given
 
 
 def as_run(given: RunLike) -> Run:

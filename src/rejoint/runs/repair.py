@@ -24,6 +24,7 @@ from rejoint.runs.given import (
     run_about,
 )
 from rejoint.runs.run import Run, finish, newest_or_new, require_same_pace
+from rejoint.runs.stages.calibrate import calibrate
 from rejoint.runs.stages.compare import Compared, compare
 from rejoint.runs.stages.diagnose import Diagnosed, diagnose
 from rejoint.runs.stages.driving import Controllers
@@ -36,6 +37,7 @@ from rejoint.system.progress import Progress, no_progress, part
 
 if TYPE_CHECKING:
     from rejoint.control.policy import Policy
+    from rejoint.diagnosis.calibration.gauges import Gauge
     from rejoint.diagnosis.diagnosis import Diagnosis
     from rejoint.training.presets import Preset
     from rejoint.twin.twin import Twin
@@ -45,7 +47,7 @@ Found = TypeVar("Found")
 QUICK_TARGETS = 3
 """Targets that controllers are compared on for a first try (chosen)"""
 
-StageName = Literal["diagnose", "identify", "train", "compare", "report"]
+StageName = Literal["diagnose", "calibrate", "identify", "train", "compare", "report"]
 STAGES: tuple[StageName, ...] = get_args(StageName)
 
 
@@ -58,13 +60,12 @@ class Stage:
     """kept: an earlier call has done it, as it was asked for then"""
     file: Path
     """by which the stage counts as done"""
+    number: int
+    """its place among the stages of this repair, from 1"""
+    total: int
+    """number of them"""
     result: object = None
     """what the function of the same name returned; of what is kept, diagnosis and comparison only"""
-
-    @property
-    def number(self) -> int:
-        """Its place among the stages, from 1."""
-        return STAGES.index(self.name) + 1
 
 
 OnStage = Callable[[Stage], object]
@@ -129,6 +130,7 @@ def repair(
     period: Period | None = None,
     seed: int | None = None,
     quick: bool = False,
+    gauge: Gauge | None = None,
     on_progress: Progress = no_progress,
     on_stage: OnStage | None = None,
 ) -> Repaired:
@@ -159,8 +161,11 @@ def repair(
         of everything random; by default that of the run, else 0
     quick
         do little of everything, to see in a minute whether all of it works; no result
+    gauge
+        what measures the tool, as for `calibrate`; by default an emulated arm tells by itself, and a real one is not
+        calibrated
     on_progress
-        called with the share that is done, each of the five stages counting a fifth, and what is being done
+        called with the share that is done, each of the stages counting the same, and what is being done
     on_stage
         called when a stage starts and when it is done, with its result
 
@@ -190,9 +195,11 @@ def repair(
     about = run_about(folder, address_of(robot), chosen, seed)
     assert about is not None  # noqa: S101 - for the type checker; a folder was given
     require_same_pace(about, quick=quick)
-    chain = _Chain(about.begin(), on_stage, on_progress)
-    found, emulated = chain.run, is_batchable(robot)
+    emulated = is_batchable(robot)
+    chain = _Chain(about.begin(), on_stage, on_progress, measured=emulated or gauge is not None)
+    found = chain.run
     chain.do("diagnose", lambda told: diagnose(robot, run=found, period=period, quick=quick, on_progress=told))
+    chain.do("calibrate", lambda told: calibrate(robot, run=found, gauge=gauge, period=period, on_progress=told))
     chain.do("identify", lambda told: identify(run=found, quick=quick, on_progress=told))
     chain.do("train", lambda told: train(run=found, preset=preset, quick=quick, on_progress=told))
     few = (1, 1) if quick or not emulated else (3, 2)
@@ -210,21 +217,27 @@ def repair(
 class _Chain:
     """Stages that are done only where their file is not there yet; the report is always written anew."""
 
-    def __init__(self, run: Run, on_stage: OnStage | None, on_progress: Progress) -> None:
+    def __init__(self, run: Run, on_stage: OnStage | None, on_progress: Progress, *, measured: bool) -> None:
         self.run, self._on_stage, self._on_progress = run, on_stage, on_progress
         files = run.folder
-        places = (files.diagnosis, files.twin, files.policy, files.comparison, files.report)
+        places = (files.diagnosis, files.calibration, files.twin, files.policy, files.comparison, files.report)
         self._files: dict[StageName, Path] = dict(zip(STAGES, places, strict=True))
+        if not measured:
+            del self._files["calibrate"]
 
     def do(self, name: StageName, work: Callable[[Progress], object]) -> None:
         """Do a stage, or say that it is done already."""
-        file, number = self._files[name], STAGES.index(name)
-        if name != "report" and file.exists():
-            self._say(Stage(name=name, state="kept", file=file, result=self._kept(name)))
+        if name not in self._files:
             return
-        self._say(Stage(name=name, state="started", file=file))
-        result = work(part(self._on_progress, number / len(STAGES), (number + 1) / len(STAGES)))
-        self._say(Stage(name=name, state="done", file=file, result=result))
+        file, number, total = self._files[name], list(self._files).index(name), len(self._files)
+        if name != "report" and file.exists():
+            self._say(
+                Stage(name=name, state="kept", file=file, number=number + 1, total=total, result=self._kept(name))
+            )
+            return
+        self._say(Stage(name=name, state="started", file=file, number=number + 1, total=total))
+        result = work(part(self._on_progress, number / total, (number + 1) / total))
+        self._say(Stage(name=name, state="done", file=file, number=number + 1, total=total, result=result))
 
     def _kept(self, name: StageName) -> object:
         """Return what an earlier call has found, as far as it is on file."""

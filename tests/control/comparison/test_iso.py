@@ -9,12 +9,12 @@ CROSS = np.array([[1.0, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]])
 
 
 def test_accuracy_is_the_distance_of_the_mean_however_wide_the_places_lie():
-    assert position_accuracy(CROSS + [3.0, 4.0, 0.0], np.zeros(3)) == pytest.approx(5.0)
-    assert position_accuracy(10 * CROSS + [3.0, 4.0, 0.0], np.zeros(3)) == pytest.approx(5.0)
+    assert position_accuracy(CROSS + np.array([3.0, 4.0, 0.0]), np.zeros(3)) == pytest.approx(5.0)
+    assert position_accuracy(10 * CROSS + np.array([3.0, 4.0, 0.0]), np.zeros(3)) == pytest.approx(5.0)
 
 
 def test_repeatability_of_equal_distances_is_that_distance():
-    assert position_repeatability(CROSS + [9.0, 9.0, 9.0]) == pytest.approx(1.0)
+    assert position_repeatability(CROSS + 9.0) == pytest.approx(1.0)
 
 
 def test_repeatability_adds_three_standard_deviations():
@@ -37,4 +37,4 @@ def test_variation_is_between_the_farthest_directions():
 
 
 def test_reversal_is_the_play_between_two_sides():
-    assert reversal(CROSS + [0.5, 0, 0], CROSS - [0.5, 0, 0]) == pytest.approx(1.0)
+    assert reversal(CROSS + np.array([0.5, 0, 0]), CROSS - np.array([0.5, 0, 0])) == pytest.approx(1.0)

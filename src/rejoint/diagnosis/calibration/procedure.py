@@ -7,7 +7,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from rejoint.arms import Array, tcp_position
+from rejoint.arms import Arm, Array, tcp_position
+from rejoint.control.comparison.iso import reversal
 from rejoint.control.guard import GuardLimits
 from rejoint.control.loop import move
 from rejoint.control.recording import Recording
@@ -96,3 +97,18 @@ def _reading(recording: Recording) -> Array:
     """Mean of the last readings (n,) [rad]."""
     rows = recording.time[:, 0] > recording.time[-1, 0] - WINDOW
     return np.asarray(recording.position[rows, 0].mean(axis=0))
+
+
+def reversals(arm: Arm, measured: Measurements, frame: Array) -> tuple[float, ...]:
+    """Reversal values [m] at the tool (ISO 230-2) of the postures that were measured from both sides, once each.
+
+    What the encoders saw of the difference is taken out: it is what lies behind them that counts. ``frame`` (4, 4) is
+    the pose of the measuring frame in the base.
+    """
+    away = measured.point @ frame[:3, :3].T + frame[:3, 3] - tcp_position(arm, measured.position)
+    found = []
+    for number in np.unique(measured.posture):
+        both = away[measured.posture == number]
+        if len(both) == 2 and np.isfinite(both).all():
+            found.append(float(reversal(both[:1], both[1:])))
+    return tuple(found)

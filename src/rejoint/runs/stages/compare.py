@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -17,6 +18,7 @@ from rejoint.logs.runlog import RunLog, write_log
 from rejoint.robots import open_robot
 from rejoint.runs.given import (
     ArmLike,
+    CalibrationLike,
     Period,
     RobotLike,
     RunLike,
@@ -32,13 +34,14 @@ from rejoint.runs.given import (
     period_of,
 )
 from rejoint.runs.run import Run, exclusive
-from rejoint.runs.stages.driving import Controllers, Factory, guard_limits, make_factories, stance_of
+from rejoint.runs.stages.driving import Controllers, Factory, correction_of, guard_limits, make_factories, stance_of
 from rejoint.system.files import digest, require_space, saving, set_aside, write_json
 from rejoint.system.progress import Progress, no_progress
 from rejoint.system.stopping import noted
 from rejoint.system.version import __version__
 
 if TYPE_CHECKING:
+    from rejoint.control.correction import Modelled
     from rejoint.twin.twin import Twin
 
 THREADS = 2
@@ -65,6 +68,7 @@ def compare(
     run: RunLike | None = None,
     arm: ArmLike | None = None,
     twin: TwinLike | None = None,
+    calibration: CalibrationLike | None = None,
     sets: int = 10,
     repetitions: int = 6,
     protocol: Protocol | None = None,
@@ -94,6 +98,9 @@ def compare(
     twin
         twin whose stiffness the feed-forward controller believes, and as
         which a real arm must stand; by default that of the run
+    calibration
+        what lies behind the encoders, or its file: all controllers are aimed by it; ``none`` for no correction. By
+        default that of ``run``
     sets
         number of target sets that are drawn
     repetitions
@@ -140,7 +147,8 @@ def compare(
         )  # fmt: skip
         job = _Job(
             robot=robot, arm=chosen, run=about, factories=factories, targets=points, settings=settings, period=period,
-            twin=known, file=str(targets) if isinstance(targets, Path | str) else "",
+            twin=known, correct=correction_of(calibration, about, chosen, address_of(robot)),
+            file=str(targets) if isinstance(targets, Path | str) else "",
         )  # fmt: skip
         return job.drive(on_progress)
 
@@ -157,6 +165,7 @@ class _Job:
     settings: Settings
     period: Period | None
     twin: Twin | None
+    correct: Callable[[Arm], Modelled] | None
     file: str
     """of the targets; empty where there is none"""
 
@@ -198,7 +207,7 @@ class _Job:
             result = compare_controllers(
                 self._open, self.factories, self.targets, self.settings, on_progress=on_progress, on_trial=keep,
                 ledger=ledger, limits=guard_limits(self.run, self.arm, address_of(self.robot)),
-                stance=stance_of(self.twin),
+                stance=stance_of(self.twin), correction=self.correct,
             )  # fmt: skip
         result = replace(result, targets_file=self.file, period=self.period)
         return Compared(comparison=result, recommendation=recommend(result), logs=logs)
@@ -213,6 +222,6 @@ class _Job:
         files = [digest(path.read_bytes()).decode() for path in (run.folder.policy, run.folder.twin) if path.exists()]
         about = (
             __version__, address_of(self.robot), repr(self.arm), repr(self.settings), tuple(self.factories),
-            self.period, files, self.targets.tolist(),
+            self.period, files, self.targets.tolist(), repr(self.correct),
         )  # fmt: skip
         return digest(repr(about).encode()).decode()

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+from rejoint.arms import Arm
 from rejoint.control.controller import Controller
 from rejoint.control.deployment import REACHED, Deployed, Deployment, deployed_of
 from rejoint.control.deployment import deploy as deploy_to
@@ -13,11 +14,13 @@ from rejoint.control.recording import Cycle, recording_of
 from rejoint.control.robot import Robot
 from rejoint.runs.given import (
     ArmLike,
+    CalibrationLike,
     Period,
     RobotLike,
     RunLike,
     Targets,
     TwinLike,
+    address_of,
     arm_of,
     as_run,
     as_targets,
@@ -29,6 +32,7 @@ from rejoint.runs.run import Run, exclusive
 from rejoint.runs.stages.driving import (
     POLICY,
     ControllerLike,
+    correction_of,
     guard_limits,
     make_factories,
     stance_of,
@@ -40,6 +44,7 @@ from rejoint.system.progress import Progress, no_progress
 from rejoint.system.stopping import noted
 
 if TYPE_CHECKING:
+    from rejoint.control.correction import Modelled
     from rejoint.twin.twin import Twin
 
 
@@ -51,6 +56,7 @@ def deploy(
     run: RunLike | None = None,
     arm: ArmLike | None = None,
     twin: TwinLike | None = None,
+    calibration: CalibrationLike | None = None,
     dwell: float = 4.0,
     within: float = REACHED,
     period: Period | None = None,
@@ -78,6 +84,9 @@ def deploy(
         arm, name or file; needed only without a run, where the address does not tell
     twin
         twin that says how far the arm should sag at rest, which is checked; by default that of the run
+    calibration
+        what lies behind the encoders, or its file: targets are aimed at by it; ``none`` for no correction. By default
+        that of ``run``
     dwell
         [s] per target
     within
@@ -121,6 +130,7 @@ def deploy(
         if len(points) != 1:
             raise InputError(f"deployment: {len(points)} sets of targets, expected one: (targets, 3) in metres")
         known = as_twin(twin) if twin is not None else None if about is None else about.twin
+        correct = correction_of(calibration, about, chosen, address_of(robot))
         usual = period_of(robot, period)
         ((name, make),) = make_factories([controller], chosen, usual, run=about, twin=known).items()
         job = Deployment(controller=name, targets=points[0], dwell=dwell, within=within)
@@ -128,7 +138,14 @@ def deploy(
             require_space(about.path)
         rows = 0 if usual is None else int(len(job.targets) * dwell / min(usual))
         with noted(), opened(robot, chosen, seed, period) as connection:
-            drive = _Drive(robot=connection, controller=make(chosen), job=job, run=about, twin=known)
+            drive = _Drive(
+                robot=connection,
+                controller=make(chosen),
+                job=job,
+                run=about,
+                twin=known,
+                correct=correct,
+            )
             return drive.to_targets(rows, on_progress, on_end or (lambda _: None))
 
 
@@ -141,6 +158,7 @@ class _Drive:
     job: Deployment
     run: Run | None
     twin: Twin | None
+    correct: Callable[[Arm], Modelled] | None
 
     def to_targets(self, rows: int, on_progress: Progress, on_end: Callable[[Deployed], object]) -> Deployed:
         """Drive; in a run, what is recorded is kept as it comes, also where ``kill -9`` ends it."""
@@ -157,7 +175,7 @@ class _Drive:
         try:
             recording, found = deploy_to(
                 self.robot, self.controller, job, limits=guard_limits(self.run, arm, self.robot.address),
-                stance=stance_of(self.twin), on_cycle=watch,
+                stance=stance_of(self.twin), correction=self.correct and self.correct(arm), on_cycle=watch,
             )  # fmt: skip
         except BaseException as error:
             partial, done = recording_of(error), deployed_of(error, arm, job)

@@ -15,6 +15,7 @@ from rejoint.arms import Arm
 from rejoint.control.catalogue import BASELINES, make_controller
 from rejoint.control.contract import check_controller_period
 from rejoint.control.controller import Controller
+from rejoint.control.correction import Modelled
 from rejoint.control.following import sticking
 from rejoint.control.guard import GuardLimits
 from rejoint.control.lines import servo_lines
@@ -23,7 +24,7 @@ from rejoint.control.start import Stance
 from rejoint.logs.journal import Journal
 from rejoint.logs.runlog import read_log
 from rejoint.robots import place_of
-from rejoint.runs.given import Period, as_policy
+from rejoint.runs.given import CalibrationLike, Period, as_calibration, as_policy
 from rejoint.runs.run import Run
 from rejoint.system.errors import AddressError
 
@@ -78,6 +79,20 @@ def _is_own(run: Run, robot: str) -> bool:
 def stance_of(twin: Twin | None) -> Stance | None:
     """Return where an arm is expected to stand at rest; None without a twin."""
     return None if twin is None else Stance(stiffness=twin.parameters.stiffness, offset=twin.parameters.offset)
+
+
+def correction_of(
+    given: CalibrationLike | None, run: Run | None, arm: Arm, robot: str
+) -> Callable[[Arm], Modelled] | None:
+    """Return what makes the correction of each motion; None where nothing is to be corrected.
+
+    That is what is ``given``, or, if ``robot`` is the run's own, what its calibration says. ContractError where that is
+    of another arm.
+    """
+    calibration = as_calibration(given, run if run is not None and _is_own(run, robot) else None, arm)
+    if calibration is None:
+        return None
+    return partial(Modelled, displacement=calibration.displacement) if calibration.used else None
 
 
 def make_factories(

@@ -1,0 +1,119 @@
+"""Where the tool really is: measuring it from outside, and correcting for what the encoders do not see."""
+
+from __future__ import annotations
+
+import sys
+from contextlib import nullcontext
+from functools import partial
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+import rejoint
+from rejoint.cli import options as opt
+from rejoint.cli import show
+from rejoint.cli.console import Terminal
+from rejoint.diagnosis.calibration.gauges import EmulatedGauge, Gauge, Stop, TouchGauge, TrackerGauge
+from rejoint.diagnosis.calibration.measurementfile import read_measurements
+from rejoint.diagnosis.calibration.measurements import NOISE
+from rejoint.robots import place_of
+from rejoint.runs.run import Run
+from rejoint.runs.stages.calibrate import POINTS
+from rejoint.system.errors import InputError
+from rejoint.system.progress import no_progress
+
+Frame = Annotated[
+    str, typer.Option(help="Frame of the tracker's or the file's points: base, or any other name: its pose is fitted.")
+]
+
+
+def calibrate(
+    robot: opt.Robot,
+    run: opt.Run,
+    touch: Annotated[bool, typer.Option("--touch", help="Type what a ruler, calliper or height gauge says.")] = False,
+    tracker: Annotated[
+        Path | None, typer.Option(help="CSV file that a tracker goes on writing: time, x, y, z.")
+    ] = None,
+    unit: Annotated[str, typer.Option(help="Unit of the tracker's x, y and z: mm or m.")] = "mm",
+    points: Annotated[
+        Path | None, typer.Option(help="Measurements made before, CSV or Parquet: nothing moves.")
+    ] = None,
+    frame: Frame = "base",
+    count: Annotated[int, typer.Option(help="Postures to measure, each from two sides.", min=1, max=200)] = POINTS,
+    once: Annotated[bool, typer.Option("--once", help="Come to each posture from one side only.")] = False,
+    noise: Annotated[float, typer.Option(help="Standard deviation of a coordinate in mm.", min=0.001)] = 1e3 * NOISE,
+    afresh: Annotated[bool, typer.Option("--afresh", help="Do not start from the run's earlier calibration.")] = False,
+    period: opt.Period = None,
+    seed: opt.RunSeed = None,
+    json: opt.Json = False,
+) -> None:
+    """Measure where the tool really is, and correct for what the encoders do not see, where that helps.
+
+    The arm goes slowly to postures and stands still at each until it is measured. `deploy` and `compare` with this run
+    are corrected from then on. An emulated arm tells by itself.
+
+    Example: `rejoint calibrate serial:///dev/ttyAMA0 runs/mine --touch --count 10`
+    """
+    terminal, job = Terminal(json=json), Run.open(run).seeded(seed)
+    if touch + (tracker is not None) + (points is not None) > 1:
+        raise InputError("calibrate takes one of --touch, --tracker FILE and --points FILE")
+    prior = "none" if afresh else None
+    if points is not None:
+        measured = read_measurements(points, job.arm, frame=frame)
+        found = rejoint.calibrate(run=job, points=measured, prior=prior)
+    else:
+        gauge = _gauge(terminal, robot, job.seed, frame, unit, 1e-3 * noise, touch=touch, tracker=tracker)
+        visits = 1 if once else 2
+        terminal.say(
+            f"{count} postures, {'each from two sides: ' if visits == 2 else ''}{count * visits} measurements, about "
+            f"{count * visits * SECONDS / 60:.0f} minutes of the arm and what the measuring takes."
+        )
+        bar = nullcontext(no_progress) if touch else terminal.progress("calibrating")
+        with terminal.unsaved(partial(show.calibration, terminal)), bar as update:
+            found = rejoint.calibrate(
+                robot, run=job, gauge=gauge, count=count, visits=visits, prior=prior,
+                period=opt.period_seconds(period), on_progress=update,
+            )  # fmt: skip
+    show.calibration(terminal, found)
+    if found.calibration.used:
+        terminal.result(f"Next: rejoint deploy {robot} {run}")
+    terminal.finish({
+        "run": str(run), "used": found.calibration.used, "before_mm": 1e3 * found.before, "after_mm": 1e3 * found.after,
+        "points": found.calibration.points, "suspects": found.calibration.suspects,
+        "reversal_mm": [1e3 * value for value in found.reversal], "calibration": str(job.folder.calibration),
+    })  # fmt: skip
+
+
+SECONDS = 5.0
+"""[s] of the arm for one measurement (measured over the wire of a myCobot 280, see docs/true-accuracy.md)"""
+
+
+def _gauge(
+    terminal: Terminal, robot: str, seed: int, frame: str, unit: str, sigma: float, *, touch: bool, tracker: Path | None
+) -> Gauge:  # fmt: skip
+    """Choose what measures; a real arm needs somebody or something that does."""
+    if tracker is not None:
+        return TrackerGauge(path=tracker, unit=unit, sigma=sigma, frame=frame)
+    if touch:
+        if not sys.stdin.readable():
+            raise InputError("--touch asks at the terminal, and there is none; measure into a file and give --points")
+        return TouchGauge(ask=partial(_ask, terminal), complain=terminal.say, sigma=sigma, frame=frame)
+    if not place_of(robot).virtual:
+        raise InputError(
+            f"{robot} cannot tell where its tool is; measure it with --touch, or with --tracker FILE, or give --points "
+            "FILE that was measured before"
+        )
+    return EmulatedGauge(sigma=sigma, seed=seed)
+
+
+def _ask(terminal: Terminal, stop: Stop) -> str:
+    x, y, z = 1e3 * stop.believed
+    terminal.say(
+        f"{stop.number}/{stop.total}  The arm stands still; its encoders see the tool at {x:.1f}, {y:.1f}, {z:.1f} mm."
+    )
+    terminal.notes.print("Where is it? x y z in mm, - for one not measured, empty to leave it out: ", end="")
+    line = sys.stdin.readline()
+    if not line:
+        raise InputError("the answers ended; what was measured is kept")
+    return line

@@ -1,0 +1,198 @@
+"""Calibration: where the tool really is, measured from outside, and a correction where that helps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rejoint.control.robot import Robot
+from rejoint.diagnosis.calibration.calibration import Calibration
+from rejoint.diagnosis.calibration.file import write_calibration
+from rejoint.diagnosis.calibration.fit import fit
+from rejoint.diagnosis.calibration.gauges import EmulatedGauge, Gauge
+from rejoint.diagnosis.calibration.measurementfile import read_measurements, write_measurements
+from rejoint.diagnosis.calibration.measurements import Measurements
+from rejoint.diagnosis.calibration.postures import suggest
+from rejoint.diagnosis.calibration.procedure import measure, reversals
+from rejoint.runs.given import (
+    ArmLike,
+    CalibrationLike,
+    Period,
+    RobotLike,
+    RunLike,
+    TwinLike,
+    arm_of,
+    as_calibration,
+    as_run,
+    as_twin,
+    opened,
+)
+from rejoint.runs.run import Run, exclusive
+from rejoint.runs.stages.driving import guard_limits, stance_of
+from rejoint.system.errors import InputError
+from rejoint.system.files import require_space, saving, set_aside
+from rejoint.system.progress import Progress, no_progress, part
+
+if TYPE_CHECKING:
+    from rejoint.twin.twin import Twin
+
+POINTS = 10
+"""Postures that are measured where nobody says how many (docs/true-accuracy.md: from five to ten the error falls by a
+tenth, from ten to twenty by another)"""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Calibrated:
+    """What a calibration found."""
+
+    calibration: Calibration
+    """where the tool is behind the encoders; ``used`` says whether correcting by it clearly helped"""
+    measurements: Measurements
+    """what it was found from"""
+    reversal: tuple[float, ...]
+    """[m] reversal value at the tool (ISO 230-2) of each posture that was come to from two sides"""
+
+    @property
+    def before(self) -> float:
+        """[m] mean true error at points left out, as the encoders have it."""
+        return self.calibration.before
+
+    @property
+    def after(self) -> float:
+        """[m] the same by the calibration that had not seen them."""
+        return self.calibration.after
+
+
+def calibrate(
+    robot: RobotLike | None = None,
+    *,
+    run: RunLike | None = None,
+    gauge: Gauge | None = None,
+    points: Measurements | Path | str | None = None,
+    count: int = POINTS,
+    visits: int = 2,
+    arm: ArmLike | None = None,
+    twin: TwinLike | None = None,
+    prior: CalibrationLike | None = None,
+    period: Period | None = None,
+    seed: int | None = None,
+    on_progress: Progress = no_progress,
+) -> Calibrated:
+    """Measure where the tool of an arm really is, fit what lies behind its encoders, and keep it if correcting helps.
+
+    The arm goes slowly, under the guard, to postures that tell most, and stands still at each, come to from two sides.
+    In a run, `deploy` and `compare` correct by it from then on.
+
+    Parameters
+    ----------
+    robot
+        robot or its address; None where ``points`` were measured before
+    run
+        run, or its folder, into which ``measurements.parquet`` and ``calibration.toml`` are written
+    gauge
+        what measures the tool: `TouchGauge`, `TrackerGauge`, or an object of your own with a ``measure`` like theirs;
+        by default an emulated arm's own knowledge, with 0.5 mm of noise
+    points
+        measurements, or a file of them (Parquet or CSV), instead of a robot
+    count
+        number of postures
+    visits
+        2: come to each posture from both sides, so that play shows; 1: from one
+    arm
+        arm, name or file; needed only without a run, where the address does not tell
+    twin
+        twin that says how far the arm should sag at rest, which is checked; by default that of the run
+    prior
+        earlier calibration of the same arm to start from, so that few points suffice; ``none``: from nothing. By
+        default that of the run
+    period
+        [s] interval of the control periods; by default what the robot suits
+    seed
+        of an emulated arm's noise; by default that of the run, else 0
+    on_progress
+        called with the share that is done and what is being measured
+
+    Returns
+    -------
+    Calibrated
+        the calibration, the measurements, and the reversal values
+
+    Raises
+    ------
+    InputError, ContractError
+        if measurements cannot be used, or an earlier calibration is of another arm
+    NotReadyError, GuardTripError, RobotError
+        if the arm had better not be moved, or its motion had to be ended; what was measured is kept
+    UnsavedError
+        if the result could not be written; it is in the error
+
+    Examples
+    --------
+    >>> found = rejoint.calibrate("emulated:worn")
+    >>> print(found.before, found.after, found.calibration.used)  # metres
+    """
+    if (robot is None) == (points is None):
+        raise InputError("calibration: give either a robot or points that were measured before")
+    about = None if run is None else as_run(run).seeded(seed)
+    if about is None and robot is None and arm is None:
+        raise InputError("calibration: points alone do not tell of which arm they are; name the arm or the run")
+    chosen = about.arm if about is not None else arm_of(robot or "", arm)
+    seed = seed or 0 if about is None else about.seed
+    with exclusive(about):
+        believed = as_calibration(prior, about, chosen)
+        known = as_twin(twin) if twin is not None else None if about is None else about.twin
+        if points is not None:
+            measured = points if isinstance(points, Measurements) else read_measurements(Path(points), chosen)
+        else:
+            if about is not None:
+                require_space(about.path)
+            assert robot is not None  # noqa: S101 - for the type checker; one of the two is given
+            with opened(robot, chosen, seed, period) as connection:
+                drive = _Drive(
+                    robot=connection, gauge=gauge or EmulatedGauge(seed=seed), run=about, twin=known, prior=believed
+                )
+                measured = drive.measure(count, visits, part(on_progress, 0.0, 0.95))
+        on_progress(0.95, "fitting")
+        found = fit(chosen, measured, prior=believed, date=f"{datetime.now().astimezone():%Y-%m-%dT%H:%M:%S%z}")
+        result = Calibrated(calibration=found, measurements=measured, reversal=reversals(chosen, measured, found.frame))
+        if about is not None:
+            with saving(result):
+                write_measurements(about.folder.measurements, chosen, measured)
+                set_aside(about.folder.calibration)
+                write_calibration(about.folder.calibration, found)
+        on_progress(1.0, "fitted")
+        return result
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Drive:
+    """A measuring drive of an open robot."""
+
+    robot: Robot
+    gauge: Gauge
+    run: Run | None
+    twin: Twin | None
+    prior: Calibration | None
+
+    def measure(self, count: int, visits: int, on_progress: Progress) -> Measurements:
+        """Drive and measure; in a run, every measurement is kept as it comes."""
+        arm, run = self.robot.arm, self.run
+
+        def keep(measured: Measurements) -> None:
+            if run is not None:
+                write_measurements(run.folder.measurements, arm, measured)
+
+        if run is not None:
+            set_aside(run.folder.measurements)
+        try:
+            return measure(
+                self.robot, self.gauge, suggest(arm, count), visits=visits, on_progress=on_progress, on_measured=keep,
+                limits=guard_limits(run, arm, self.robot.address), stance=stance_of(self.twin),
+            )  # fmt: skip
+        except BaseException as error:
+            if run is not None and run.folder.measurements.exists():
+                file = run.folder.measurements
+                error.add_note(f"What was measured until then: {file}; `rejoint calibrate --points` fits it")
+            raise
