@@ -1,0 +1,108 @@
+"""Laws of what measures the tool: nothing is believed that was not said, and silence is noticed."""
+
+import numpy as np
+import pytest
+
+from rejoint.diagnosis.calibration.gauges import SPAN, EmulatedGauge, Stop, TouchGauge, TrackerGauge, parse_point
+from rejoint.system.errors import FileError, InputError
+
+STOP = Stop(1, 2, np.zeros(3))
+
+
+class Secretive:
+    def true_tcp(self):
+        return np.full((1, 3), np.nan)
+
+
+class Telling:
+    def true_tcp(self):
+        return np.array([[0.1, -0.02, 0.25]])
+
+
+@pytest.mark.parametrize(
+    ("text", "millimetres"),
+    [
+        ("171.5 -20 203\n", [171.5, -20, 203]),
+        ("171.5, -20, 203", [171.5, -20, 203]),
+        ("- - 203", [np.nan, np.nan, 203]),
+        ("", [np.nan] * 3),
+        ("  \n", [np.nan] * 3),
+    ],
+)
+def test_what_people_type(text, millimetres):
+    np.testing.assert_allclose(parse_point(text), 1e-3 * np.array(millimetres))
+
+
+@pytest.mark.parametrize("text", ["1 2", "1 2 3 4", "one two three", "1 2 inf", "99999 0 0", "nan nan 1e9"])
+def test_what_cannot_be_meant_is_asked_again(text):
+    answers, complaints = iter([text, "1 2 3"]), []
+    gauge = TouchGauge(ask=lambda _: next(answers), complain=complaints.append)
+    np.testing.assert_allclose(gauge.measure(Secretive(), STOP), [1e-3, 2e-3, 3e-3])
+    assert len(complaints) == 1
+
+
+def test_an_emulated_arm_tells_with_noise_of_the_size_that_is_said():
+    gauge = EmulatedGauge(sigma=2e-3, seed=4)
+    told = np.array([gauge.measure(Telling(), STOP) for _ in range(2000)])
+    np.testing.assert_allclose(told.mean(axis=0), Telling().true_tcp()[0], atol=2e-4)
+    np.testing.assert_allclose(told.std(axis=0), 2e-3, rtol=0.1)
+    again = EmulatedGauge(sigma=2e-3, seed=4)
+    np.testing.assert_array_equal(again.measure(Telling(), STOP), told[0])
+
+
+def test_a_real_arm_does_not_tell():
+    with pytest.raises(InputError, match="does not tell where its tool is"):
+        EmulatedGauge().measure(Secretive(), STOP)
+
+
+class Tracker:
+    """Writes rows while the gauge waits."""
+
+    def __init__(self, path, rate=50.0, head="time,x,y,z,q"):
+        self.path, self.now, self.rate, self.on = path, 100.0, rate, True
+        path.write_text(head + "\n")
+        self.wait(1.0)
+
+    def wait(self, seconds):
+        if self.on:
+            with self.path.open("a") as file:
+                for _ in range(int(seconds * self.rate)):
+                    self.now += 1.0 / self.rate
+                    file.write(f"{self.now:.4f},{100 + (-1) ** int(self.now * self.rate)},-20,250,7\n")
+
+
+def test_a_tracker_is_averaged_over_what_it_writes_from_now_on(tmp_path):
+    tracker = Tracker(tmp_path / "t.csv")
+    gauge = TrackerGauge(path=tracker.path, wait=tracker.wait)
+    np.testing.assert_allclose(gauge.measure(Secretive(), STOP), [0.1, -0.02, 0.25], atol=2e-4)
+    metres = TrackerGauge(path=tracker.path, unit="m", wait=tracker.wait)
+    np.testing.assert_allclose(metres.measure(Secretive(), STOP), [100, -20, 250], atol=0.2)
+
+
+def test_a_tracker_that_is_off_or_writes_something_else_is_named(tmp_path):
+    tracker = Tracker(tmp_path / "t.csv")
+    gauge = TrackerGauge(path=tracker.path, wait=tracker.wait)
+    tracker.on = False
+    with pytest.raises(FileError, match=r"no new rows for 5\.\d s"):
+        gauge.measure(Secretive(), STOP)
+    with pytest.raises(FileError, match="expected time, x, y, z"):
+        TrackerGauge(path=Tracker(tmp_path / "u.csv", head="t,a,b,c,d").path)
+    with pytest.raises(FileError, match="no such file"):
+        TrackerGauge(path=tmp_path / "none.csv")
+    with pytest.raises(InputError, match="mm or m"):
+        TrackerGauge(path=tracker.path, unit="inch")
+    assert SPAN < 5.0
+
+
+def test_half_written_and_garbled_rows_are_left_out(tmp_path):
+    tracker = Tracker(tmp_path / "t.csv")
+
+    def wait(seconds):
+        with tracker.path.open("a") as file:
+            file.write("nan,nan,nan\n###\n1e999,,,\n")
+        tracker.wait(seconds)
+        with tracker.path.open("a") as file:
+            file.write(f"{tracker.now + 1:.3f},9")
+
+    gauge = TrackerGauge(path=tracker.path, wait=wait)
+    np.testing.assert_allclose(gauge.measure(Secretive(), STOP), [0.1, -0.02, 0.25], atol=2e-4)

@@ -1,0 +1,115 @@
+"""Laws of files of measurements: what goes in comes out, and what cannot be used is named."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rejoint.arms import mycobot280, so101
+from rejoint.diagnosis.calibration.measurementfile import read_measurements, write_measurements
+from rejoint.diagnosis.calibration.measurements import NOISE, Measurements
+from rejoint.system.errors import FileError, InputError
+
+ARM = mycobot280()
+FIELDS = ("position", "approach", "point", "sigma", "posture")
+
+
+def measured(seed=0, rows=6, frame="base", source="touch"):
+    rng = np.random.default_rng(seed)
+    point = rng.normal(0.0, 0.2, (rows, 3))
+    point[0, :2] = np.nan
+    approach = rng.normal(0.0, 1.0, (rows, ARM.joints))
+    approach[-1] = np.nan
+    return Measurements(
+        position=rng.normal(0.0, 1.0, (rows, ARM.joints)), approach=approach, point=point,
+        sigma=rng.uniform(1e-4, 1e-3, rows), posture=np.arange(rows) // 2, frame=frame, source=source,
+    )  # fmt: skip
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 10_000), st.integers(1, 30))
+def test_parquet_keeps_every_bit(tmp_path_factory, seed, rows):
+    path = tmp_path_factory.mktemp("files") / "m.parquet"
+    write_measurements(path, ARM, one := measured(seed, rows, frame="room", source="camera"))
+    found = read_measurements(path, ARM)
+    for name in FIELDS:
+        np.testing.assert_array_equal(getattr(found, name), getattr(one, name))
+    assert (found.frame, found.source) == ("room", "camera")
+
+
+def test_csv_keeps_a_micrometre(tmp_path):
+    write_measurements(tmp_path / "m.csv", ARM, one := measured())
+    found = read_measurements(tmp_path / "m.csv", ARM, frame="room", source="tracker")
+    for name in FIELDS:
+        np.testing.assert_allclose(getattr(found, name), getattr(one, name), atol=1e-6)
+    assert (found.frame, found.source) == ("room", "tracker")
+
+
+def test_a_csv_by_hand_needs_joints_and_coordinates_alone(tmp_path):
+    names = ",".join(f"position.{name}_deg" for name in ARM.joint_names)
+    text = f"{names},z_mm,x_mm,y_mm\n10,20,30,40,50,60,250,100,-20\n1,2,3,4,5,6,251.5,,\n"
+    (tmp_path / "hand.csv").write_text("\ufeff" + text)
+    found = read_measurements(tmp_path / "hand.csv", ARM)
+    np.testing.assert_allclose(found.position[0], np.radians([10, 20, 30, 40, 50, 60]))
+    np.testing.assert_allclose(found.point[0], [0.1, -0.02, 0.25])
+    np.testing.assert_allclose(found.point[1], [np.nan, np.nan, 0.2515])
+    np.testing.assert_array_equal(found.sigma, NOISE)
+    np.testing.assert_array_equal(found.posture, [0, 1])
+    assert np.isnan(found.approach).all()
+
+
+GOOD = ",".join(f"position.{name}_deg" for name in ARM.joint_names) + ",x_mm,y_mm,z_mm"
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "columns none"),
+        ("a,b\n1,2\n", "missing: position.joint1_deg"),
+        (GOOD + "\n", "no measurements below the header"),
+        (GOOD + ",colour\n1,2,3,4,5,6,7,8,9,red\n", "columns"),
+        (GOOD + "\n1,2,3,4,5,6,7,8\n", "line 2 has 8 cells, expected 9"),
+        (GOOD + "\n1,2,3,4,5,6,7,8,nine\n", "line 2"),
+        (GOOD + "\n1,2,3,4,5,6,7,8,inf\n", "infinite"),
+        (GOOD + "\n1,2,3,4,5,6,,,\n", "at least one coordinate"),
+        (GOOD + "\n1,2,3,4,5,,7,8,9\n", "must be finite"),
+        (GOOD + ",sigma_mm\n1,2,3,4,5,6,7,8,9,0\n", "positive"),
+        (GOOD + ",posture\n1,2,3,4,5,6,7,8,9,\n", "line 2 has no posture"),
+    ],
+)
+def test_a_csv_that_cannot_be_used_is_one_clear_line(tmp_path, text, said):
+    (tmp_path / "bad.csv").write_text(text)
+    with pytest.raises(FileError, match=r"bad\.csv") as error:
+        read_measurements(tmp_path / "bad.csv", ARM)
+    assert said in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_files_of_another_arm_and_damaged_ones_are_refused(tmp_path):
+    write_measurements(tmp_path / "m.parquet", ARM, measured())
+    with pytest.raises(FileError, match="measurements of arm mycobot280, expected so101"):
+        read_measurements(tmp_path / "m.parquet", so101())
+    data = bytearray((tmp_path / "m.parquet").read_bytes())
+    rng = np.random.default_rng(5)
+    for _ in range(40):
+        flipped = bytearray(data)
+        flipped[int(rng.integers(len(data)))] ^= 1 << int(rng.integers(8))
+        (tmp_path / "flipped.parquet").write_bytes(bytes(flipped))
+        try:
+            found = read_measurements(tmp_path / "flipped.parquet", ARM)
+        except FileError:
+            continue
+        for name in FIELDS:  # a flip that changes nothing
+            np.testing.assert_array_equal(getattr(found, name), getattr(measured(), name))
+    (tmp_path / "cut.parquet").write_bytes(data[: len(data) // 2])
+    with pytest.raises(FileError):
+        read_measurements(tmp_path / "cut.parquet", ARM)
+    with pytest.raises(FileError, match="no such file"):
+        read_measurements(tmp_path / "none.csv", ARM)
+
+
+def test_shapes_that_do_not_go_together_are_refused():
+    one = measured()
+    with pytest.raises(InputError, match="sigma has shape"):
+        Measurements(position=one.position, approach=one.approach, point=one.point, sigma=one.sigma[:2],
+                     posture=one.posture)  # fmt: skip

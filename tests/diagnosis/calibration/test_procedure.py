@@ -1,0 +1,113 @@
+"""Laws of the measuring drive: slow, from both sides, nothing lost, and what it brings when it is believed."""
+
+import numpy as np
+import pytest
+
+import rejoint
+from rejoint.arms import mycobot280, tcp_position
+from rejoint.diagnosis.calibration.gauges import EmulatedGauge
+from rejoint.diagnosis.calibration.measurementfile import read_measurements
+from rejoint.diagnosis.calibration.measurements import Measurements
+from rejoint.diagnosis.calibration.procedure import DETOUR, SPEED, measure, reversals
+from rejoint.runs.run import Run
+from rejoint.system.errors import ContractError, InputError
+
+ARM = mycobot280()
+POSTURES = ARM.rest + np.array([[0.3, -0.2, 0.1, 0.1, -0.1, 0.2], [-0.2, 0.1, -0.2, -0.2, 0.2, -0.3]])
+
+
+class Silent(EmulatedGauge):
+    """Leaves every second measurement out, and notes how fast the arm moved meanwhile."""
+
+    def measure(self, robot, stop):
+        point = super().measure(robot, stop)
+        return point if stop.number % 2 else np.full(3, np.nan)
+
+
+def test_postures_are_come_to_from_both_sides_and_measured_standing_still():
+    robot = rejoint.connect("emulated:healthy")
+    commands = []
+    step = robot.step
+
+    def watched(command, active=None):
+        before = robot.read()
+        after = step(command, active)
+        commands.append((after.time[0] - before.time[0], command[0]))
+        return after
+
+    robot.step = watched
+    found = measure(robot, EmulatedGauge(seed=1), POSTURES)
+    assert list(found.posture) == [0, 0, 1, 1]
+    assert np.abs(found.position - POSTURES[[0, 0, 1, 1]]).max() < np.radians(3.0)
+    side = np.sign(found.approach - found.position)
+    assert (side[0] == -side[1]).all()
+    assert (side[2] == -side[3]).all()
+    assert np.abs(np.abs(found.approach - found.position) - DETOUR).max() < np.radians(4.0)
+    period, sent = np.array([c[0] for c in commands]), np.array([c[1] for c in commands])
+    speed = np.abs(np.diff(sent, axis=0)).max(axis=1) / period[1:]
+    assert np.median(speed[speed > 0]) < 1.2 * SPEED
+    assert np.linalg.norm(found.point - tcp_position(ARM, found.position), axis=1).max() < 6e-3
+
+
+def test_what_was_left_out_is_left_out_and_nothing_at_all_is_an_error():
+    robot = rejoint.connect("emulated:healthy")
+    kept = []
+    found = measure(robot, Silent(), POSTURES, on_measured=kept.append)
+    assert list(found.posture) == [0, 1]
+    assert [len(one) for one in kept] == [1, 2]
+    with pytest.raises(InputError, match="nothing was measured"):
+        measure(robot, Silent(), POSTURES[:0])
+
+
+def test_reversal_is_the_difference_of_two_sides_that_the_encoders_do_not_see():
+    position = np.stack([ARM.rest, ARM.rest + 0.01, ARM.rest])
+    point = tcp_position(ARM, position) + np.array([[1e-3, 0, 0], [-2e-3, 0, 0], [5e-3, 0, 0]])
+    turned = np.array(
+        [[0.0, -1, 0, 0.3], [1, 0, 0, -0.1], [0, 0, 1, 0.05], [0, 0, 0, 1]]
+    )  # measuring frame in the base
+    seen = (point - turned[:3, 3]) @ turned[:3, :3]
+    measured = Measurements(
+        position=position, approach=np.full((3, 6), np.nan), point=seen, sigma=np.full(3, 1e-3), posture=[4, 4, 5],
+        frame="room",
+    )  # fmt: skip
+    assert reversals(ARM, measured, turned) == pytest.approx((3e-3,))
+
+
+def test_a_calibrated_arm_hits_what_it_missed(tmp_path):
+    run = Run.create(tmp_path / "run", "emulated:worn?seed=5", ARM)
+    found = rejoint.calibrate("emulated:worn?seed=5", run=run)
+    assert found.calibration.used
+    assert found.before > 5e-3
+    assert found.after < 0.4 * found.before
+    assert len(found.reversal) == 10
+    kept = read_measurements(run.folder.measurements, ARM)
+    np.testing.assert_array_equal(kept.point, found.measurements.point)
+
+    targets = ARM.targets.sample(np.random.default_rng(8), (6,))
+    plain = rejoint.deploy("emulated:worn?seed=5", "integrator", targets, run=run, calibration="none")
+    aimed = rejoint.deploy("emulated:worn?seed=5", "integrator", targets, run=run)
+    error = [np.mean([visit.true_error for visit in done.visits]) for done in (plain, aimed)]
+    assert error[1] < 0.4 * error[0]
+    assert plain.log.aim is None
+    assert aimed.log.aim is not None
+
+    again = rejoint.calibrate(run=run, points=run.folder.measurements, prior="none")
+    np.testing.assert_array_equal(again.calibration.displacement.offset, found.calibration.displacement.offset)
+    with pytest.raises(ContractError, match="calibration of arm"):
+        rejoint.deploy("emulated:so101", "integrator", calibration=found.calibration)
+
+
+def test_a_calibration_of_one_robot_is_not_used_for_another(tmp_path):
+    run = Run.create(tmp_path / "run", "emulated:worn?seed=5", ARM)
+    rejoint.calibrate("emulated:worn?seed=5", run=run, count=5)
+    targets = ARM.targets.sample(np.random.default_rng(8), (1,))
+    assert rejoint.deploy("emulated:worn?seed=6", "integrator", targets, run=run).log.aim is None
+    assert rejoint.deploy("emulated:worn?seed=5", "integrator", targets, run=run).log.aim is not None
+
+
+@pytest.mark.parametrize(
+    "given", [{}, {"robot": "emulated:worn", "points": "m.csv"}, {"points": "m.csv"}], ids=["none", "both", "no arm"]
+)
+def test_it_takes_a_robot_or_points_and_an_arm(given):
+    with pytest.raises(InputError, match="calibration:"):
+        rejoint.calibrate(**given)
