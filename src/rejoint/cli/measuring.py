@@ -44,6 +44,9 @@ def calibrate(
     once: Annotated[bool, typer.Option("--once", help="Come to each posture from one side only.")] = False,
     noise: Annotated[float, typer.Option(help="Standard deviation of a coordinate in mm.", min=0.001)] = 1e3 * NOISE,
     afresh: Annotated[bool, typer.Option("--afresh", help="Do not start from the run's earlier calibration.")] = False,
+    arm: opt.ArmOption = None,
+    base: opt.Base = None,
+    tip: opt.Tip = None,
     period: opt.Period = None,
     seed: opt.RunSeed = None,
     json: opt.Json = False,
@@ -51,13 +54,17 @@ def calibrate(
     """Measure where the tool really is, and correct for what the encoders do not see, where that helps.
 
     The arm goes slowly to postures and stands still at each until it is measured. `deploy` and `compare` with this run
-    are corrected from then on. An emulated arm tells by itself.
+    are corrected from then on. An emulated arm tells by itself. A folder that is not there yet is begun.
 
     Example: `rejoint calibrate serial:///dev/ttyAMA0 runs/mine --touch --count 10`
     """
-    terminal, job = Terminal(json=json), Run.open(run).seeded(seed)
+    terminal = Terminal(json=json)
     if touch + (tracker is not None) + (points is not None) > 1:
         raise InputError("calibrate takes one of --touch, --tracker FILE and --points FILE")
+    if run.exists():
+        job = Run.open(run).seeded(seed)
+    else:
+        job = Run.plan(run, robot, opt.choose_arm(terminal, arm, base, tip, robot), seed or 0)
     prior = "none" if afresh else None
     if points is not None:
         measured = read_measurements(points, job.arm, frame=frame)
@@ -85,7 +92,7 @@ def calibrate(
     })  # fmt: skip
 
 
-SECONDS = 5.0
+SECONDS = 4.0
 """[s] of the arm for one measurement (measured over the wire of a myCobot 280, see docs/true-accuracy.md)"""
 
 

@@ -150,6 +150,7 @@ def calibrate(
                 require_space(about.path)
             assert robot is not None  # noqa: S101 - for the type checker; one of the two is given
             with opened(robot, chosen, seed, period) as connection:
+                about = about and about.begin()
                 drive = _Drive(
                     robot=connection, gauge=gauge or EmulatedGauge(seed=seed), run=about, twin=known, prior=believed
                 )
@@ -159,6 +160,7 @@ def calibrate(
         result = Calibrated(calibration=found, measurements=measured, reversal=reversals(chosen, measured, found.frame))
         if about is not None:
             with saving(result):
+                about.begin()
                 write_measurements(about.folder.measurements, chosen, measured)
                 set_aside(about.folder.calibration)
                 write_calibration(about.folder.calibration, found)
