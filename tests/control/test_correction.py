@@ -13,6 +13,7 @@ from rejoint.control.deployment import Deployment, deploy
 from rejoint.control.integrator import IntegratorController
 from rejoint.control.loop import Schedule, run
 from rejoint.control.robot import JointState
+from rejoint.control.seeing import Seen, Sighting
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
 
@@ -134,3 +135,46 @@ def test_a_deployment_counts_targets_by_the_aim_and_tells_the_true_error():
     assert not found.missed
     assert max(visit.true_error for visit in found.visits) < 0.4e-3
     assert max(visit.error for visit in found.visits) < 0.4e-3
+
+
+class Watching:
+    """Sees the tool of a robot ten times a second, 0.15 s late; not before ``since`` [s]."""
+
+    def __init__(self, robot, *, since=0.0, offset=0.0):
+        self.robot, self.since, self.offset, self.taken = robot, since, offset, []
+
+    def sighting(self, now):
+        if not self.taken or now - self.taken[-1].time >= 0.1:
+            self.taken.append(Sighting(time=now, place=self.robot.true_tcp()[0] + self.offset))
+        ready = [one for one in self.taken if now - one.time >= 0.15 and one.time >= self.since]
+        return ready[-1] if ready else None
+
+
+def seen_errors(eye_of, displacement, believed):
+    robot = PerfectServos(displacement, count=1)
+    correction = Seen(ARM, believed, eye=eye_of(robot))
+    recording = run(robot, DefaultController(ARM), TARGETS[:1], Schedule(dwell=6.0), correction=correction)
+    return errors(recording)[1], correction
+
+
+def test_what_the_model_does_not_know_is_seen_and_taken_out():
+    truth, nothing = displaced(), Displacement.none(ARM)
+    blind, _ = seen_errors(lambda robot: Watching(robot, since=np.inf), truth, nothing)
+    seen, correction = seen_errors(Watching, truth, nothing)
+    assert blind.mean() > 3e-3
+    assert seen.max() < 0.4e-3
+    assert correction.used > 2
+
+
+def test_a_hidden_tool_falls_back_to_the_model():
+    truth = displaced()
+    seen, correction = seen_errors(lambda robot: Watching(robot, since=np.inf), truth, truth)
+    assert correction.used == 0
+    assert seen.max() < 0.4e-3
+
+
+def test_a_sighting_of_something_else_is_not_believed():
+    truth = displaced()
+    seen, correction = seen_errors(lambda robot: Watching(robot, offset=0.05), truth, truth)
+    assert correction.used == 0
+    assert seen.max() < 0.4e-3
