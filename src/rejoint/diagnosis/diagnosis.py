@@ -167,9 +167,9 @@ def _unseen(
         "Play inside the servo loop shows only where the load on a joint changes its side; a joint that always "
         "carries weight rests on one flank."
     )
-    free = [f"{row.joint} {row.torque_seen_nm:.2f}" for row in measurement.joints if row.torque_limit_nm is None]
+    free = [row.joint for row in measurement.joints if row.torque_limit_nm is None]
     if free:
-        lines.append(f"Torque limits that were not reached are only known to be above: {', '.join(free)} N m.")
+        lines.append(f"The torque limit of {', '.join(free)} was not reached, so it is not known.")
     return tuple(lines)
 
 

@@ -3,6 +3,9 @@
 The rule for every kind is the same: a finding is made where the 95 % interval of the measurement lies
 wholly outside the healthy range, on the bad side. Without a healthy reference only what is wrong in
 itself is named: a torque limit that was reached, hunting, ringing.
+
+Sentences tell what a finding does and what it costs. What a twin fits as well (stiffness, friction, torque limit,
+offset) is not in them as a number: an owner who has a twin reads one number for each, the twin's.
 """
 
 from __future__ import annotations
@@ -168,18 +171,9 @@ def weak_gain(case: _Case) -> Iterator[Finding]:
     friction = case.row.coulomb_nm.value if case.row.coulomb_nm is not None else 0.0
     weight = float((case.levers * case.loads).mean())
     tcp = (weight + case.lever * friction) / k.value
-    share = f"{k.value:.1f} N m per radian{_interval(k)}{_against(case, 'stiffness_nm_per_rad', '.0f')}"
-    if weight > case.lever * friction:
-        yield case.finding(
-            "weak_gain", "stiffness_nm_per_rad", k, tcp,
-            f"is soft and sags under the arm's own weight: its servo gives {share}, so it hangs "
-            f"{np.degrees(case.loads.mean() / k.value):.1f} deg low,",
-        )  # fmt: skip
-    else:
-        yield case.finding(
-            "weak_gain", "stiffness_nm_per_rad", k, tcp,
-            f"is soft and stops short of where it is sent: its servo gives {share};",
-        )  # fmt: skip
+    sags = f"sags under the arm's own weight: it hangs {np.degrees(case.loads.mean() / k.value):.1f} deg low"
+    effect = sags if weight > case.lever * friction else "stops short of where it is sent"
+    yield case.finding("weak_gain", "stiffness_nm_per_rad", k, tcp, f"is soft and {effect},")
 
 
 def friction(case: _Case) -> Iterator[Finding]:
@@ -190,8 +184,7 @@ def friction(case: _Case) -> Iterator[Finding]:
     half = max(case.row.hysteresis_rad.value, 0.0) / 2 if case.row.hysteresis_rad is not None else 0.0
     yield case.finding(
         "friction", "coulomb_nm", force, case.lever * half,
-        f"is stiff to turn: {force.value:.2f} N m of friction{_interval(force, '.2f')}"
-        f"{_against(case, 'coulomb_nm', '.2f')}; it stops up to {np.degrees(half):.2f} deg short on either side,",
+        f"is stiff to turn: it stops up to {np.degrees(half):.2f} deg short on either side,",
     )  # fmt: skip
 
 
@@ -232,8 +225,7 @@ def torque_limit(case: _Case) -> Iterator[Finding]:
     stuck = f"; in some postures it stays {np.degrees(case.row.stuck_rad):.0f} deg off" if off else ""
     yield case.finding(
         "torque_limit", "torque_limit_nm", limit, tcp,
-        f"runs out of torque: no more than {limit.value:.2f} N m{_interval(limit, '.2f')} reach its load, "
-        f"and it spent {case.row.saturated_share * 100:.0f} % of the excitation at that limit{stuck}; "
+        f"runs out of torque: it spent {case.row.saturated_share * 100:.0f} % of the excitation at its limit{stuck}; "
         "at its targets this costs",
     )  # fmt: skip
 
