@@ -12,7 +12,7 @@ from rejoint.control.recording import Cycle, OnCycle
 from rejoint.control.robot import Robot
 from rejoint.control.start import begin
 from rejoint.diagnosis.excitation import FULL, Plan, plan_excitation
-from rejoint.diagnosis.open_loop import DWELL, TARGETS, draw_targets
+from rejoint.diagnosis.open_loop import DWELL, TARGETS
 from rejoint.diagnosis.segments import attach_segments
 from rejoint.logs.runlog import RunLog
 from rejoint.system.progress import Progress, no_progress
@@ -44,7 +44,7 @@ def record(
     arm = robot.arm
     extra = {"seed": str(seed)}
     begin(robot)
-    targets = np.tile(draw_targets(arm, seed), (robot.count, 1, 1))
+    targets = np.tile(arm.targets.sample(np.random.default_rng(seed), (TARGETS,)), (robot.count, 1, 1))
     open_loop = run(
         robot, DefaultController(arm), targets, Schedule(dwell=DWELL),
         on_cycle=_progress("ten targets", TARGETS * DWELL, on_progress, on_cycle, robot),
