@@ -32,6 +32,7 @@ KINDS = {
     "torque_limit": "out of torque",
     "low_damping": "badly damped, so that it rings",
     "lag": "late",
+    "offset": "beside its commands everywhere",
     "noise": "restless in its readings",
 }
 """What each kind of finding makes of a joint, in words"""
@@ -112,8 +113,8 @@ def _verdict(open_loop: OpenLoop, findings: tuple[Finding, ...], healthy: Health
     )
     if _unexplained(open_loop, findings, healthy):
         return (
-            f"{first} No joint shows why: look for a wrong zero of a joint (a twin tells offsets), for a load at the "
-            "tool, and for something in its way."
+            f"{first} No joint shows why: look for a load at the tool, for something in its way, and for offsets too "
+            "small to name (a twin fits them)."
         )
     if not findings:
         return f"{first} No joint shows wear that its encoder can see."

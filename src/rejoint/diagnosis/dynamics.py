@@ -142,6 +142,8 @@ class Law:
     """F/k [rad]"""
     delay: float
     """[s]"""
+    offset: float = 0.0
+    """[rad] of the error where nothing loads the joint"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -168,7 +170,7 @@ def torque_given(data: ExcitationLog, joint: int, law: Law) -> Torque:
     averages = window_averages(data, segments, joint, length=_TORQUE_WINDOW, delays=np.array([law.delay]))
     steady = np.abs(averages.acceleration) < _STEADY / length_size(data.arm)
     data.require(int(steady.sum()) >= _MIN_WINDOWS, "steady moments", joint)
-    demand = (law.stiffness * (averages.error[0] - law.lag * averages.speed))[steady]
+    demand = (law.stiffness * (averages.error[0] - law.offset - law.lag * averages.speed))[steady]
     given = (averages.gravity + law.stiffness * law.half_width * averages.direction)[steady]
     margin = 2 * law.half_width + 0.010 * np.abs(averages.command_speed[steady])
     excess = np.abs(demand) - np.abs(given)

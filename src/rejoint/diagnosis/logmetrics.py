@@ -97,7 +97,7 @@ def measure_joint(data: ExcitationLog, joint: int) -> JointMetrics:
         motor_inertia_kg_m2=None,
         sweep_gain=_gain(data, joint),
         stuck_rad=0.0 if slow is None else slow.residual,
-        offset_rad=None if slow is None else scaled_back(slow.fit.estimate(4)),
+        offset_rad=None if slow is None else scaled(slow.fit.estimate(4), -1.0),
     )
 
 
@@ -128,12 +128,6 @@ def slow_motion(data: ExcitationLog, joint: int) -> Slow | None:
         gravity_range=float(np.ptp(averages.gravity[chosen])),
         residual=float(np.quantile(np.abs(error - design @ fit.coefficients), 0.995)),
     )
-
-
-def scaled_back(estimate: Estimate) -> Estimate:
-    """Turn a number around with its interval."""
-    low, high = estimate.low, estimate.high
-    return Estimate(-estimate.value, None if high is None else -high, None if low is None else -low)
 
 
 def _observations(averages: Averages, logs: NDArray[np.intp]) -> NDArray[np.intp]:

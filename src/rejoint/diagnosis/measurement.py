@@ -29,6 +29,10 @@ not change with wear, but the inertia of a stiff joint is hard to measure)."""
 MOTOR_SHARE = 0.35
 """Relative half width up to which a motor's inertia counts as known (chosen as for gravity)."""
 
+OFFSET_ALLOWED = 0.01
+"""[rad] that any healthy joint may rest off its command without load (chosen: what a twin believes of a servo before
+any data, and 2 mm at the tool of a myCobot 280)"""
+
 DELAY_ERROR = 0.003
 """[s] error of the delay (measured: its scatter over emulated arms of one channel); it enters J/k times the lag."""
 
@@ -69,7 +73,7 @@ class JointMetrics:
     stuck_rad: float
     """farthest that the joint stayed off what its own stiffness explains, in a held posture"""
     offset_rad: Estimate | None = None
-    """position under no load, minus command; measured from logs alone"""
+    """position under no load, minus command; None where the joint hardly moves"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,7 +114,7 @@ class _Stiffness:
 def _joint(data: ExcitationLog, joint: int, delay: float, dynamics: Fit, stiffness: _Stiffness) -> JointMetrics:
     sweep = metrics.sweep_fit(data, joint, delay)
     lag, half_width = (None, None) if sweep is None else (sweep.estimate(0), sweep.estimate(1))
-    k = stiffness.value
+    k, held = stiffness.value, metrics.holds(data, joint)
     hunting, noise = metrics.hunting(data, joint), metrics.noise(data, joint)
     data.require(hunting is not None, "holds", joint)
     data.require(noise is not None, "readings at rest", joint)
@@ -130,11 +134,14 @@ def _joint(data: ExcitationLog, joint: int, delay: float, dynamics: Fit, stiffne
         saturated_share=0.0,
         motor_inertia_kg_m2=None if stiffness.motor is None else stiffness.motor.value,
         sweep_gain=metrics.sweep_gain(data, joint),
-        stuck_rad=_stuck(metrics.holds(data, joint)),
+        stuck_rad=_stuck(held),
+        offset_rad=None if lag is None else scaled(held.sag()[0].estimate(0), -1.0),
     )
     if k is None or lag is None or half_width is None:
         return row
-    law = Law(stiffness=k.value, lag=lag.value, half_width=max(half_width.value, 0.0), delay=delay)
+    surely = row.offset_rad is not None and surely_offset(row.offset_rad)
+    offset = -row.offset_rad.value if surely and row.offset_rad else 0.0
+    law = Law(stiffness=k.value, lag=lag.value, half_width=max(half_width.value, 0.0), delay=delay, offset=offset)
     torque = torque_given(data, joint, law)
     return replace(
         row, torque_limit_nm=torque.limit, torque_seen_nm=torque.seen, saturated_share=torque.saturated_share
@@ -198,6 +205,12 @@ def friction_torque(stiffness: Estimate, half_width: Estimate) -> Estimate:
     return Estimate(0.0, 0.0, high)
 
 
+def surely_offset(offset: Estimate, *, doubt: float = 0.0) -> bool:
+    """Whether the whole interval of an offset lies beyond what a healthy joint may have and ``doubt`` [rad]."""
+    low, high = offset.low, offset.high
+    return low is not None and high is not None and max(low, -high) > OFFSET_ALLOWED + doubt
+
+
 def _stuck(held: metrics.Holds) -> float:
     fit, _ = held.sag()
     expected = fit.coefficients[0] + fit.coefficients[1] * held.torque.mean(axis=1)
@@ -206,10 +219,8 @@ def _stuck(held: metrics.Holds) -> float:
 
 def scaled(estimate: Estimate, factor: float) -> Estimate:
     """Multiply a number and its interval."""
-    low, high = estimate.low, estimate.high
-    return Estimate(
-        factor * estimate.value, None if low is None else factor * low, None if high is None else factor * high
-    )
+    low, high = (None if end is None else factor * end for end in (estimate.low, estimate.high))
+    return Estimate(factor * estimate.value, *((high, low) if factor < 0.0 else (low, high)))
 
 
 def _shifted(estimate: Estimate, offset: float) -> Estimate | None:

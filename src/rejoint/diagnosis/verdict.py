@@ -2,7 +2,7 @@
 
 The rule for every kind is the same: a finding is made where the 95 % interval of the measurement lies
 wholly outside the healthy range, on the bad side. Without a healthy reference only what is wrong in
-itself is named: a torque limit that was reached, hunting, ringing.
+itself is named: a torque limit that was reached, hunting, ringing, an offset.
 
 Sentences tell what a finding does and what it costs. What a twin fits as well (stiffness, friction, torque limit,
 offset) is not in them as a number: an owner who has a twin reads one number for each, the twin's.
@@ -18,7 +18,7 @@ import numpy as np
 from rejoint.arms import Arm, Array, gravity_torque, position_kinematics
 from rejoint.arms.size import length_size
 from rejoint.diagnosis.healthy import OVERSHOOT_ALLOWED, HealthyReference
-from rejoint.diagnosis.measurement import JointMetrics, Measurement
+from rejoint.diagnosis.measurement import JointMetrics, Measurement, surely_offset
 from rejoint.diagnosis.postures import Postures
 from rejoint.diagnosis.regression import mean_of
 from rejoint.system.statistics import Estimate
@@ -50,6 +50,13 @@ of a worn joint)."""
 STUCK_COUNTS = 10.0
 """Encoder counts off what stiffness explains from which a joint is called stuck: a degree (chosen)."""
 
+GRAVITY_DOUBT = 0.2
+"""Share of a joint's sag by which its offset may be wrong, because the masses of the arm are (chosen: those of most
+descriptions are estimates)."""
+
+UNLOADED = 1e-6
+"""[N m] of gravity up to which a joint counts as unloaded: rounding, as about a vertical axis."""
+
 WORKING_SPEED = 0.5
 """[rad/s] at which a lag is turned into millimetres (chosen: a joint in the middle of a move)."""
 
@@ -60,7 +67,7 @@ class Finding:
 
     joint: str
     kind: str
-    """stuck, weak_gain, friction, hysteresis, play_in_loop, torque_limit, low_damping, lag or noise"""
+    """stuck, weak_gain, friction, hysteresis, play_in_loop, torque_limit, low_damping, lag, offset or noise"""
     severity: str
     """worn or bad"""
     quantity: str
@@ -277,6 +284,19 @@ def lag(case: _Case) -> Iterator[Finding]:
     )  # fmt: skip
 
 
+def offset(case: _Case) -> Iterator[Finding]:
+    """Tell whether the joint rests beside its commands by the same angle everywhere, load or not."""
+    found, k, weight = case.row.offset_rad, case.row.stiffness_nm_per_rad, float(case.loads.mean())
+    if found is None or not case.moves or (k is None and weight > UNLOADED):
+        return
+    if not surely_offset(found, doubt=0.0 if k is None else GRAVITY_DOUBT * weight / k.value):
+        return
+    yield case.finding(
+        "offset", "offset_rad", found, case.lever * abs(found.value),
+        "has an offset: it rests beside its command by the same angle everywhere, also where nothing loads it,",
+    )  # fmt: skip
+
+
 def noise(case: _Case) -> Iterator[Finding]:
     """Tell whether the readings jump although nothing moves. A joint that hunts does move."""
     level = case.row.noise_rad
@@ -289,7 +309,7 @@ def noise(case: _Case) -> Iterator[Finding]:
 
 
 RULES: tuple[Callable[[_Case], Iterator[Finding]], ...] = (
-    stuck, weak_gain, friction, hysteresis, play_in_loop, torque_limit, low_damping, lag, noise,
+    stuck, weak_gain, friction, hysteresis, play_in_loop, torque_limit, low_damping, lag, offset, noise,
 )  # fmt: skip
 """All rules, each for one joint."""
 

@@ -27,6 +27,7 @@ KINDS = {
     "torque_limit": "out of torque",
     "low_damping": "rings",
     "lag": "late",
+    "offset": "offset",
     "noise": "restless readings",
 }
 """Short name of every kind of finding"""

@@ -100,8 +100,6 @@ def joint_table(
     for quantity in shown:
         name = f"{quantity.name} [{quantity.unit}]"
         found = [_estimate(quantity, row) for row in joints]
-        if all(one is None for one in found) and quantity.field == "offset_rad":
-            continue  # an excitation does not measure it
         cells = [_cell(quantity, one) for one in found]
         rows.append(Row(cells=(Cell(name, "measured"), *cells)))
         if healthy is not None:
@@ -139,4 +137,4 @@ def _cell(quantity: Quantity, estimate: Estimate | None) -> Cell:
 
 def _range(quantity: Quantity, estimate: Estimate | None) -> str:
     _, low, high = (end * quantity.factor for end in _ends(estimate))
-    return interval(max(low, 0.0), high, 2) or UNKNOWN
+    return interval(low if quantity.signed else max(low, 0.0), high, 2) or UNKNOWN
