@@ -69,7 +69,14 @@ def _headline(advice: Recommendation, contents: Contents, comparison: Comparison
     if before is None and here and contents.diagnosis is not None and contents.diagnosis.open_loop is not None:
         found = number(contents.diagnosis.open_loop.error_mm.value, 3, "mm")
         gain = f"; its own controller left {found} at the targets of the diagnosis"
-    return f"Use the controller “{name}”: it brings {arm} to {after} of its targets by its encoders{gain}."
+    return (
+        f"Use the controller “{name}”: it brings {arm} to {after} of its targets by its encoders{gain}.{_tie(advice)}"
+    )
+
+
+def _tie(advice: Recommendation) -> str:
+    names = listed([f"“{name}”" for name in advice.tied], "and")
+    return f" It is a tie with {names}, and the simplest of them." if advice.tied else ""
 
 
 def _gain(before: Spread, best: ControllerRow) -> str:
