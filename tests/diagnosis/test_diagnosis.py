@@ -280,8 +280,10 @@ def test_one_arm_in_one_call(tmp_path):
     assert diagnosis.condition == "ok"
     assert diagnosis.robot == "emulated:healthy"
     assert logs.targets.extra["seed"] == "3"
-    assert [what for what, share in seen if share == 1.0][:1] == ["ten targets"]
-    assert all(0.0 <= share <= 1.0 for _, share in seen)
+    assert list(dict.fromkeys(what for what, _ in seen)) == ["ten targets", "excitation"]
+    shares = [share for _, share in seen]
+    assert shares == sorted(shares)
+    assert (0.0 <= shares[0] < 0.01, shares[-1]) == (True, 1.0)
     assert len(diagnosis.open_loop.targets) == 10
 
 
