@@ -20,6 +20,7 @@ from rejoint.runs.given import (
     Targets,
     address_of,
     arm_of,
+    as_targets,
     is_batchable,
     run_about,
 )
@@ -32,7 +33,7 @@ from rejoint.runs.stages.report import report
 from rejoint.runs.stages.train import train
 from rejoint.system.errors import FileError
 from rejoint.system.extras import require
-from rejoint.system.progress import Progress, no_progress, part
+from rejoint.system.progress import Progress, no_progress, paced, part
 
 if TYPE_CHECKING:
     from rejoint.control.policy import Policy
@@ -116,6 +117,7 @@ def _there(found: Found | None) -> Found:
     return found
 
 
+@paced
 def repair(
     robot: RobotLike = FIRST_ROBOT,
     *,
@@ -190,6 +192,8 @@ def repair(
     about = run_about(folder, address_of(robot), chosen, seed)
     assert about is not None  # noqa: S101 - for the type checker; a folder was given
     require_same_pace(about, quick=quick)
+    if targets is not None:  # what the arm cannot reach is known now, not after the training
+        as_targets(targets, chosen, sets=1, seed=0)
     chain = _Chain(about.begin(), on_stage, on_progress)
     found, emulated = chain.run, is_batchable(robot)
     chain.do("diagnose", lambda told: diagnose(robot, run=found, period=period, quick=quick, on_progress=told))
