@@ -60,7 +60,7 @@ def evaluate(
     from rejoint.control.comparison.result import Protocol
     from rejoint.research.evaluation.contestants import classical, known_names, learned
     from rejoint.research.evaluation.evaluate import evaluate as run
-    from rejoint.research.evaluation.family import VARIANTS, Family, find_variant
+    from rejoint.research.evaluation.family import VARIANTS, ArmFamily, find_variant
     from rejoint.research.evaluation.identification import evaluate_identification
     from rejoint.research.evaluation.trials import TrialSettings
 
@@ -74,7 +74,7 @@ def evaluate(
     terminal = Terminal(json=json)
     arm = load_arm("mycobot280")
     if identification is not None:
-        few = Family(arms=identification, targets=targets, seed=seed)
+        few = ArmFamily(arms=identification, targets=targets, seed=seed)
         settings = TrialSettings(family=few, protocol=Protocol(), crossing=crossing, threads=threads)
         with terminal.progress("evaluating") as update:
             found = evaluate_identification(arm, policy or [], settings, out, iterations, update)
@@ -87,7 +87,7 @@ def evaluate(
         raise InputError("evaluate: nobody takes part; name --controllers or give a --policy")
     chosen = VARIANTS if variants == "all" else [find_variant(name) for name in controller_names(variants)]
     settings = TrialSettings(
-        family=Family(arms=arms, targets=targets, seed=seed), protocol=Protocol(), crossing=crossing, threads=threads
+        family=ArmFamily(arms=arms, targets=targets, seed=seed), protocol=Protocol(), crossing=crossing, threads=threads
     )
     with terminal.progress("evaluating") as update:
         result = run(arm, contestants, chosen, settings, out, update)

@@ -80,7 +80,7 @@ class View(NamedTuple):
     """(B, n) [rad] way back to the rest posture that leaves the TCP where it is (to first order)"""
 
 
-class Reading(NamedTuple):
+class ObservationInput(NamedTuple):
     """Everything an observation is made of, for B arms."""
 
     position: Array
@@ -190,7 +190,7 @@ class Observer:
         else:
             for whole, part in zip(self.view, view, strict=True):
                 whole[rows] = part
-        reading = Reading(
+        reading = ObservationInput(
             position,
             self._velocity[rows],
             situation.sent[rows] - position,
@@ -231,7 +231,7 @@ class Observer:
         compiled.differentiate(chosen, *new, *known, _LONGEST_PERIOD, _SMOOTHING)
 
 
-def _residual(out: Observation, reading: Reading) -> None:
+def _residual(out: Observation, reading: ObservationInput) -> None:
     """Fill ``out`` (B, 11n + 9) as `layout_slots` says."""
     view, (count, n) = reading.view, reading.position.shape
     distance = view.distance[:, None]
@@ -255,7 +255,7 @@ def _residual_factors(n: int) -> Array:
     return np.repeat(factors, [n, HISTORY * n, n, n, n, n, 3, 3, 1, 1, 1, HISTORY * n])
 
 
-def _equation_16(out: Observation, reading: Reading, change: Array, arm: Arm) -> None:
+def _equation_16(out: Observation, reading: ObservationInput, change: Array, arm: Arm) -> None:
     """Fill ``out`` (B, 3n + 10) as `layout_slots` says, with ``change`` (B, n) for Delta theta."""
     n, view = reading.position.shape[1], reading.view
     columns = out.T

@@ -17,7 +17,7 @@ from rejoint.arms.size import torque_size
 from rejoint.diagnosis import metrics
 from rejoint.diagnosis.measurement import JointMetrics, friction_torque, scaled
 from rejoint.diagnosis.modulation import Averages, window_averages
-from rejoint.diagnosis.regression import Fit, fit_trimmed, reciprocal
+from rejoint.diagnosis.regression import LinearFit, fit_trimmed, reciprocal
 from rejoint.diagnosis.segments import ExcitationLog
 from rejoint.diagnosis.spans import FREE, STEP, STILL, log_of
 from rejoint.system.statistics import Estimate
@@ -65,7 +65,7 @@ FEWEST_STEPS, FEWEST_RESTS = 3, 4
 class Slow:
     """The law of one joint as its free slow motion shows it."""
 
-    fit: Fit
+    fit: LinearFit
     """coefficients (lag [s], F/k [rad], J/k [s^2], 1/k [rad/(N m)], offset of the error [rad])"""
     gravity_range: float
     """[N m] variation of gravity's torque"""

@@ -10,7 +10,7 @@ import numpy as np
 from rejoint.arms import Arm, link_inertia
 from rejoint.diagnosis import metrics
 from rejoint.diagnosis.dynamics import Law, arm_delay, fit_dynamics, torque_given
-from rejoint.diagnosis.regression import Fit, product, reciprocal
+from rejoint.diagnosis.regression import LinearFit, product, reciprocal
 from rejoint.diagnosis.segments import ExcitationLog
 from rejoint.logs.runlog import RunLog
 from rejoint.system.statistics import Estimate
@@ -111,7 +111,7 @@ class _Stiffness:
     motor: Estimate | None = None
 
 
-def _joint(data: ExcitationLog, joint: int, delay: float, dynamics: Fit, stiffness: _Stiffness) -> JointMetrics:
+def _joint(data: ExcitationLog, joint: int, delay: float, dynamics: LinearFit, stiffness: _Stiffness) -> JointMetrics:
     sweep = metrics.sweep_fit(data, joint, delay)
     lag, half_width = (None, None) if sweep is None else (sweep.estimate(0), sweep.estimate(1))
     k, held = stiffness.value, metrics.holds(data, joint)
@@ -149,7 +149,7 @@ def _joint(data: ExcitationLog, joint: int, delay: float, dynamics: Fit, stiffne
 
 
 def _stiffness(
-    arm: Arm, sags: list[Fit], ratios: list[Estimate], motors: Sequence[float | None] | None
+    arm: Arm, sags: list[LinearFit], ratios: list[Estimate], motors: Sequence[float | None] | None
 ) -> list[_Stiffness]:
     """Stiffness from gravity where that is precise, else from J/k and the motor inertia of the nearest known joint."""
     links = link_inertia(arm, arm.rest)
@@ -170,7 +170,7 @@ def _stiffness(
     return found
 
 
-def _from_gravity(sag: Fit, ratio: Estimate, link: float) -> _Stiffness:
+def _from_gravity(sag: LinearFit, ratio: Estimate, link: float) -> _Stiffness:
     k = reciprocal(sag.estimate(1)) if sag.coefficients[1] > 0 else None
     if k is None or k.low is None or k.high is None or k.high - k.low > 2 * GRAVITY_SHARE * k.value:
         return _Stiffness()
@@ -180,7 +180,7 @@ def _from_gravity(sag: Fit, ratio: Estimate, link: float) -> _Stiffness:
     return _Stiffness(value=k, source="gravity", motor=motor)
 
 
-def _inertia_ratio(dynamics: Fit) -> Estimate:
+def _inertia_ratio(dynamics: LinearFit) -> Estimate:
     """J/k [s^2] of a fit, its interval widened by what the delay may be wrong."""
     ratio, lag = dynamics.estimate(0), float(dynamics.coefficients[1])
     half = float(np.hypot((ratio.high or 0.0) - ratio.value, DELAY_ERROR * lag))
@@ -191,7 +191,7 @@ def _within(value: float, share: float) -> Estimate:
     return Estimate(value, value * (1 - share), value * (1 + share))
 
 
-def _damping_ratio(dynamics: Fit) -> Estimate | None:
+def _damping_ratio(dynamics: LinearFit) -> Estimate | None:
     """(d/k) / (2 sqrt(J/k)); the uncertainty of d/k dominates."""
     ratio, lag = float(dynamics.coefficients[0]), dynamics.estimate(1)
     return None if ratio <= 0 else scaled(lag, 0.5 / ratio**0.5)
@@ -211,7 +211,7 @@ def surely_offset(offset: Estimate, *, doubt: float = 0.0) -> bool:
     return low is not None and high is not None and max(low, -high) > OFFSET_ALLOWED + doubt
 
 
-def _stuck(held: metrics.Holds) -> float:
+def _stuck(held: metrics.HeldPostures) -> float:
     fit, _ = held.sag()
     expected = fit.coefficients[0] + fit.coefficients[1] * held.torque.mean(axis=1)
     return float(np.abs(held.error.mean(axis=1) - expected).max())

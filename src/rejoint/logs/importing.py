@@ -15,7 +15,7 @@ from rejoint.logs import lerobot, mcapfile, sage, table
 from rejoint.logs.joining import to_log
 from rejoint.logs.options import ImportOptions
 from rejoint.logs.runlog import RunLog, write_log
-from rejoint.logs.track import Motion
+from rejoint.logs.track import RecordedMotion
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.progress import Progress, no_progress
 
@@ -32,7 +32,7 @@ class Imported:
 class _Reader(Protocol):
     def fits(self, source: Path) -> bool: ...
 
-    def motions(self, source: Path, arm: Arm, options: ImportOptions) -> tuple[int, Iterator[Motion]]: ...
+    def motions(self, source: Path, arm: Arm, options: ImportOptions) -> tuple[int, Iterator[RecordedMotion]]: ...
 
 
 _READERS: dict[str, _Reader] = {"sage": sage, "csv": table, "mcap": mcapfile, "lerobot": lerobot}
@@ -87,7 +87,7 @@ def import_logs(
 
 
 def _checked(
-    motions: Iterator[Motion], arm: Arm, on_log: Callable[[int, str], object]
+    motions: Iterator[RecordedMotion], arm: Arm, on_log: Callable[[int, str], object]
 ) -> tuple[dict[str, RunLog], dict[str, list[str]]]:
     """Turn motions into logs by file name; returns them and, by note, the logs that it is about."""
     logs: dict[str, RunLog] = {}

@@ -34,7 +34,7 @@ def paced(stage: Callable[P, T]) -> Callable[P, T]:
         progress = cast("Progress | None", given.get("on_progress"))
         if progress is None:
             return stage(*args, **given)
-        pace = _Pace(progress)
+        pace = _RateLimit(progress)
         changed: dict[str, Any] = {**given, "on_progress": pace}
         found = stage(*args, **changed)
         pace(1.0, "done")
@@ -43,7 +43,7 @@ def paced(stage: Callable[P, T]) -> Callable[P, T]:
     return with_pace
 
 
-class _Pace:
+class _RateLimit:
     """Hands on progress, but not more often than a person can read it."""
 
     def __init__(self, progress: Progress) -> None:
