@@ -48,7 +48,7 @@ def test_an_action_is_remembered_until_the_arm_is_exchanged() -> None:
     pushed = command(commander, now, np.full((2, 6), 2.0))  # beyond 1 counts as 1
     np.testing.assert_allclose(pushed - before, [LAW.authority_floor * MOVES] * 2, atol=1e-12)
     np.testing.assert_allclose(command(commander, now, np.zeros((2, 6))), pushed, atol=1e-12)
-    commander.forget(now, np.array([True, False]))
+    commander.reset_learned(now, np.array([True, False]))
     commander.reset(now, np.array([True, False]))
     after = command(commander, now, np.zeros((2, 6)))
     np.testing.assert_allclose(after[0], before[0], atol=1e-12)

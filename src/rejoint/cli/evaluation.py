@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 OUT = Path("runs") / "family"
 
 
-FAMILY_ALONE = ("controllers", "variants", "arms", "gains")
+FAMILY_ONLY = ("controllers", "variants", "arms", "gains")
 """Options of `evaluate` that go with --family"""
 
 
@@ -66,7 +66,7 @@ def evaluate(
 
     if family == (identification is not None):
         raise InputError("evaluate needs either --family or --identification N: the arms that controllers are tried on")
-    idle = ("iterations",) if family else FAMILY_ALONE
+    idle = ("iterations",) if family else FAMILY_ONLY
     for name in idle:
         source = context.get_parameter_source(name)
         if source is not None and source.name != "DEFAULT":

@@ -63,7 +63,7 @@ class FeedforwardController:
     def reset(self, situation: Situation, where: Mask) -> None:
         """Solve for the new targets of the arms in ``where`` (B,); what was learned carries over."""
         if len(self._position) != len(situation.sent):
-            self.forget(situation, np.ones(len(situation.sent), dtype=bool))
+            self.reset_learned(situation, np.ones(len(situation.sent), dtype=bool))
         self._goal.reset(situation, where)
         goal = self._goal.position[where]
         # What was learned in the null space moves no tool, but adds up from target to target until the arm folds.
@@ -101,7 +101,7 @@ class FeedforwardController:
         )  # fmt: skip
         return limit_position(self._arm, self._raised + self._correction)
 
-    def forget(self, situation: Situation, where: Mask) -> None:
+    def reset_learned(self, situation: Situation, where: Mask) -> None:
         """Drop what was learned about the arms in ``where`` (B,), exchanged for others; `reset` must follow."""
         if len(self._position) != len(situation.sent):
             self._raised, self._correction, self._speed, self._position = np.zeros((4, *situation.sent.shape))

@@ -175,7 +175,7 @@ class Observer:
         self._velocity[where] = 0.0
         self._action[where] = 0.0
 
-    def forget(self, where: Mask) -> None:
+    def reset_learned(self, where: Mask) -> None:
         """Drop what was learned about the wire of the arms in ``where`` (B,), exchanged for others."""
         self._period[where] = _MIDDLE_PERIOD
 

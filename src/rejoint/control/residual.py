@@ -137,10 +137,10 @@ class Commander:
         if self._base is not None:
             self._base.foresee(target, start, where)
 
-    def forget(self, situation: Situation, where: Mask) -> None:
+    def reset_learned(self, situation: Situation, where: Mask) -> None:
         """Start afresh with other arms in ``where`` (B,)."""
         if self._base is not None:
-            self._base.forget(situation, where)
+            self._base.reset_learned(situation, where)
 
     def command(self, situation: Situation, view: View, action: Array) -> Array:
         """Return the wanted joint positions (B, n) [rad] for actions (B, n) in [-1, 1]."""

@@ -34,7 +34,7 @@ _SETTLING = 0.2
 SLOW = 0.6
 """[rad/s] of a joint above which its motion is left out: limits of the servo show beyond (chosen)"""
 
-CALM = 5.0
+MAX_ACCELERATION = 5.0
 """[rad/s^2] of a joint above which its motion is left out (chosen likewise)"""
 
 _MOVING = 0.7
@@ -111,7 +111,7 @@ def slow_motion(data: ExcitationLog, joint: int) -> Slow | None:
     segments = data.of_kind(FREE)
     averages = window_averages(data, segments, joint, length=_WINDOW, delays=np.array([0.0]), cut=_SETTLING)
     chosen = np.abs(averages.direction) > _MOVING
-    chosen &= (np.abs(averages.speed) < SLOW) & (np.abs(averages.acceleration) < CALM)
+    chosen &= (np.abs(averages.speed) < SLOW) & (np.abs(averages.acceleration) < MAX_ACCELERATION)
     cluster = _observations(averages, np.array([log_of(segment) for segment in segments], dtype=np.intp))[chosen]
     forward = averages.direction[chosen] > 0
     ways = [len(np.unique(cluster[way])) for way in (forward, ~forward)]

@@ -83,7 +83,7 @@ def import_logs(
     if not logs:
         raise FileError(source, "holds no log", "take another one")
     _write_whole(out, logs)
-    return Imported(logs=tuple(logs.values()), notes=_told(notes, len(logs)))
+    return Imported(logs=tuple(logs.values()), notes=_remarks(notes, len(logs)))
 
 
 def _checked(
@@ -148,10 +148,10 @@ def _write_whole(out: Path, logs: dict[str, RunLog]) -> None:
         shutil.rmtree(temporary, ignore_errors=True)
 
 
-def _told(notes: dict[str, list[str]], total: int) -> tuple[str, ...]:
+def _remarks(notes: dict[str, list[str]], total: int) -> tuple[str, ...]:
     """Put each note's logs in front of it; a note that many share is said once."""
-    told = []
+    remarks = []
     for remark, names in notes.items():
         who = names[0] if len(names) == 1 else f"{len(names)} of {total} logs ({names[0]}, ...)"
-        told.append(f"{who}: {remark}")
-    return tuple(told)
+        remarks.append(f"{who}: {remark}")
+    return tuple(remarks)

@@ -196,15 +196,15 @@ def repair(
         as_targets(targets, chosen, sets=1, seed=0)
     chain = _Chain(about.begin(), on_stage, on_progress)
     found, emulated = chain.run, is_batchable(robot)
-    chain.do("diagnose", lambda told: diagnose(robot, run=found, period=period, quick=quick, on_progress=told))
-    chain.do("identify", lambda told: identify(run=found, quick=quick, on_progress=told))
-    chain.do("train", lambda told: train(run=found, preset=preset, quick=quick, on_progress=told))
+    chain.do("diagnose", lambda update: diagnose(robot, run=found, period=period, quick=quick, on_progress=update))
+    chain.do("identify", lambda update: identify(run=found, quick=quick, on_progress=update))
+    chain.do("train", lambda update: train(run=found, preset=preset, quick=quick, on_progress=update))
     few = (1, 1) if quick or not emulated else (3, 2)
     if quick and targets is None:
         targets = draw_targets(found.arm, sets=1, count=QUICK_TARGETS, seed=found.seed)
-    chain.do("compare", lambda told: compare(
+    chain.do("compare", lambda update: compare(
         robot, controllers, targets, run=found, sets=sets or few[0], repetitions=repetitions or few[1], period=period,
-        on_progress=told,
+        on_progress=update,
     ))  # fmt: skip
     chain.do("report", lambda _: report(found))
     finish(found)

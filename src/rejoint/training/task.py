@@ -262,8 +262,8 @@ class ReachTask:
         self._middle[where] = self._period[where] = draw.period
         self._count[where] = 0
         self._constants[where] = privileged_constants(self.arm, draw)
-        self.observer.forget(where)
-        self.commander.forget(self._situation(), where)
+        self.observer.reset_learned(where)
+        self.commander.reset_learned(self._situation(), where)
 
     def _privileged(self, distance: Array, speed: Array, rows: Rows = ALL) -> Observation:
         """Return what only the critic sees (N, p) of all agents, or of some ``rows`` only."""

@@ -48,8 +48,8 @@ class Watched:
     def command(self, situation: Situation) -> Array:
         """Return the controller's command (1, n) [rad]; the last one again where it has failed."""
         wanted = self._controller.command(situation)
-        told = np.isfinite(situation.state.position).all() and np.isfinite(situation.sent).all()
-        if told and not np.isfinite(wanted).all():
+        known = np.isfinite(situation.state.position).all() and np.isfinite(situation.sent).all()
+        if known and not np.isfinite(wanted).all():
             self.failed = True
             return np.array(situation.sent)
         return wanted

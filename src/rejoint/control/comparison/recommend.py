@@ -52,7 +52,9 @@ def recommend(comparison: Comparison) -> Recommendation:
     """Recommend a controller of ``comparison``."""
     left = [row for row in comparison.rows if not row.out] or list(comparison.rows)
     decided = [failure(row) for row in comparison.rows if row.out]
-    nobody = ["Every controller was stopped; this one got farthest."] if len(decided) == len(comparison.rows) else []
+    all_stopped = (
+        ["Every controller was stopped; this one got farthest."] if len(decided) == len(comparison.rows) else []
+    )
     for criterion in _criteria(comparison):
         best = min(left, key=lambda row: (_mean(criterion, row), _complexity(row)))
         tied = [row for row in left if _tie(criterion, best, row)]
@@ -60,7 +62,7 @@ def recommend(comparison: Comparison) -> Recommendation:
         left = tied
     chosen = min(left, key=_complexity)
     others = [row for row in left if row is not chosen]
-    why = [*nobody, _achieves(chosen, comparison), *_tied(chosen, others, comparison)]
+    why = [*all_stopped, _achieves(chosen, comparison), *_tied(chosen, others, comparison)]
     why += (*reversed(decided), *comparison.left_out)
     names = tuple(row.controller for row in others)
     return Recommendation(controller=chosen.controller, why=(*why, *_hidden(chosen)), tied=names)

@@ -25,7 +25,7 @@ from rejoint.lab.emulator.wirefaults import SPLIT_PAUSE, LinkGoneError, WireFaul
 
 MAX_CATCH_UP = 1.0
 """[s] of simulated time made up for at once; a longer suspension of the process is skipped (chosen)"""
-HALF_FRAME_PATIENCE = 0.05
+HALF_FRAME_TIMEOUT = 0.05
 """[s] to wait for the rest of a frame: 50 times the length of the longest at 115200 baud (chosen)"""
 
 
@@ -142,8 +142,8 @@ class Session:
 
     def _receive(self, channel: ByteStream, decoder: Decoder) -> list[Frame] | None:
         """Return the requests that came within a tick; None if the client is gone."""
-        patience = HALF_FRAME_PATIENCE if decoder.pending else self._timing.tick
-        if not self.wait(channel.fileno(), self._clock() + patience):
+        timeout = HALF_FRAME_TIMEOUT if decoder.pending else self._timing.tick
+        if not self.wait(channel.fileno(), self._clock() + timeout):
             return decoder.expire()
         if not self._moves_on():
             return []

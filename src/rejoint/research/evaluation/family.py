@@ -1,7 +1,7 @@
 """Arms that nobody has met: a hundred worn ones, and the same under conditions that make control hard.
 
 Arm i of family s is the wear profile's neighbour ``?seed=`` `FAMILY_SIZE` (s + 1) + i, every parameter of every
-joint within +-30 % (`rejoint.lab.plant.wear.draw_wear`). ArmFamily 0 is the one that is reported; what is
+joint within +-30 % (`rejoint.lab.plant.wear.draw_wear`). Family 0 is the one that is reported; what is
 chosen (recipes, gains) is chosen on others.
 """
 

@@ -33,7 +33,7 @@ EASE_SHARE = 0.2
 
 
 @dataclass(kw_only=True, eq=False)
-class Progress:
+class RunState:
     """Where every arm is in its sequence of targets."""
 
     state: JointState
@@ -63,7 +63,7 @@ class Progress:
         self.gap = np.zeros(count, dtype=bool)
 
     @classmethod
-    def begin(cls, state: JointState, targets: Array, sent: Array | None, limits: GuardLimits) -> Progress:
+    def begin(cls, state: JointState, targets: Array, sent: Array | None, limits: GuardLimits) -> RunState:
         """Begin with ``targets`` (B, K, 3) [m] and the command in force, ``sent`` (B, n) [rad]; None: the position."""
         count = len(targets)
         if sent is not None and np.shape(sent) != state.position.shape:
@@ -130,6 +130,6 @@ def own(state: JointState) -> JointState:
     return replace(state, time=state.time.copy(), position=state.position.copy(), load=load)
 
 
-def told_load(state: JointState) -> Array:
+def reported_load(state: JointState) -> Array:
     """Return the loads (B, n) that a state tells; NaN where it tells none."""
     return np.full(state.position.shape, np.nan) if state.load is None else state.load
