@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rejoint.arms import Array, tcp_position
-from rejoint.control.controller import Controller, Situation
+from rejoint.control.controller import ControlInput, Controller
 from rejoint.control.following import Following
 from rejoint.control.guard import TRIPS, Guarded, GuardLimits, Reason, Reasons, guard, warm_up
 from rejoint.control.recording import Cycle, OnCycle, Recorder, Recording, attach
@@ -42,7 +42,7 @@ class Schedule:
     sent: Array | None = None
     """(B, n) [rad] command in force before the run; None: the measured position. An arm that sags drops by
     its sag where this is forgotten."""
-    give_up: Callable[[Situation], Mask] | None = None
+    give_up: Callable[[ControlInput], Mask] | None = None
     """asked once per cycle with what was read: arms (B,) that are done, whatever is left of their targets. They stay
     where they are, at the last command"""
 
@@ -96,7 +96,7 @@ def _drive(loop: _Loop, targets: Array) -> Recording:
     try:
         check()
         run_state = RunState.begin(own(robot.read()), targets, loop.schedule.sent, loop.limits)
-        loop.controller.reset(run_state.situation(), np.ones(robot.count, dtype=bool))
+        loop.controller.reset(run_state.inputs(), np.ones(robot.count, dtype=bool))
         while loop.cycle(run_state):
             check()
         if run_state.tripped.any():
@@ -174,12 +174,12 @@ class Playback:
     def __init__(self, trajectory: Callable[[Array], Array]) -> None:
         self._trajectory = trajectory
 
-    def reset(self, situation: Situation, where: Mask) -> None:
-        """Do nothing: the clock is the situation's."""
+    def reset(self, inputs: ControlInput, where: Mask) -> None:
+        """Do nothing: the clock is that of the inputs."""
 
-    def command(self, situation: Situation) -> Array:
+    def command(self, inputs: ControlInput) -> Array:
         """Return the trajectory's posture (B, n) [rad] at this time."""
-        return self._trajectory(situation.since_target)
+        return self._trajectory(inputs.since_target)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -195,7 +195,7 @@ class _Loop:
 
     def cycle(self, run_state: RunState) -> bool:
         """Do one control cycle; returns whether there is another one."""
-        before, fresh, index = run_state.situation(), run_state.active, run_state.index
+        before, fresh, index = run_state.inputs(), run_state.active, run_state.index
         if self.schedule.give_up is not None:
             run_state.active = fresh & ~self.schedule.give_up(before)
         renewed = run_state.advance(run_state.active & self._finished(before))
@@ -213,11 +213,11 @@ class _Loop:
             run_state.stepped(own(self.robot.step(command, run_state.active)), command, speed)
         return bool(run_state.active.any())
 
-    def _finished(self, situation: Situation) -> Mask:
+    def _finished(self, inputs: ControlInput) -> Mask:
         """Arms (B,) that have reached their target or waited long enough."""
-        finished: Mask = situation.since_target >= self.schedule.dwell
+        finished: Mask = inputs.since_target >= self.schedule.dwell
         if self.schedule.stop_below is not None:
-            error = np.linalg.norm(situation.target - tcp_position(self.robot.arm, situation.state.position), axis=-1)
+            error = np.linalg.norm(inputs.target - tcp_position(self.robot.arm, inputs.state.position), axis=-1)
             finished = finished | (error < self.schedule.stop_below)
         return finished
 
@@ -226,13 +226,13 @@ class _Loop:
         active = run_state.active
         if not active.any():
             return Guarded(run_state.sent, np.zeros(len(active), dtype=np.uint16), run_state.speed)
-        situation = run_state.situation()
+        inputs = run_state.inputs()
         fresh = renewed | run_state.gap
         if fresh.any():
-            self.controller.reset(situation, fresh)
-        aimed = np.isfinite(situation.target[:, 0])
+            self.controller.reset(inputs, fresh)
+        aimed = np.isfinite(inputs.target[:, 0])
         run_state.unbelieved = run_state.following.check(run_state.state, run_state.sent, aimed)
-        wanted = run_state.following.bound(self.controller.command(situation), run_state.state.position, aimed)
+        wanted = run_state.following.bound(self.controller.command(inputs), run_state.state.position, aimed)
         ease = run_state.ease  # slower time for the guard is a slower arm
         guarded = guard(
             self.limits,

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, collides, frames, position_kinematics
 from rejoint.arms.inverse import DAMPING
-from rejoint.control.controller import Situation
+from rejoint.control.controller import ControlInput
 from rejoint.control.law import plain
 from rejoint.control.robot import Mask
 from rejoint.system.errors import InputError
@@ -153,7 +153,7 @@ def layout_size(layout: Layout, joints: int) -> int:
 
 
 class Observer:
-    """Turns situations of B arms into observations; remembers the last measurements and actions.
+    """Turns control inputs of B arms into observations; remembers the last measurements and actions.
 
     `observe` must be called once per control cycle, `acted` after the policy has decided. `view`
     holds the geometry of the last observation, which the command law needs again.
@@ -168,10 +168,10 @@ class Observer:
         self._velocity, self._action = np.zeros((2, count, HISTORY, n))
         self.view = View(*(np.zeros((count, *tail)) for tail in ((3,), (3,), (), (n,), (n,))))
 
-    def reset(self, situation: Situation, where: Mask) -> None:
+    def reset(self, inputs: ControlInput, where: Mask) -> None:
         """Start from rest at the current measurement for the arms in ``where`` (B,)."""
-        self._position[where] = situation.state.position[where]
-        self._time[where] = situation.state.time[where]
+        self._position[where] = inputs.state.position[where]
+        self._time[where] = inputs.state.time[where]
         self._velocity[where] = 0.0
         self._action[where] = 0.0
 
@@ -179,12 +179,12 @@ class Observer:
         """Drop what was learned about the wire of the arms in ``where`` (B,), exchanged for others."""
         self._period[where] = _MIDDLE_PERIOD
 
-    def observe(self, situation: Situation, rows: Rows = ALL) -> Observation:
+    def observe(self, inputs: ControlInput, rows: Rows = ALL) -> Observation:
         """Return the observation (B, size) of all arms, or of some ``rows`` only."""
-        state = situation.state
+        state = inputs.state
         position = state.position[rows]
         self._differentiate(state.time[rows], position, rows)
-        view = look(self.arm, position, situation.target[rows])
+        view = look(self.arm, position, inputs.target[rows])
         if isinstance(rows, slice) and rows == ALL:
             self.view = view
         else:
@@ -193,10 +193,10 @@ class Observer:
         reading = ObservationInput(
             position,
             self._velocity[rows],
-            situation.sent[rows] - position,
+            inputs.sent[rows] - position,
             view,
-            situation.target[rows],
-            np.minimum(situation.since_target[rows], _LONGEST_WAIT),
+            inputs.target[rows],
+            np.minimum(inputs.since_target[rows], _LONGEST_WAIT),
             self._period[rows],
             self._action[rows],
         )

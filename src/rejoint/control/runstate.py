@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Array
-from rejoint.control.controller import Situation
+from rejoint.control.controller import ControlInput
 from rejoint.control.following import Following
 from rejoint.control.limits import GuardLimits, Reasons
 from rejoint.control.robot import JointState, Mask
@@ -81,10 +81,10 @@ class RunState:
         """(B, 3) [m] in force."""
         return self.targets[np.arange(len(self.index)), self.index]
 
-    def situation(self) -> Situation:
+    def inputs(self) -> ControlInput:
         """Return what a controller knows."""
         since = self.state.time - self.set_at
-        return Situation(state=self.state, target=self.target, sent=self.sent, since_target=since)
+        return ControlInput(state=self.state, target=self.target, sent=self.sent, since_target=since)
 
     def advance(self, finished: Mask) -> Mask:
         """Set the next target where the present one is finished; returns the arms that got one."""
