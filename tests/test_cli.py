@@ -17,7 +17,7 @@ from rejoint.arms import mycobot280
 from rejoint.cli import main
 from rejoint.cli.console import Terminal
 from rejoint.cli.options import controller_names, period_seconds
-from rejoint.control.comparison import Comparison
+from rejoint.control.comparison.result import Comparison
 from rejoint.control.robot import JointState
 from rejoint.logs.runlog import read_log
 from rejoint.robots import Place

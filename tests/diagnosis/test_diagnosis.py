@@ -6,23 +6,16 @@ import numpy as np
 import pytest
 
 from rejoint.arms import mycobot280
-from rejoint.diagnosis import (
-    Diagnosis,
-    DiagnosisLogs,
-    Estimate,
-    diagnose,
-    judge,
-    load_healthy,
-    record,
-    reference_from,
-)
-from rejoint.diagnosis.diagnosis import ringing_most
+from rejoint.diagnosis.diagnosis import Diagnosis, diagnose, judge, ringing_most
 from rejoint.diagnosis.excitation import SHORT
+from rejoint.diagnosis.healthy import load_healthy, reference_from
+from rejoint.diagnosis.record import DiagnosisLogs, record
 from rejoint.lab.plant.wear import Wear, load_wear
 from rejoint.logs.runlog import read_log, write_log
 from rejoint.robots.emulated import EmulatedRobot
 from rejoint.system.errors import InputError, NotReadyError
 from rejoint.system.files import read_json, write_json
+from rejoint.system.statistics import Estimate
 
 ARM = mycobot280()
 HEALTHY, WORN = load_wear("healthy", ARM), load_wear("worn", ARM)

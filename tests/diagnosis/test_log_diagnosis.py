@@ -10,13 +10,17 @@ from motion_logs import wandering as twin_wandering
 from plant_logs import ARM, HEALTHY, record_motions, with_joint
 
 from rejoint.arms import tcp_position
-from rejoint.diagnosis import Diagnosis, Estimate, diagnose_logs, fromlogs, load_healthy
+from rejoint.diagnosis import fromlogs
+from rejoint.diagnosis.diagnosis import Diagnosis
+from rejoint.diagnosis.fromlogs import diagnose_logs
+from rejoint.diagnosis.healthy import load_healthy
 from rejoint.diagnosis.knowngood import reference_by
 from rejoint.diagnosis.logmetrics import slow_motion
 from rejoint.diagnosis.spans import FREE, HOLD, STEP, join_logs, log_of
 from rejoint.logs.exclusions import Exclusions, find_exclusions
 from rejoint.system.errors import InputError
 from rejoint.system.files import read_json, write_json
+from rejoint.system.statistics import Estimate
 from rejoint.twin.table import TablePlane
 
 WEARS = {

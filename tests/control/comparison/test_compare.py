@@ -8,8 +8,11 @@ import pytest
 
 from rejoint.arms import gravity_torque, mycobot280, tcp_position
 from rejoint.control.catalogue import make_controller
-from rejoint.control.comparison import Comparison, Protocol, Settings, compare, difference, draw_targets, recommend
+from rejoint.control.comparison.compare import Settings, compare
 from rejoint.control.comparison.protocols import encoder_tcp, measure_crossings, measure_holds, schedule
+from rejoint.control.comparison.recommend import difference, recommend
+from rejoint.control.comparison.result import Comparison, Protocol
+from rejoint.control.comparison.targets import draw_targets
 from rejoint.control.integrator import IntegratorController
 from rejoint.control.loop import run
 from rejoint.control.robot import JointState

@@ -6,9 +6,12 @@ import numpy as np
 import pytest
 from test_compare import ARM, PROTOCOL, STIFFNESS, SaggingRobot, factories
 
-from rejoint.control.comparison import Comparison, Settings, compare, draw_targets, recommend
+from rejoint.control.comparison.compare import Settings, compare
 from rejoint.control.comparison.elimination import MISSES, Elimination
 from rejoint.control.comparison.failure import failure
+from rejoint.control.comparison.recommend import recommend
+from rejoint.control.comparison.result import Comparison
+from rejoint.control.comparison.targets import draw_targets
 from rejoint.control.integrator import IntegratorController
 from rejoint.control.loop import Schedule, run
 from rejoint.control.recording import recording_of

@@ -12,9 +12,8 @@ from report_samples import make_comparison
 
 from pages import Page
 from rejoint.cli.options import controller_names, period_seconds
-from rejoint.control.comparison import Comparison, recommend
-from rejoint.control.comparison.recommend import NO_INTERVAL
-from rejoint.control.comparison.result import Ended
+from rejoint.control.comparison.recommend import NO_INTERVAL, recommend
+from rejoint.control.comparison.result import Comparison, Ended
 from rejoint.runs.folder import RunFolder, RunInfo
 from rejoint.runs.report.contents import read_contents
 from rejoint.runs.report.numerals import interval
