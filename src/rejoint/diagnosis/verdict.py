@@ -204,7 +204,8 @@ def hysteresis(case: _Case) -> Iterator[Finding]:
     yield case.finding(
         "hysteresis", "hysteresis_rad", width, case.lever * width.value / 2,
         f"stops short: coming from below and from above it rests {np.degrees(width.value):.2f} deg apart"
-        f"{_against_deg(case)}; whether it is stiff to turn or soft, or both, cannot be told; on either side,",
+        f"{_against(case, 'hysteresis_rad', '.2f', np.degrees(1.0))}; whether it is stiff to turn or soft, or both, "
+        "cannot be told; on either side,",
     )  # fmt: skip
 
 
@@ -257,7 +258,7 @@ def low_damping(case: _Case) -> Iterator[Finding]:
         return
     yield case.finding(
         "low_damping", "damping_ratio", ratio, case.lever * over * 0.2,
-        f"rings: its damping ratio is {ratio.value:.2f}{_interval(ratio, '.2f')}"
+        f"rings: its damping ratio is {ratio.value:.2f}{_interval(ratio)}"
         f"{_against(case, 'damping_ratio', '.2f')}; after a step of 0.2 rad it shoots "
         f"{over * 100:.0f} % too far before it settles,",
     )  # fmt: skip
@@ -323,15 +324,8 @@ def _common_lag(measurement: Measurement, healthy: HealthyReference | None) -> f
     return max(float(np.median(excess)), 0.0) if excess else 0.0
 
 
-def _interval(estimate: Estimate, digits: str = ".1f") -> str:
-    if estimate.low is None or estimate.high is None:
-        return ""
-    return f" ({estimate.low:{digits}} to {estimate.high:{digits}})"
-
-
-def _against_deg(case: _Case) -> str:
-    reference = case.healthy.hysteresis_rad if case.healthy is not None else None
-    return "" if reference is None else f", a healthy one {np.degrees(reference.value):.2f}"
+def _interval(estimate: Estimate) -> str:
+    return "" if estimate.low is None or estimate.high is None else f" ({estimate.low:.2f} to {estimate.high:.2f})"
 
 
 def _against(case: _Case, quantity: str, digits: str, factor: float = 1.0) -> str:
