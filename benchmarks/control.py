@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from rejoint.arms import mycobot280
-from rejoint.control.controller import Situation
+from rejoint.control.controller import ControlInput
 from rejoint.control.guard import GuardLimits, guard
 from rejoint.control.policy import load_policy
 from rejoint.control.robot import JointState
@@ -45,11 +45,11 @@ def main() -> None:
     times, yardstick, far = [], [], 0
     for step in range(STEPS):
         state = JointState(time=np.array([0.025 * step]), position=sent, age=np.zeros(1))
-        situation = Situation(state=state, target=target, sent=sent, since_target=state.time)
+        inputs = ControlInput(state=state, target=target, sent=sent, since_target=state.time)
         start = time.perf_counter()
         if step == 0:
-            policy.reset(situation, np.array([True]))
-        sent, _, speed = guard(limits, policy.command(situation), sent, speed, state, 0.025)
+            policy.reset(inputs, np.array([True]))
+        sent, _, speed = guard(limits, policy.command(inputs), sent, speed, state, 0.025)
         times.append(time.perf_counter() - start)
         if step == WARM_UP:
             far = arithmetic(float(np.median(times)))

@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 
 from rejoint.arms import mycobot280
-from rejoint.diagnosis import judge, load_healthy, record
-from rejoint.diagnosis.diagnosis import ringing_most
+from rejoint.diagnosis.diagnosis import judge, ringing_most
+from rejoint.diagnosis.healthy import load_healthy
+from rejoint.diagnosis.record import record
 from rejoint.lab.plant.wear import Wear, load_wear
 from rejoint.robots.emulated import EmulatedRobot
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from rejoint.arms import Array, mycobot280
 from rejoint.control.catalogue import make_controller
-from rejoint.control.controller import Situation
+from rejoint.control.controller import ControlInput
 from rejoint.control.following import Following, Knowledge, sticking
 from rejoint.control.guard import GuardLimits, guard, warm_up
 from rejoint.control.lines import servo_lines
@@ -166,11 +166,11 @@ def drive(
             if bad is not None:
                 new = bad.any(axis=-1) & np.isinf(trip[m])
                 trip[m, new], joint[m, new], tool[m, new] = state.time[new], bad.argmax(axis=-1)[new], path[-1][new]
-        situation = Situation(state=state, target=goals[np.arange(count), index], sent=sent,
+        inputs = ControlInput(state=state, target=goals[np.arange(count), index], sent=sent,
                               since_target=state.time - begun)  # fmt: skip
         if renewed.any():
-            controller.reset(situation, renewed)
-        sent, _, speed = guard(LIMITS, controller.command(situation), sent, speed, state, period)
+            controller.reset(inputs, renewed)
+        sent, _, speed = guard(LIMITS, controller.command(inputs), sent, speed, state, period)
         if faults is not None:
             faults.break_now(robot, done)
         before, state = state, robot.step(sent)

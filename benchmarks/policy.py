@@ -9,7 +9,7 @@ import numpy as np
 from rejoint.arms import mycobot280
 from rejoint.control.comparison.protocols import Protocol
 from rejoint.control.policy import load_policy
-from rejoint.research.evaluation.family import Family, find_variant
+from rejoint.research.evaluation.family import ArmFamily, find_variant
 from rejoint.research.evaluation.trials import TrialSettings, try_controller
 from rejoint.training.train import TrainingOptions, train
 
@@ -26,7 +26,7 @@ def main() -> None:
         start = time.perf_counter()
         result = train(arm, None, out=Path(folder), options=TrainingOptions(iterations=ITERATIONS))
         taken = time.perf_counter() - start
-        family = Family(arms=ARMS, targets=TARGETS)
+        family = ArmFamily(arms=ARMS, targets=TARGETS)
         outcome = try_controller(
             arm,
             find_variant("worn"),

@@ -17,7 +17,7 @@ from rejoint.arms import mycobot280
 from rejoint.cli import main
 from rejoint.cli.console import Terminal
 from rejoint.cli.options import controller_names, period_seconds
-from rejoint.control.comparison import Comparison
+from rejoint.control.comparison.result import Comparison
 from rejoint.control.robot import JointState
 from rejoint.logs.runlog import read_log
 from rejoint.robots import Place
@@ -248,7 +248,29 @@ def test_interruption_is_exit_code_130(
     monkeypatch.setattr("rejoint.runs.repair.diagnose", interrupt)
     code, _, err = run_cli("repair", "--run", str(tmp_path / "run"), capsys=capsys, monkeypatch=monkeypatch)
     assert code == 130
-    assert "go on from there" in err
+    assert "the same `rejoint repair` goes on from there" in err
+    monkeypatch.setattr("rejoint.deploy", interrupt)
+    code, _, err = run_cli("deploy", "emulated:worn", str(tmp_path), capsys=capsys, monkeypatch=monkeypatch)
+    assert code == 130
+    assert err.strip() == "error: interrupted by SIGINT", "nothing else goes on where it was"
+
+
+def test_a_bug_is_one_line_and_a_file(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise ZeroDivisionError("made for this test")
+
+    monkeypatch.setattr("rejoint.deploy", fail)
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    words = ("deploy", "emulated:worn", str(tmp_path), "--json")
+    code, out, err = run_cli(*words, capsys=capsys, monkeypatch=monkeypatch)
+    assert (code, json.loads(out)["exit_code"], json.loads(out)["error"]) == (1, 1, "InternalError")
+    (line,) = err.splitlines()
+    found = re.fullmatch(
+        r"error: a bug in rejoint itself: ZeroDivisionError: made for this test; where it is: (.+)", line
+    )
+    assert "raise ZeroDivisionError" in Path(found[1]).read_text(encoding="utf-8")
 
 
 def test_a_start_that_fails_leaves_nothing_and_takes_nothing(

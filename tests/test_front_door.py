@@ -10,18 +10,19 @@ import numpy as np
 import pytest
 
 import rejoint
-from rejoint.arms import mycobot280
+from rejoint.arms import mycobot280, write_arm_toml
 from rejoint.cli import main
 from rejoint.control.integrator import IntegratorController
 from rejoint.logs.runlog import write_log
 from rejoint.runs.given import is_robot
 from rejoint.runs.stages.driving import make_factories
-from rejoint.system.progress import part
+from rejoint.system.progress import INTERVAL, paced, part
 
 ARM = mycobot280()
 TARGETS = [[0.17, 0.0, 0.2], [0.18, 0.03, 0.21]]
 FUNCTIONS = (
-    "compare", "connect", "deploy", "diagnose", "identify", "load_arm", "repair", "replay", "report", "train",
+    "compare", "connect", "deploy", "diagnose", "identify", "load_arm", "read_arm", "repair", "replay", "report",
+    "train",
 )  # fmt: skip
 HEAVY = ("torch", "mujoco", "numba", "matplotlib", "scipy", "pyarrow", "onnxruntime", "numpy", "typer", "rich")
 
@@ -200,3 +201,31 @@ def test_a_notebook_s_own_interruption_stays_as_it_is() -> None:
 
 def _interrupt(share: float, what: str) -> None:
     raise KeyboardInterrupt
+
+
+def test_progress_is_told_at_the_start_ten_times_a_second_and_at_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock, told = iter(np.arange(0.0, 10.0, 0.01)), []
+    monkeypatch.setattr("rejoint.system.progress.time.monotonic", lambda: next(clock))
+
+    @paced
+    def work(steps: int, *, on_progress: rejoint.Progress) -> int:
+        for k in range(steps):
+            on_progress(k / steps, "working")
+        return steps
+
+    assert work(500, on_progress=lambda share, what: told.append((share, what))) == 500
+    assert (told[0], told[-1]) == ((0.0, "working"), (1.0, "done"))
+    assert len(told) == pytest.approx(5.0 / INTERVAL, abs=2)
+    assert [share for share, _ in told] == sorted({share for share, _ in told})
+    assert list(inspect.signature(work).parameters) == ["steps", "on_progress"]
+
+
+def test_what_an_arm_file_leaves_out_is_told(tmp_path: Path) -> None:
+    file = tmp_path / "mine.toml"
+    write_arm_toml(file, ARM)
+    assert rejoint.read_arm(file).notes == ()
+    text = re.sub(r"(?m)^encoder_counts_per_turn.*\n", "", file.read_text(encoding="utf-8"))
+    file.write_text(text, encoding="utf-8")
+    loaded = rejoint.read_arm(file)
+    assert loaded.arm.encoder_step == rejoint.load_arm(file).encoder_step
+    assert loaded.notes == ("encoders: no resolution given; 4096 steps a turn assumed",)

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from rejoint.arms.arm import Arm
-    from rejoint.arms.loading import load_arm
+    from rejoint.arms.draft import Loaded
+    from rejoint.arms.loading import load_arm, read_arm
     from rejoint.control.comparison.recommend import Recommendation
     from rejoint.control.comparison.result import Comparison
     from rejoint.control.controller import Controller
@@ -60,7 +61,8 @@ if TYPE_CHECKING:
 
 _HOMES = {
     "arms.arm": ("Arm",),
-    "arms.loading": ("load_arm",),
+    "arms.draft": ("Loaded",),
+    "arms.loading": ("load_arm", "read_arm"),
     "control.controller": ("Controller",),
     "control.policy": ("Policy",),
     "control.robot": ("Robot",),
@@ -100,11 +102,11 @@ _HOME = {name: home for home, names in _HOMES.items() for name in names}
 __all__ = [
     "AddressError", "Arm", "Calibrated", "Calibration", "Compared", "Comparison", "ConnectionLostError",
     "ContractError", "Controller", "Deployed", "Diagnosed", "Diagnosis", "FileError", "GuardTripError",
-    "ImpossibleReplyError", "InputError", "Interrupted", "Judgement", "Measurements", "MissingExtraError",
+    "ImpossibleReplyError", "InputError", "Interrupted", "Judgement", "Loaded", "Measurements", "MissingExtraError",
     "NoReplyError", "NotReadyError", "Policy", "PowerLostError", "ProfileError", "Progress", "Recommendation",
     "RejointError", "Repaired", "Replayed", "Robot", "RobotError", "Run", "RunLog", "Stage", "StaleReplyError",
     "TrainedPolicy", "Twin", "UnsavedError", "__version__", "calibrate", "compare", "connect", "deploy", "diagnose",
-    "identify", "load_arm", "repair", "replay", "report", "train",
+    "identify", "load_arm", "read_arm", "repair", "replay", "report", "train",
 ]  # fmt: skip
 
 

@@ -23,7 +23,7 @@ from rejoint.arms import (
 )
 from rejoint.arms.chain import cut
 from rejoint.arms.draft import finish
-from rejoint.arms.inertia import LINK_DENSITY, Lump, inertia_matrix, lump, usable
+from rejoint.arms.inertia import LINK_DENSITY, SpatialInertia, combined, inertia_matrix, usable
 from rejoint.arms.modelfile import read_tree
 from rejoint.system.errors import FileError, InputError, MissingExtraError
 
@@ -322,13 +322,15 @@ def test_an_unknown_name_lists_the_catalogue() -> None:
 
 def test_lumping_two_balls_by_hand() -> None:
     # 1 kg at x = 0 and 3 kg at x = 4: centre at 3, 1*9 + 3*1 = 12 kg m^2 across, nothing along
-    pieces = [Lump(mass=m, com=np.array([x, 0, 0]), inertia=np.zeros((3, 3))) for m, x in ((1.0, 0.0), (3.0, 4.0))]
-    whole = lump(pieces)
+    pieces = [
+        SpatialInertia(mass=m, com=np.array([x, 0, 0]), inertia=np.zeros((3, 3))) for m, x in ((1.0, 0.0), (3.0, 4.0))
+    ]
+    whole = combined(pieces)
     assert whole.mass == 4.0
     np.testing.assert_allclose(whole.com, [3, 0, 0])
     np.testing.assert_allclose(whole.inertia, np.diag([0, 12, 12]))
     quarter_turn = np.array([[0, -1, 0, 5], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1.0]])
-    turned = lump([piece.seen_from(quarter_turn) for piece in pieces])
+    turned = combined([piece.seen_from(quarter_turn) for piece in pieces])
     np.testing.assert_allclose(turned.com, [5, 3, 0], atol=1e-15)
     np.testing.assert_allclose(turned.inertia, np.diag([12, 0, 12]), atol=1e-12)
 

@@ -20,7 +20,6 @@ from rejoint.arms.workspace import (
     EDGES,
     LIMIT_MARGIN,
     REST_HEIGHT,
-    derive_rest,
     derive_targets,
     derive_workspace,
     reach,
@@ -113,7 +112,6 @@ def test_the_same_arm_gives_the_same_workspace() -> None:
     again, box = derive_workspace(so101())
     np.testing.assert_array_equal(rest, again)
     np.testing.assert_array_equal([targets.lower, targets.upper], [box.lower, box.upper])
-    np.testing.assert_array_equal(derive_rest(arm), rest)
 
 
 def test_a_given_rest_posture_keeps_its_place_in_the_region() -> None:

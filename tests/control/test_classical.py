@@ -5,7 +5,7 @@ import pytest
 
 from rejoint.arms import gravity_torque, mycobot280, position_kinematics, solve_position, tcp_position
 from rejoint.control.catalogue import BASELINES, CONTROLLERS, make_controller
-from rejoint.control.controller import Situation
+from rejoint.control.controller import ControlInput
 from rejoint.control.feedforward import FeedforwardController, FeedforwardGains
 from rejoint.control.integrator import IntegratorController, IntegratorGains
 from rejoint.control.law import STEP_LIMIT, dls_step, fade, limit_lead, null_space
@@ -19,10 +19,10 @@ TARGETS = ARM.targets.sample(np.random.default_rng(8), (3, 2))
 ALL = np.ones(3, dtype=bool)
 
 
-def situation(position, *, sent=None, target=TARGETS[:, 0], time=0.0):
+def inputs(position, *, sent=None, target=TARGETS[:, 0], time=0.0):
     position = np.array(position, dtype=float)
     state = JointState(time=np.full(3, time), position=position, age=np.zeros(3))
-    return Situation(
+    return ControlInput(
         state=state,
         target=target,
         sent=position if sent is None else sent,
@@ -71,14 +71,14 @@ def final_error(controller, stiffness=6.0, dwell=4.0):
 
 def test_default_sends_one_posture_per_target_whose_tcp_is_the_target():
     controller = make_controller("default", ARM)
-    controller.reset(situation(REST), ALL)
-    first = controller.command(situation(REST))
+    controller.reset(inputs(REST), ALL)
+    first = controller.command(inputs(REST))
     np.testing.assert_allclose(tcp_position(ARM, first), TARGETS[:, 0], atol=2e-5)
-    later = controller.command(situation(REST + 0.2, sent=first, time=5.0))
+    later = controller.command(inputs(REST + 0.2, sent=first, time=5.0))
     assert (later == first).all()
     only = np.array([False, True, False])
-    controller.reset(situation(REST, sent=first, target=TARGETS[:, 1]), only)
-    second = controller.command(situation(REST))
+    controller.reset(inputs(REST, sent=first, target=TARGETS[:, 1]), only)
+    second = controller.command(inputs(REST))
     assert (second[~only] == first[~only]).all()
     np.testing.assert_allclose(tcp_position(ARM, second[1]), TARGETS[1, 1], atol=2e-5)
 
@@ -86,7 +86,7 @@ def test_default_sends_one_posture_per_target_whose_tcp_is_the_target():
 def test_goal_starts_at_the_last_command():
     start = REST + 0.3
     controller = make_controller("default", ARM)
-    now = situation(REST, sent=start)
+    now = inputs(REST, sent=start)
     controller.reset(now, ALL)
     assert (controller.command(now) == solve_position(ARM, TARGETS[:, 0], start).q).all()
 
@@ -95,13 +95,13 @@ def test_goal_starts_at_the_last_command():
 def test_pid_by_hand(literal):
     """Two cycles of equation 27 worked out from its text: Kp .4, Ki .01, Kd .005, dt .02."""
     controller = PidController(ARM, PidGains(integral_times_period=literal))
-    controller.reset(situation(REST), ALL)
+    controller.reset(inputs(REST), ALL)
     goal = solve_position(ARM, TARGETS[:, 0], REST).q
     e0, e1 = goal - REST, goal - (REST + 0.01)
     dt = 0.02 if literal else 1.0
-    first = controller.command(situation(REST))
+    first = controller.command(inputs(REST))
     np.testing.assert_allclose(first, REST + 0.4 * e0 + 0.01 * e0 * dt, atol=1e-12)
-    second = controller.command(situation(REST + 0.01))
+    second = controller.command(inputs(REST + 0.01))
     expected = REST + 0.01 + 0.4 * e1 + 0.01 * (e0 + e1) * dt + 0.005 * (e1 - e0) / 0.02
     np.testing.assert_allclose(second, expected, atol=1e-12)
     assert controller.name == ("pid-literal" if literal else "pid-sum")
@@ -109,14 +109,14 @@ def test_pid_by_hand(literal):
 
 def test_pid_forgets_its_integral_only_where_it_is_reset():
     controller = PidController(ARM, PidGains(integral_times_period=False))
-    controller.reset(situation(REST), ALL)
+    controller.reset(inputs(REST), ALL)
     for _ in range(5):
-        controller.command(situation(REST))
+        controller.command(inputs(REST))
     some = np.array([True, False, False])
-    controller.reset(situation(REST), some)
+    controller.reset(inputs(REST), some)
     fresh = PidController(ARM, PidGains(integral_times_period=False))
-    fresh.reset(situation(REST), ALL)
-    ours, new = controller.command(situation(REST)), fresh.command(situation(REST))
+    fresh.reset(inputs(REST), ALL)
+    ours, new = controller.command(inputs(REST)), fresh.command(inputs(REST))
     np.testing.assert_allclose(ours[0], new[0], atol=1e-12)
     assert np.abs(ours[1:] - new[1:]).max() > 1e-4
 
@@ -124,7 +124,7 @@ def test_pid_forgets_its_integral_only_where_it_is_reset():
 def test_integrator_by_hand():
     gains = IntegratorGains(rest_gain=0.0)
     sent = REST + 0.05
-    command = IntegratorController(ARM, gains).command(situation(REST, sent=sent))
+    command = IntegratorController(ARM, gains).command(inputs(REST, sent=sent))
     tcp, jacobian = position_kinematics(ARM, REST)
     error = TARGETS[:, 0] - tcp
     for b in range(3):
@@ -139,7 +139,7 @@ def test_integrator_steps_by_the_time_that_passed():
     controller = IntegratorController(ARM, IntegratorGains(rest_gain=0.0))
     moves = []
     for time in (0.0, 0.025, 0.075, 0.075, 9.0):
-        moves.append(controller.command(situation(REST, time=time)) - REST)
+        moves.append(controller.command(inputs(REST, time=time)) - REST)
     for move, periods in zip(moves, (1, 1, 2, 0, 4), strict=True):  # a long pause counts as 0.1 s
         np.testing.assert_allclose(move, periods * moves[0], atol=1e-12)
 
@@ -148,7 +148,7 @@ def test_integrator_never_leads_by_more_than_its_anti_windup():
     controller = IntegratorController(ARM)
     sent = REST.copy()
     for k in range(400):  # an arm that does not move at all
-        sent = controller.command(situation(REST, sent=sent, time=0.025 * k))
+        sent = controller.command(inputs(REST, sent=sent, time=0.025 * k))
     assert np.abs(sent - REST).max() == pytest.approx(np.radians(15.0))
 
 
@@ -189,14 +189,14 @@ def test_exact_feedforward_leaves_nothing_to_integrate():
 
 def test_feedforward_does_not_push_a_joint_on_its_way():
     controller = FeedforwardController(ARM)
-    controller.reset(situation(REST), ALL)
-    still = controller.command(situation(REST, time=0.0))
-    pushed = controller.command(situation(REST, time=0.02)) - still
+    controller.reset(inputs(REST), ALL)
+    still = controller.command(inputs(REST, time=0.0))
+    pushed = controller.command(inputs(REST, time=0.02)) - still
     assert np.abs(pushed).max() > 1e-3
     way = dls_step(ARM, REST, TARGETS[:, 0]).step
     moving = REST + 0.05 * np.sign(way)  # 2.5 rad/s towards the target
-    before = controller.command(situation(REST, time=0.04))
-    after = controller.command(situation(moving, time=0.06))
+    before = controller.command(inputs(REST, time=0.04))
+    after = controller.command(inputs(moving, time=0.06))
     same_way = np.sign(dls_step(ARM, moving, TARGETS[:, 0]).step) == np.sign(way)
     assert same_way.any()
     np.testing.assert_allclose(after[same_way], before[same_way], atol=1e-12)
@@ -230,10 +230,10 @@ def test_a_goal_solved_ahead_is_taken_once_and_for_that_target_alone():
     assert (np.abs(here - ahead) > 1e-3).any(axis=1).all()
     controller = FeedforwardController(ARM, 6.0)
     controller.foresee(TARGETS[:, 0], start, where)
-    controller.reset(situation(REST), ALL)
+    controller.reset(inputs(REST), ALL)
     np.testing.assert_allclose(controller.memory()["goal"], np.where(where[:, None], ahead, here), atol=1e-12)
-    controller.reset(situation(REST), ALL)
+    controller.reset(inputs(REST), ALL)
     np.testing.assert_allclose(controller.memory()["goal"], here, atol=1e-12)
     controller.foresee(TARGETS[:, 0], start, where)
-    controller.reset(situation(REST, target=other), ALL)
+    controller.reset(inputs(REST, target=other), ALL)
     np.testing.assert_allclose(controller.memory()["goal"], solve_position(ARM, other, REST).q, atol=1e-12)

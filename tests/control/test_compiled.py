@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from rejoint.arms import clip_norm, mycobot280
 from rejoint.control import compiled
-from rejoint.control.controller import Situation
+from rejoint.control.controller import ControlInput
 from rejoint.control.feedforward import FeedforwardController
 from rejoint.control.guard import GuardLimits, guard
 from rejoint.control.law import fade
@@ -161,11 +161,11 @@ def test_any_layout_and_precision_will_do():
 
     def answers(change):
         state = JointState(time=change(time), position=change(position), age=np.zeros(3))
-        situation = Situation(state=state, target=target, sent=change(sent), since_target=np.zeros(3))
+        inputs = ControlInput(state=state, target=target, sent=change(sent), since_target=np.zeros(3))
         observer = Observer(ARM, 3)
-        observer.reset(situation, np.ones(3, dtype=bool))
+        observer.reset(inputs, np.ones(3, dtype=bool))
         return guard(LIMITS, change(command), change(sent), 0 * change(sent), state, 0.03).command, observer.observe(
-            situation
+            inputs
         )
 
     plain = answers(lambda array: array.astype(float))
@@ -190,10 +190,10 @@ def test_some_arms_of_a_batch_are_chosen_in_any_way():
         observer = Observer(ARM, 4)
         for k in range(3):
             state = JointState(time=np.full(4, 0.03 * k), position=position + 0.01 * k, age=np.zeros(4))
-            situation = Situation(state=state, target=target, sent=position, since_target=state.time)
+            inputs = ControlInput(state=state, target=target, sent=position, since_target=state.time)
             if k == 0:
-                observer.reset(situation, np.ones(4, dtype=bool))
-            seen.append(observer.observe(situation, rows))
+                observer.reset(inputs, np.ones(4, dtype=bool))
+            seen.append(observer.observe(inputs, rows))
     for k in range(3):
         np.testing.assert_array_equal(seen[k], seen[k + 3])
         np.testing.assert_array_equal(seen[k], seen[k + 6])
@@ -211,20 +211,20 @@ def test_periods_of_other_arms_are_refused(period):
 
 
 def test_batches_of_another_size_are_refused_and_change_nothing():
-    def situation(count):
+    def inputs(count):
         position = np.tile(ARM.rest, (count, 1))
         state = JointState(time=np.zeros(count), position=position, age=np.zeros(count))
         target = ARM.targets.sample(np.random.default_rng(0), (count,))
-        return Situation(state=state, target=target, sent=position, since_target=np.zeros(count))
+        return ControlInput(state=state, target=target, sent=position, since_target=np.zeros(count))
 
     observer, controller = Observer(ARM, 1), FeedforwardController(ARM)
-    observer.reset(situation(1), np.ones(1, dtype=bool))
-    controller.reset(situation(1), np.ones(1, dtype=bool))
+    observer.reset(inputs(1), np.ones(1, dtype=bool))
+    controller.reset(inputs(1), np.ones(1, dtype=bool))
     before = {name: value.copy() for name, value in (observer.state() | controller.memory()).items()}
     with pytest.raises(InputError, match="expected those of 1 arms"):
-        observer.observe(situation(3))
+        observer.observe(inputs(3))
     with pytest.raises(InputError, match="as at the last reset"):
-        controller.command(situation(3))
+        controller.command(inputs(3))
     for name, value in (observer.state() | controller.memory()).items():
         np.testing.assert_array_equal(value, before[name], err_msg=name)
 

@@ -18,7 +18,7 @@ from rejoint.control.contract import (
     fields_read,
     law_digests,
 )
-from rejoint.control.controller import Situation
+from rejoint.control.controller import ControlInput
 from rejoint.control.observation import layout_slots
 from rejoint.control.policy import PolicyController
 from rejoint.control.residual import CommandLaw
@@ -98,7 +98,7 @@ CHANGES = {
 
 
 def commands(arm, law, layout):
-    """Commands (CYCLES, COUNT, 6) in random situations: postures anywhere between the joint limits."""
+    """Commands (CYCLES, COUNT, 6) for random control inputs: postures anywhere between the joint limits."""
     agreed = contract(law, layout)
     controller = PolicyController(arm, Network(agreed.observation_size), agreed)
     rng, given = np.random.default_rng(5), []
@@ -109,7 +109,7 @@ def commands(arm, law, layout):
         near = rng.random(COUNT) < 0.3
         sent[near] = position[near] + rng.normal(0.0, 0.05, (int(near.sum()), 6))
         state = JointState(time=np.full(COUNT, 0.03 * cycle), position=position, age=np.zeros(COUNT))
-        now = Situation(state=state, target=target, sent=sent, since_target=np.full(COUNT, 0.03 * cycle))
+        now = ControlInput(state=state, target=target, sent=sent, since_target=np.full(COUNT, 0.03 * cycle))
         if cycle == 0:
             controller.reset(now, everyone)
         given.append(controller.command(now))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rejoint.arms import Displacement, mycobot280, solve_position, tcp_position
-from rejoint.control.controller import Situation
+from rejoint.control.controller import ControlInput
 from rejoint.control.correction import MOST, Modelled
 from rejoint.control.default import DefaultController
 from rejoint.control.deployment import Deployment, deploy
@@ -112,7 +112,7 @@ def test_an_aim_of_another_posture_is_mended_when_the_arm_has_settled():
     found = None
     for cycle in range(40):
         state = JointState(time=np.full(3, 0.025 * cycle), position=settled, age=np.zeros(3))
-        found = modelled.again(target, Situation(state=state, target=aim, sent=settled, since_target=state.time))
+        found = modelled.again(target, ControlInput(state=state, target=aim, sent=settled, since_target=state.time))
         if found is not None:
             break
     assert found is not None

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import rejoint
 from rejoint.arms import mycobot280
 from rejoint.control.catalogue import make_controller
 from rejoint.control.default import DefaultController
@@ -157,3 +158,10 @@ def test_what_a_run_knows_of_its_joints_is_used_for_its_own_arm_only(tmp_path, o
     limits = guard_limits(run, ARM, driven)
     assert (limits.sticks is not None) == used
     assert (limits.servos is not None) == used
+
+
+def test_targets_out_of_reach_are_refused_before_anything_moves():
+    robot = open_robot("emulated:worn")
+    with pytest.raises(InputError, match=r"targets: number 2: \(900, 0, 200\) mm is out of reach, \d+ mm too far"):
+        rejoint.deploy(robot, "integrator", [[0.17, 0.0, 0.2], [0.9, 0.0, 0.2]])
+    assert robot.read().time == 0.0

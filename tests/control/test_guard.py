@@ -64,7 +64,7 @@ def test_output_is_finite_even_if_memory_and_clock_are_garbage(sent, position, p
     assert np.isfinite(out.command).all()
 
 
-def situation(seed, count=5):
+def inputs(seed, count=5):
     """Last commands, measured positions within the lead, and wild or mild wanted commands."""
     rng = np.random.default_rng(seed)
     sent = rng.uniform(LIMITS.lower, LIMITS.upper, (count, 6))
@@ -76,7 +76,7 @@ def situation(seed, count=5):
 @settings(max_examples=150, deadline=None)
 @given(seeds)
 def test_idempotent_and_a_reason_for_every_change(seed):
-    command, sent, now = situation(seed)
+    command, sent, now = inputs(seed)
     once = guard(LIMITS, command, sent, 0 * sent, now, PERIOD)
     twice = guard(LIMITS, once.command, sent, 0 * sent, now, PERIOD)
     assert (twice.command == once.command).all()
@@ -87,7 +87,7 @@ def test_idempotent_and_a_reason_for_every_change(seed):
 @settings(max_examples=100, deadline=None)
 @given(seeds)
 def test_floor_is_never_approached_from_below_and_holds_from_above(seed):
-    command, sent, now = situation(seed)
+    command, sent, now = inputs(seed)
     out = guard(LIMITS, command, sent, 0 * sent, now, PERIOD)
     assert (clearance(out.command) >= np.minimum(clearance(sent), 0.0) - 1e-8).all()
 
@@ -95,7 +95,7 @@ def test_floor_is_never_approached_from_below_and_holds_from_above(seed):
 @settings(max_examples=50, deadline=None)
 @given(seeds)
 def test_a_batch_is_many_single_arms(seed):
-    command, sent, now = situation(seed)
+    command, sent, now = inputs(seed)
     period = np.random.default_rng(seed).uniform(0.01, 0.05, len(sent))
     batch = guard(LIMITS, command, sent, 0 * sent, now, period)
     for b in range(len(sent)):
@@ -266,7 +266,7 @@ def test_warm_servos_and_a_young_state_do_not_trip():
 
 
 def test_inputs_are_not_changed():
-    command, sent, now = situation(3)
+    command, sent, now = inputs(3)
     copies = command.copy(), sent.copy(), now.position.copy()
     guard(LIMITS, command, sent, 0 * sent, now, PERIOD)
     for before, after in zip(copies, (command, sent, now.position), strict=True):

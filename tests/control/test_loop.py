@@ -70,12 +70,12 @@ class Straight:
     def __init__(self):
         self.resets, self.since = [], []
 
-    def reset(self, situation, where):
-        self.resets.append((where.copy(), situation.target.copy(), situation.since_target.copy()))
+    def reset(self, inputs, where):
+        self.resets.append((where.copy(), inputs.target.copy(), inputs.since_target.copy()))
 
-    def command(self, situation):
-        self.since.append(situation.since_target.copy())
-        return situation.state.position.copy()
+    def command(self, inputs):
+        self.since.append(inputs.since_target.copy())
+        return inputs.state.position.copy()
 
 
 def test_the_test_robot_is_a_robot():
@@ -160,8 +160,8 @@ def test_row_k_holds_the_state_and_the_command_sent_right_after():
 
 def test_commands_keep_the_guards_limits_through_the_loop():
     class Wild(Straight):
-        def command(self, situation):
-            return np.full_like(situation.sent, 1e6)
+        def command(self, inputs):
+            return np.full_like(inputs.sent, 1e6)
 
     rec = run(LaggingRobot([0.02]), Wild(), TARGETS[:1], Schedule(dwell=2.0))
     limits = GuardLimits.of(ARM)
@@ -172,8 +172,8 @@ def test_commands_keep_the_guards_limits_through_the_loop():
 
 def test_the_speed_of_the_commands_is_remembered_from_cycle_to_cycle():
     class Violent(Straight):
-        def command(self, situation):
-            return situation.sent + np.where(situation.since_target % 0.08 < 0.04, 1.0, -1.0)[:, None]
+        def command(self, inputs):
+            return inputs.sent + np.where(inputs.since_target % 0.08 < 0.04, 1.0, -1.0)[:, None]
 
     rec = run(LaggingRobot([0.02]), Violent(), TARGETS[:1], Schedule(dwell=1.0))
     speed = np.diff(rec.command[:-1, 0], axis=0) / 0.02
@@ -208,8 +208,8 @@ def test_a_trip_of_one_arm_can_leave_the_others_running():
 
 def test_nan_from_a_controller_is_a_trip():
     class Broken(Straight):
-        def command(self, situation):
-            return situation.sent * np.nan
+        def command(self, inputs):
+            return inputs.sent * np.nan
 
     robot = LaggingRobot([0.02])
     with pytest.raises(GuardTripError, match="not finite"):
@@ -279,8 +279,8 @@ def test_the_command_in_force_before_the_run_carries_over():
     held = np.tile(ARM.rest + 0.05, (2, 1))
 
     class Nothing(Straight):
-        def command(self, situation):
-            return situation.sent
+        def command(self, inputs):
+            return inputs.sent
 
     rec = run(LaggingRobot([0.02, 0.03]), Nothing(), TARGETS[:2], Schedule(dwell=0.1, sent=held))
     assert (rec.command == held).all()
@@ -343,12 +343,12 @@ class Eager:
     def __init__(self):
         self.resets = []
 
-    def reset(self, situation, where):
+    def reset(self, inputs, where):
         assert where.all()
-        self.resets.append(float(situation.state.time[0]))
+        self.resets.append(float(inputs.state.time[0]))
 
-    def command(self, situation):
-        return situation.sent + 1.0
+    def command(self, inputs):
+        return inputs.sent + 1.0
 
 
 def test_after_a_gap_an_arm_goes_on_from_where_it_is_as_from_a_start():

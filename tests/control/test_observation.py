@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from rejoint.arms import dls, mycobot280, position_kinematics, solve_position, tcp_position
-from rejoint.control.controller import Situation
+from rejoint.control.controller import ControlInput
 from rejoint.control.observation import Observer, layout_size, layout_slots, look
 from rejoint.control.residual import CommandLaw, working_envelope
 from rejoint.control.robot import JointState
@@ -11,10 +11,12 @@ from rejoint.system.errors import InputError
 ARM = mycobot280()
 
 
-def situation(position, target, sent, time=0.0, since=0.0) -> Situation:
+def inputs(position, target, sent, time=0.0, since=0.0) -> ControlInput:
     count = len(position)
     state = JointState(time=np.full(count, time), position=np.asarray(position), age=np.zeros(count))
-    return Situation(state=state, target=np.asarray(target), sent=np.asarray(sent), since_target=np.full(count, since))
+    return ControlInput(
+        state=state, target=np.asarray(target), sent=np.asarray(sent), since_target=np.full(count, since)
+    )
 
 
 def columns(layout: str) -> dict[str, slice]:
@@ -25,9 +27,9 @@ def columns(layout: str) -> dict[str, slice]:
     return result
 
 
-def random_situations(rng, count, time=0.0):
+def random_inputs(rng, count, time=0.0):
     position = ARM.rest + rng.normal(0.0, 0.2, (count, 6))
-    return situation(position, ARM.targets.sample(rng, (count,)), position + rng.normal(0.0, 0.05, (count, 6)), time)
+    return inputs(position, ARM.targets.sample(rng, (count,)), position + rng.normal(0.0, 0.05, (count, 6)), time)
 
 
 def test_sizes_are_those_of_the_recipe_and_of_the_paper():
@@ -48,13 +50,13 @@ def test_residual_observation_worked_by_hand():
     target = tcp_position(ARM, second) + np.array([0.003, -0.004, 0.012])  # 13 mm away
     sent = second + np.array([0.1, -0.2, 0.0, 0.0, 0.05, 0.0])
     observer = Observer(ARM, 1)
-    begin = situation([first], [target], [sent], time=1.0)
+    begin = inputs([first], [target], [sent], time=1.0)
     observer.reset(begin, np.array([True]))
     observer.observe(begin)
     observer.acted(-acted)
-    observer.observe(situation([first - 0.002], [target], [sent], time=1.02, since=0.275))
+    observer.observe(inputs([first - 0.002], [target], [sent], time=1.02, since=0.275))
     observer.acted(acted)
-    seen = observer.observe(situation([second], [target], [sent], time=1.045, since=0.3))[0]
+    seen = observer.observe(inputs([second], [target], [sent], time=1.045, since=0.3))[0]
     tcp, jacobian = position_kinematics(ARM, second)
     step = dls(jacobian, target - tcp)
     expected = {
@@ -80,7 +82,7 @@ def test_equation_16_worked_by_hand():
     where = columns("equation-16")
     target = tcp_position(ARM, ARM.rest) + np.array([0.0, 0.0, 0.004])
     observer = Observer(ARM, 1, "equation-16")
-    now = situation([ARM.rest], [target], [ARM.rest + 0.02], since=7.0)
+    now = inputs([ARM.rest], [target], [ARM.rest + 0.02], since=7.0)
     observer.reset(now, np.array([True]))
     seen = observer.observe(now)[0]
     assert seen[where["time"]] == 2.0
@@ -96,7 +98,7 @@ def test_equation_16_sees_collisions_and_in_its_other_reading_the_last_action():
     where = columns("equation-16-action")
     assert layout_size("equation-16-action", 6) == 28
     observer, bent = Observer(ARM, 1, "equation-16-action"), np.radians([0.0, -135, 0, 0, 0, 0])
-    now = situation([bent], [tcp_position(ARM, ARM.rest)], [bent + 0.02])
+    now = inputs([bent], [tcp_position(ARM, ARM.rest)], [bent + 0.02])
     observer.reset(now, np.array([True]))
     observer.acted(np.array([[0.1, 0.2, 0.3, 0.4, 0.5, -0.6]]))
     seen = observer.observe(now)[0]
@@ -109,9 +111,9 @@ def test_a_batch_sees_what_single_arms_see():
     rng = np.random.default_rng(3)
     batch, singles = Observer(ARM, 7), [Observer(ARM, 1) for _ in range(7)]
     for cycle in range(3):
-        now = random_situations(rng, 7, time=0.02 * cycle)
+        now = random_inputs(rng, 7, time=0.02 * cycle)
         parts = [
-            situation(now.state.position[i : i + 1], now.target[i : i + 1], now.sent[i : i + 1], 0.02 * cycle)
+            inputs(now.state.position[i : i + 1], now.target[i : i + 1], now.sent[i : i + 1], 0.02 * cycle)
             for i in range(7)
         ]
         if cycle == 0:
@@ -128,7 +130,7 @@ def test_a_batch_sees_what_single_arms_see():
 
 def test_some_rows_give_what_all_rows_give():
     rng = np.random.default_rng(4)
-    now = random_situations(rng, 9)
+    now = random_inputs(rng, 9)
     whole, part = Observer(ARM, 9), Observer(ARM, 9)
     for observer in (whole, part):
         observer.reset(now, np.ones(9, dtype=bool))
@@ -141,9 +143,9 @@ def test_some_rows_give_what_all_rows_give():
 def test_a_repeated_answer_keeps_the_velocity():
     observer = Observer(ARM, 1)
     target = ARM.targets.lower[None]
-    start = situation([ARM.rest], target, [ARM.rest], time=0.0)
+    start = inputs([ARM.rest], target, [ARM.rest], time=0.0)
     observer.reset(start, np.array([True]))
-    moved = situation([ARM.rest + 0.01], target, [ARM.rest], time=0.02)
+    moved = inputs([ARM.rest + 0.01], target, [ARM.rest], time=0.02)
     where = columns("residual")
     first = observer.observe(moved)[0]
     np.testing.assert_allclose(first[where["velocity"]], 6 * [0.25] + 12 * [0.0], rtol=1e-5)
@@ -153,9 +155,9 @@ def test_a_repeated_answer_keeps_the_velocity():
 def test_reset_forgets_only_the_arms_named():
     observer = Observer(ARM, 2)
     target, sent = np.tile(ARM.targets.lower, (2, 1)), np.tile(ARM.rest, (2, 1))
-    observer.reset(situation(sent, target, sent), np.ones(2, dtype=bool))
+    observer.reset(inputs(sent, target, sent), np.ones(2, dtype=bool))
     observer.acted(np.full((2, 6), 0.5))
-    now = situation(sent + 0.01, target, sent, time=0.02)
+    now = inputs(sent + 0.01, target, sent, time=0.02)
     observer.reset(now, np.array([True, False]))
     seen, where = observer.observe(now), columns("residual")
     assert (seen[0, where["action"]] == 0.0).all()

@@ -23,7 +23,7 @@ from rejoint.control.contract import (
     law_digests,
     probe_observations,
 )
-from rejoint.control.controller import Situation
+from rejoint.control.controller import ControlInput
 from rejoint.control.observation import Observer, layout_slots
 from rejoint.control.onnxfile import content_digest
 from rejoint.control.policy import PolicyController, load_policy
@@ -77,19 +77,19 @@ def policy(tmp_path):
     return write(tmp_path / "policy.onnx", encode_contract(contract()))
 
 
-def situations(seed, count):
+def control_inputs(seed, count):
     rng = np.random.default_rng(seed)
     position = ARM.rest + rng.normal(0.0, 0.1, (count, 6))
     target, sent = ARM.targets.sample(rng, (count,)), position.copy()
     for cycle in range(5):
         state = JointState(time=np.full(count, 0.03 * cycle), position=position, age=np.zeros(count))
-        now = Situation(state=state, target=target, sent=sent, since_target=state.time)
+        now = ControlInput(state=state, target=target, sent=sent, since_target=state.time)
         command = yield now
         position, sent = position + 0.3 * (command - position), command
 
 
 def drive(controller, seed, count):
-    feed = situations(seed, count)
+    feed = control_inputs(seed, count)
     now, commands = next(feed), []
     controller.reset(now, np.ones(count, dtype=bool))
     while True:
@@ -112,7 +112,7 @@ def test_constants_may_be_numpy_numbers():
 
 def test_commands_are_observation_network_and_law(policy):
     commands = drive(load_policy(policy, ARM), 1, 4)
-    observer, law, feed = Observer(ARM, 4), CommandLaw(), situations(1, 4)
+    observer, law, feed = Observer(ARM, 4), CommandLaw(), control_inputs(1, 4)
     now = next(feed)
     observer.reset(now, np.ones(4, dtype=bool))
     for got in commands[:-1]:

@@ -7,7 +7,7 @@ import pytest
 
 from rejoint.arms import gravity_torque, mycobot280, position_kinematics, solve_position, tcp_position
 from rejoint.arms.size import heaviest_load
-from rejoint.control.controller import Situation
+from rejoint.control.controller import ControlInput
 from rejoint.control.observation import look
 from rejoint.control.residual import Commander, CommandLaw, working_envelope
 from rejoint.control.robot import JointState
@@ -20,12 +20,12 @@ EVERY = np.ones(2, dtype=bool)
 MOVES = np.array([1, 1, 1, 1, 1, 0])  # the last joint only turns the tool, and is left alone
 
 
-def situation(position: np.ndarray, target: np.ndarray, time: float = 0.0) -> Situation:
+def inputs(position: np.ndarray, target: np.ndarray, time: float = 0.0) -> ControlInput:
     state = JointState(time=np.full(2, time), position=position, age=np.zeros(2))
-    return Situation(state=state, target=target, sent=position, since_target=np.zeros(2))
+    return ControlInput(state=state, target=target, sent=position, since_target=np.zeros(2))
 
 
-def command(commander: Commander, now: Situation, action: np.ndarray) -> np.ndarray:
+def command(commander: Commander, now: ControlInput, action: np.ndarray) -> np.ndarray:
     return commander.command(now, look(ARM, now.state.position, now.target), action)
 
 
@@ -33,22 +33,22 @@ def test_without_error_or_action_it_sends_the_goal_raised_by_its_sag() -> None:
     targets = ARM.targets.sample(np.random.default_rng(1), (2,))
     goal = solve_position(ARM, targets, np.tile(ARM.rest, (2, 1))).q
     commander = Commander(ARM, LAW)
-    commander.reset(situation(np.tile(ARM.rest, (2, 1)), targets), EVERY)
-    now = situation(goal, tcp_position(ARM, goal))
+    commander.reset(inputs(np.tile(ARM.rest, (2, 1)), targets), EVERY)
+    now = inputs(goal, tcp_position(ARM, goal))
     expected = goal + gravity_torque(ARM, goal) / np.array(STIFFNESS)
     np.testing.assert_allclose(command(commander, now, np.zeros((2, 6))), expected, atol=1e-12)
 
 
 def test_an_action_is_remembered_until_the_arm_is_exchanged() -> None:
     rest = np.tile(ARM.rest, (2, 1))
-    now = situation(rest, tcp_position(ARM, rest))
+    now = inputs(rest, tcp_position(ARM, rest))
     commander = Commander(ARM, LAW)
     commander.reset(now, EVERY)
     before = command(commander, now, np.zeros((2, 6)))
     pushed = command(commander, now, np.full((2, 6), 2.0))  # beyond 1 counts as 1
     np.testing.assert_allclose(pushed - before, [LAW.authority_floor * MOVES] * 2, atol=1e-12)
     np.testing.assert_allclose(command(commander, now, np.zeros((2, 6))), pushed, atol=1e-12)
-    commander.forget(now, np.array([True, False]))
+    commander.reset_learned(now, np.array([True, False]))
     commander.reset(now, np.array([True, False]))
     after = command(commander, now, np.zeros((2, 6)))
     np.testing.assert_allclose(after[0], before[0], atol=1e-12)
@@ -57,7 +57,7 @@ def test_an_action_is_remembered_until_the_arm_is_exchanged() -> None:
 
 def test_a_new_target_keeps_what_moves_the_tool_and_drops_the_rest() -> None:
     rest = np.tile(ARM.rest, (2, 1))
-    now = situation(rest, tcp_position(ARM, rest))
+    now = inputs(rest, tcp_position(ARM, rest))
     commander = Commander(ARM, LAW)
     commander.reset(now, EVERY)
     before = command(commander, now, np.zeros((2, 6)))
@@ -73,12 +73,12 @@ def test_a_new_target_keeps_what_moves_the_tool_and_drops_the_rest() -> None:
 
 def test_what_is_learned_is_bounded() -> None:
     rest = np.tile(ARM.rest, (2, 1))
-    now = situation(rest, ARM.targets.sample(np.random.default_rng(2), (2,)))
+    now = inputs(rest, ARM.targets.sample(np.random.default_rng(2), (2,)))
     commander = Commander(ARM, replace(LAW, envelope_margin=10.0))
     commander.reset(now, EVERY)
     first = command(commander, now, np.zeros((2, 6)))
     for cycle in range(300):
-        last = command(commander, situation(rest, now.target, 0.02 * cycle), np.ones((2, 6)))
+        last = command(commander, inputs(rest, now.target, 0.02 * cycle), np.ones((2, 6)))
     assert np.abs(last - first).max() <= LAW.learning.learned_limit + 1e-9
     assert np.abs(last - first).max() > 0.9 * LAW.learning.learned_limit
 
@@ -89,7 +89,7 @@ def test_commands_stay_in_the_working_envelope() -> None:
     commander = Commander(ARM, LAW)
     q = np.tile(ARM.rest, (2, 1))
     for _ in range(60):
-        now = situation(q, ARM.targets.sample(rng, (2,)))
+        now = inputs(q, ARM.targets.sample(rng, (2,)))
         commander.reset(now, EVERY)
         for _ in range(5):
             q = command(commander, now, np.ones((2, 6)))
@@ -118,7 +118,7 @@ def test_only_unloaded_joints_settle_and_only_where_the_law_says_so() -> None:
     pushed = {}
     for law in (LAW, replace(LAW, decay_start=2.0, decay_power=1.0)):
         commander = Commander(ARM, law)
-        now = situation(rest, tcp_position(ARM, rest))
+        now = inputs(rest, tcp_position(ARM, rest))
         commander.reset(now, EVERY)
         late = replace(now, since_target=np.array([1.0, 8.0]))
         pushed[law.decay_start] = command(commander, late, np.ones((2, 6)))
@@ -136,8 +136,8 @@ def test_near_the_target_the_heaviest_joint_is_spared(distance: float, near: flo
     moved = {}
     for law in (LAW, replace(LAW, load_penalty=3.0)):
         commander = Commander(ARM, law)
-        commander.reset(situation(rest, target), EVERY)
-        first, second = (command(commander, situation(rest, target, t), np.zeros((2, 6))) for t in (0.0, 0.02))
+        commander.reset(inputs(rest, target), EVERY)
+        first, second = (command(commander, inputs(rest, target, t), np.zeros((2, 6))) for t in (0.0, 0.02))
         moved[law.load_penalty] = (second - first)[0]
     share = heaviest_load(ARM) / heaviest_load(ARM)[1]  # the shoulder's is the largest
     expected = moved[0.0] * (1.0 - near * (1.0 - 1.0 / (1.0 + 3.0 * share)))

@@ -6,26 +6,20 @@ import numpy as np
 import pytest
 
 from rejoint.arms import mycobot280
-from rejoint.diagnosis import (
-    Diagnosis,
-    DiagnosisLogs,
-    Estimate,
-    diagnose,
-    judge,
-    load_healthy,
-    record,
-    reference_from,
-)
-from rejoint.diagnosis.diagnosis import ringing_most
+from rejoint.diagnosis.diagnosis import Diagnosis, diagnose, judge, ringing_most
 from rejoint.diagnosis.excitation import SHORT
+from rejoint.diagnosis.healthy import load_healthy, reference_from
+from rejoint.diagnosis.record import DiagnosisLogs, record
 from rejoint.lab.plant.wear import Wear, load_wear
 from rejoint.logs.runlog import read_log, write_log
 from rejoint.robots.emulated import EmulatedRobot
 from rejoint.system.errors import InputError, NotReadyError
 from rejoint.system.files import read_json, write_json
+from rejoint.system.statistics import Estimate
 
 ARM = mycobot280()
 HEALTHY, WORN = load_wear("healthy", ARM), load_wear("worn", ARM)
+OFFSET = np.radians([2.0, -3.0, 0.0, 0.0, 4.0, 0.0])
 
 
 def with_joint(joint: int, *, play_in_loop: bool = False, **values: float) -> Wear:
@@ -62,6 +56,8 @@ WEARS = {
     "worn, joint 2 rings": worn_and_ringing(2),
     "worn, joint 5 rings": worn_and_ringing(5),
     "loose behind the encoders": dataclasses.replace(HEALTHY, play=WORN.play, link_stiffness=WORN.link_stiffness),
+    "offset joints": dataclasses.replace(HEALTHY, offset=OFFSET),
+    "worn, with offsets": dataclasses.replace(WORN, offset=OFFSET),
 }
 
 
@@ -98,7 +94,7 @@ def test_an_error_that_no_joint_explains_is_not_called_healthy(logs):
     diagnosis = judge(ARM, dataclasses.replace(entry, targets=elsewhere), load_healthy(ARM))
     assert kinds(diagnosis) == set()
     assert diagnosis.condition == "worn"
-    assert "No joint shows why: look for a wrong zero" in diagnosis.verdict
+    assert "No joint shows why: look for a load at the tool" in diagnosis.verdict
 
 
 @pytest.mark.parametrize(
@@ -123,6 +119,25 @@ def test_one_wear_is_named_and_nothing_else(found, name, expected):
     assert diagnosis.condition in ("worn", "bad")
     assert expected[0] in diagnosis.verdict
     assert diagnosis.findings[0].sentence.startswith(expected[0])
+
+
+@pytest.mark.parametrize("name", ["offset joints", "worn, with offsets"])
+def test_offsets_are_named_where_they_are_and_cost_what_they_do(found, name):
+    named = {finding.joint: finding for finding in found[name].findings if finding.kind == "offset"}
+    assert named.keys() == {"joint1", "joint2", "joint5"}
+    for joint, finding in named.items():
+        assert finding.measured.value == pytest.approx(OFFSET[ARM.joint_names.index(joint)], abs=np.radians(0.3))
+    assert ("joint1", "offset") not in kinds(found["worn"])
+
+
+def test_offsets_make_up_what_the_arm_misses_by(found):
+    """Each moves the tool by its own millimetres: together they miss by more than the largest, by no more than all."""
+    diagnosis = found["offset joints"]
+    assert {kind for _, kind in kinds(diagnosis)} == {"offset"}
+    assert "beside its commands everywhere" in diagnosis.verdict
+    each = [finding.tcp_mm for finding in diagnosis.findings]
+    usual = found["healthy 1"].open_loop.error_mm.value
+    assert max(each) < diagnosis.open_loop.error_mm.value < sum(each) + usual
 
 
 def test_numbers_of_a_soft_joint(found):
@@ -258,8 +273,10 @@ def test_one_arm_in_one_call(tmp_path):
     assert diagnosis.condition == "ok"
     assert diagnosis.robot == "emulated:healthy"
     assert logs.targets.extra["seed"] == "3"
-    assert [what for what, share in seen if share == 1.0][:1] == ["ten targets"]
-    assert all(0.0 <= share <= 1.0 for _, share in seen)
+    assert list(dict.fromkeys(what for what, _ in seen)) == ["ten targets", "excitation"]
+    shares = [share for _, share in seen]
+    assert shares == sorted(shares)
+    assert (0.0 <= shares[0] < 0.01, shares[-1]) == (True, 1.0)
     assert len(diagnosis.open_loop.targets) == 10
 
 

@@ -9,8 +9,10 @@ import pytest
 
 from rejoint.arms import Arm, gravity_torque, load_arm, mycobot280, so101
 from rejoint.arms.size import heaviest_load, torque_size
-from rejoint.diagnosis import SHORT, healthy_reference, judge, load_healthy, plan_excitation, record
-from rejoint.diagnosis.excitation import is_safe
+from rejoint.diagnosis.diagnosis import judge
+from rejoint.diagnosis.excitation import SHORT, is_safe, plan_excitation
+from rejoint.diagnosis.healthy import healthy_reference, load_healthy
+from rejoint.diagnosis.record import record
 from rejoint.robots import open_robot
 from rejoint.system.errors import InputError
 

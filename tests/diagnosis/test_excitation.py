@@ -7,8 +7,7 @@ import pytest
 
 from rejoint.arms import frames, gravity_torque, mycobot280
 from rejoint.arms.size import heaviest_load
-from rejoint.diagnosis import FULL, SHORT, plan_excitation
-from rejoint.diagnosis.excitation import hold_postures
+from rejoint.diagnosis.excitation import FULL, SHORT, hold_postures, plan_excitation
 from rejoint.system.errors import InputError
 
 ARM = mycobot280()

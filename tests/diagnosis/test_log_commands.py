@@ -9,7 +9,7 @@ import pytest
 from plant_logs import ARM, HEALTHY, record_motions, with_joint
 
 from rejoint.cli import main
-from rejoint.diagnosis import Diagnosis
+from rejoint.diagnosis.diagnosis import Diagnosis
 from rejoint.logs.runlog import write_log
 from rejoint.runs.folder import LOGS, RunFolder, RunInfo
 from rejoint.system.files import read_json

@@ -10,14 +10,18 @@ from motion_logs import wandering as twin_wandering
 from plant_logs import ARM, HEALTHY, record_motions, with_joint
 
 from rejoint.arms import tcp_position
-from rejoint.diagnosis import Diagnosis, Estimate, diagnose_logs, fromlogs, load_healthy
+from rejoint.diagnosis import fromlogs
+from rejoint.diagnosis.diagnosis import Diagnosis
+from rejoint.diagnosis.fromlogs import diagnose_logs
+from rejoint.diagnosis.healthy import load_healthy
 from rejoint.diagnosis.knowngood import reference_by
 from rejoint.diagnosis.logmetrics import slow_motion
 from rejoint.diagnosis.spans import FREE, HOLD, STEP, join_logs, log_of
 from rejoint.logs.exclusions import Exclusions, find_exclusions
 from rejoint.system.errors import InputError
 from rejoint.system.files import read_json, write_json
-from rejoint.twin.table import Table
+from rejoint.system.statistics import Estimate
+from rejoint.twin.table import TablePlane
 
 WEARS = {
     "healthy": HEALTHY,
@@ -27,7 +31,7 @@ WEARS = {
     "sticky roll": with_joint(4, coulomb=0.25, stiction=0.30),
     "blocked wrist": with_joint(3, coulomb=8.0, stiction=9.0),
 }
-TABLE = Table(height=-0.02, slope_x=0.0, slope_y=0.0, stiffness=2e4, friction=0.2)
+TABLE = TablePlane(height=-0.02, slope_x=0.0, slope_y=0.0, stiffness=2e4, friction=0.2)
 
 
 @pytest.fixture(scope="module")

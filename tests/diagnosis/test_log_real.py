@@ -4,7 +4,8 @@ import pytest
 
 from real_so101 import FOLDER, NO_RECORDINGS, recorded
 from rejoint.arms import so101
-from rejoint.diagnosis import diagnose_logs, load_healthy
+from rejoint.diagnosis.fromlogs import diagnose_logs
+from rejoint.diagnosis.healthy import load_healthy
 from rejoint.logs import import_logs
 from rejoint.logs.exclusions import find_exclusions, table_height
 

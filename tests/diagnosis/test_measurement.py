@@ -6,7 +6,10 @@ import numpy as np
 import pytest
 
 from rejoint.arms import gravity_torque, link_inertia, mycobot280
-from rejoint.diagnosis import EXCITATION_LABEL, ExcitationLog, attach_segments, measure, plan_excitation
+from rejoint.diagnosis.excitation import plan_excitation
+from rejoint.diagnosis.measurement import measure
+from rejoint.diagnosis.record import EXCITATION_LABEL
+from rejoint.diagnosis.segments import ExcitationLog, attach_segments
 from rejoint.logs.runlog import RunLog, read_log, write_log
 from rejoint.system.errors import InputError
 

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from rejoint.arms import mycobot280, tcp_position
-from rejoint.diagnosis import draw_targets, open_loop_errors
-from rejoint.diagnosis.open_loop import settled_rows
+from rejoint.diagnosis.open_loop import open_loop_errors, settled_rows
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
 
@@ -60,10 +59,3 @@ def test_a_log_without_targets_is_refused():
     log = made_up()
     with pytest.raises(InputError, match="no targets"):
         open_loop_errors(ARM, dataclasses.replace(log, target=np.full_like(log.target, np.nan)))
-
-
-def test_targets_are_seeded_and_inside_the_region():
-    assert np.array_equal(draw_targets(ARM, 4), draw_targets(ARM, 4))
-    assert not np.array_equal(draw_targets(ARM, 4), draw_targets(ARM, 5))
-    assert draw_targets(ARM, 4).shape == (10, 3)
-    assert ARM.targets.contains(draw_targets(ARM, 4)).all()

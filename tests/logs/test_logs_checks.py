@@ -9,11 +9,11 @@ from log_samples import ARM, Sample, sample
 
 from rejoint.logs.joining import to_log
 from rejoint.logs.runlog import Array, RunLog
-from rejoint.logs.track import Motion, Track
+from rejoint.logs.track import RecordedMotion, Track
 from rejoint.system.errors import FileError
 
 
-def motion(found: Sample, command_time: Array | None = None, unit: str = "rad") -> Motion:
+def motion(found: Sample, command_time: Array | None = None, unit: str = "rad") -> RecordedMotion:
     def track(what: str, time: Array, value: Array) -> Track:
         number = np.arange(len(time)) + 2
         columns = tuple(f"{what}.{name}" for name in ARM.joint_names)
@@ -22,7 +22,7 @@ def motion(found: Sample, command_time: Array | None = None, unit: str = "rad") 
         )
 
     commands = found.time if command_time is None else command_time
-    return Motion(
+    return RecordedMotion(
         name="motion", state=track("state", found.time, found.position), robot="csv:motion", angle_unit=unit,
         command=track("command", commands, found.command),
     )  # fmt: skip

@@ -10,7 +10,7 @@ import pytest
 from rejoint.arms import mycobot280
 from rejoint.control.robot import Robot
 from rejoint.robots import Bus, BusRobot, Clock, Reading, Vitals
-from rejoint.robots.link import ATTEMPTS, PATIENCE
+from rejoint.robots.link import ATTEMPTS, TIMEOUT
 from rejoint.system import stopping
 from rejoint.system.errors import (
     AddressError,
@@ -134,7 +134,7 @@ def test_what_stays_bad_is_an_error_with_a_name_after_bounded_patience(fault, er
     with pytest.raises(error, match="plain:1"):
         robot.read()
     assert bus.done.count("read") <= ATTEMPTS
-    assert bus.clock.now() - began <= PATIENCE
+    assert bus.clock.now() - began <= TIMEOUT
 
 
 def test_an_arm_that_lost_its_power_is_not_waited_for():

@@ -91,7 +91,7 @@ def test_a_link_that_was_gone_and_is_back_is_taken_up_again():
 
 
 def test_a_link_that_stays_away_ends_the_run_and_keeps_the_log(monkeypatch):
-    monkeypatch.setattr("rejoint.robots.link.PATIENCE", 2.0)
+    monkeypatch.setattr("rejoint.robots.link.TIMEOUT", 2.0)
     recording, error = drive("gone=0.5/60")
     assert isinstance(error, ConnectionLostError)
     assert len(recording.time) > 1

@@ -112,7 +112,7 @@ def awake(monkeypatch):
     monkeypatch.setattr("pymycobot.mycobot280socket.time", stand_in)
     monkeypatch.setattr("pymycobot.mycobot280.time", stand_in)
     monkeypatch.setattr(link_module, "REOPEN_PAUSE", 0.01)
-    monkeypatch.setattr(link_module, "PATIENCE", 1.5)
+    monkeypatch.setattr(link_module, "TIMEOUT", 1.5)
 
 
 @pytest.fixture
@@ -427,10 +427,10 @@ def test_silence_is_borne_for_the_patience_and_one_last_attempt():
     bus.silent, began = True, bus.clock.now()
     with pytest.raises(ConnectionLostError, match="connecting again failed"):
         link.ask(bus.read)
-    attempt = mycobot_module.PROBE_PATIENCE + 1.5 + 0.9
-    assert link_module.PATIENCE <= bus.clock.now() - began <= link_module.PATIENCE + attempt
+    attempt = mycobot_module.PROBE_TIMEOUT + 1.5 + 0.9
+    assert link_module.TIMEOUT <= bus.clock.now() - began <= link_module.TIMEOUT + attempt
     began = bus.clock.now()
     link._connected = True
     with shielded(), pytest.raises(ConnectionLostError):
         link.ask(bus.stop)
-    assert link_module.LAST_PATIENCE <= bus.clock.now() - began <= link_module.LAST_PATIENCE + 0.9 + attempt
+    assert link_module.LAST_TIMEOUT <= bus.clock.now() - began <= link_module.LAST_TIMEOUT + 0.9 + attempt

@@ -95,6 +95,15 @@ def test_what_is_no_family_of_its_scheme_is_refused(install, code, says):
     assert "\n" not in str(caught.value)
 
 
+def test_a_bug_in_a_driver_is_named_as_its_packages(install):
+    install("robot-x", "x", GOOD.format(scheme="x") + "\n\ndef step():\n    return 1 / 0\n")
+    place_of("x:1")
+    with pytest.raises(ZeroDivisionError) as caught:
+        sys.modules["robot_x"].step()
+    assert registry.driver_of(caught.value) == "the package robot-x 1.2 (driver of x:)"
+    assert registry.driver_of(ValueError("of nobody's")) is None
+
+
 def test_a_scheme_of_ours_cannot_be_taken(install):
     install("robot-thief", "tcp")
     assert place_of("tcp://robot.local").detail.host == "robot.local"

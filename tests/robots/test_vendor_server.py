@@ -24,7 +24,7 @@ from rejoint.robots.vendor import MyCobot280Socket
 
 pytestmark = pytest.mark.realtime
 
-PATIENCE = 0.5
+TIMEOUT = 0.5
 
 
 class Relay:
@@ -50,7 +50,7 @@ class Relay:
 
     def relay(self, connection, command):
         os.write(self.port, command)
-        decoder, deadline = Decoder(), time.monotonic() + PATIENCE
+        decoder, deadline = Decoder(), time.monotonic() + TIMEOUT
         while (left := deadline - time.monotonic()) > 0:
             if select.select([self.port], [], [], left)[0]:
                 for frame in decoder.feed(os.read(self.port, 100)):

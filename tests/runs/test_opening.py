@@ -14,9 +14,10 @@ from rejoint.arms import mycobot280
 from rejoint.cli import main
 from rejoint.logs.journal import Journal
 from rejoint.logs.runlog import RunLog, write_log
+from rejoint.robots.emulated import EmulatedRobot
 from rejoint.runs.folder import FORMAT, LOGS, RunFolder, RunInfo, locked
 from rejoint.runs.run import Run, exclusive, finish, is_finished, mark_quick, require_same_pace
-from rejoint.system.errors import FileError, InputError
+from rejoint.system.errors import FileError, InputError, NotReadyError
 from rejoint.system.files import write_json
 
 ARM = mycobot280()
@@ -170,3 +171,19 @@ def test_a_full_repair_does_not_build_on_a_quick_one(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="a quick try, which is no result; give another --run"):
         rejoint.repair(run=run)
     assert sorted(path.name for path in run.path.iterdir()) == ["quick.json", "run.json"], "nothing has been begun"
+
+
+@pytest.mark.parametrize(
+    ("what", "error"), [("read", NotReadyError), ("read", ZeroDivisionError), ("__init__", ZeroDivisionError)]
+)
+def test_a_first_contact_that_fails_leaves_nothing(
+    what: str, error: type[Exception], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise error("made for this test")
+
+    monkeypatch.setattr(EmulatedRobot, what, fail)
+    for run in (tmp_path / "one", Run.create(tmp_path / "two", "emulated:worn", ARM)):
+        with pytest.raises(error):
+            rejoint.diagnose("emulated:worn", run=run)
+    assert not list(tmp_path.iterdir())

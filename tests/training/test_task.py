@@ -3,7 +3,7 @@ import pytest
 
 from rejoint.arms import mycobot280, solve_position, tcp_position
 from rejoint.control import goal
-from rejoint.control.controller import Situation
+from rejoint.control.controller import ControlInput
 from rejoint.control.guard import GuardLimits, guard
 from rejoint.control.observation import layout_slots
 from rejoint.control.policy import PolicyController
@@ -48,7 +48,7 @@ def test_training_and_deployment_see_and_command_the_same_bit_for_bit(law):
     sent = task._sent.copy()
     for cycle, action in enumerate(actions):
         state = JointState(time=task.simulation.time.copy(), position=task.simulation.measured.copy(), age=np.zeros(6))
-        now = Situation(state=state, target=task._target.copy(), sent=sent, since_target=task._since.copy())
+        now = ControlInput(state=state, target=task._target.copy(), sent=sent, since_target=task._since.copy())
         if cycle == 0:
             controller.reset(now, np.ones(6, dtype=bool))
         wanted = controller.command(now)
@@ -69,7 +69,7 @@ def test_a_new_target_begins_as_a_deployed_reset_does():
         ended = transition.truncated
     controller = Scripted([np.zeros((5, 6))])
     state = JointState(time=task.simulation.time, position=task.simulation.measured, age=np.zeros(5))
-    now = Situation(state=state, target=task._target, sent=task._sent, since_target=task._since)
+    now = ControlInput(state=state, target=task._target, sent=task._sent, since_target=task._since)
     controller.reset(now, np.ones(5, dtype=bool))
     controller.command(now)
     kept = np.ones(controller.seen[0].shape[1], dtype=bool)

@@ -7,9 +7,9 @@ from motion_logs import ARM, as_log, pressing, record, wandering
 from rejoint.arms import tcp_position
 from rejoint.logs.exclusions import MARGIN, RECOVERY, find_exclusions, free_runs, table_height
 from rejoint.twin.segments import by_motion, contact_windows, free_windows, thin
-from rejoint.twin.table import Table
+from rejoint.twin.table import TablePlane
 
-TABLE = Table(height=-0.02, slope_x=0.0, slope_y=0.0, stiffness=2e4, friction=0.2)
+TABLE = TablePlane(height=-0.02, slope_x=0.0, slope_y=0.0, stiffness=2e4, friction=0.2)
 
 
 @pytest.fixture(scope="module")

@@ -15,10 +15,10 @@ from rejoint.twin.judgement import NO_TWIN
 from rejoint.twin.parameters import pack, unpack, vector_names
 from rejoint.twin.replay import Replay, cut
 from rejoint.twin.structure import EARLIER, find_acceleration, simplest
-from rejoint.twin.table import Table
+from rejoint.twin.table import TablePlane
 from rejoint.twin.unknown import unknown_prior
 
-TABLE = Table(height=-0.02, slope_x=0.02, slope_y=0.0, stiffness=3000.0, friction=0.2)
+TABLE = TablePlane(height=-0.02, slope_x=0.02, slope_y=0.0, stiffness=3000.0, friction=0.2)
 QUICK = LogSettings(coarse_seconds=40.0, fit_seconds=96.0, contact_seconds=24.0, threads=1)
 
 

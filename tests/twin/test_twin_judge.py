@@ -14,9 +14,9 @@ from rejoint.twin.judgement import NO_TWIN, Judgement
 from rejoint.twin.parameters import healthy_parameters
 from rejoint.twin.published import read_published
 from rejoint.twin.repeatability import repeatability
-from rejoint.twin.table import Table
+from rejoint.twin.table import TablePlane
 
-TABLE = Table(height=-0.02, slope_x=0.0, slope_y=0.0, stiffness=3000.0, friction=0.2)
+TABLE = TablePlane(height=-0.02, slope_x=0.0, slope_y=0.0, stiffness=3000.0, friction=0.2)
 
 
 @pytest.fixture(scope="module")

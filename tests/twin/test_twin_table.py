@@ -11,14 +11,16 @@ from rejoint.system.errors import InputError
 from rejoint.twin.batch import TwinBatch
 from rejoint.twin.replay import Replay
 from rejoint.twin.segments import contact_windows
-from rejoint.twin.table import Table
+from rejoint.twin.table import TablePlane
 from rejoint.twin.tablefit import fit_table
 
 PUSH = np.array([0.0, 0.9, 0.2, 0.4, 0.0])
 
 
 def smooth(**changes):
-    return Table(**({"height": -0.09, "slope_x": 0.0, "slope_y": 0.0, "stiffness": 1000.0, "friction": 0.3} | changes))
+    return TablePlane(
+        **({"height": -0.09, "slope_x": 0.0, "slope_y": 0.0, "stiffness": 1000.0, "friction": 0.3} | changes)
+    )
 
 
 @pytest.mark.parametrize("table", [smooth(), smooth(stiffness=8000.0), smooth(friction=0.0, height=-0.08)])
@@ -55,7 +57,7 @@ def test_every_simulation_has_its_own_table():
 
 
 def test_the_fit_finds_the_table():
-    truth = Table(height=-0.02, slope_x=0.03, slope_y=-0.02, stiffness=1500.0, friction=0.25)
+    truth = TablePlane(height=-0.02, slope_x=0.03, slope_y=-0.02, stiffness=1500.0, friction=0.25)
     logs = [record("press", *pressing(), table=truth), record("aside", *pressing(18.0, 0.55), table=truth)]
     rows = find_exclusions(ARM, logs, truth.height)
     replay = Replay(ARM, logs, contact_windows(logs, rows, 8.0), 0.01, 1, 1.25, on_table=True)

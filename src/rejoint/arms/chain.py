@@ -11,7 +11,7 @@ import numpy as np
 
 from rejoint.arms.arm import Array
 from rejoint.arms.draft import Draft
-from rejoint.arms.inertia import Lump, lump
+from rejoint.arms.inertia import SpatialInertia, combined
 from rejoint.arms.rotations import inverse, pose_of, rotation_about
 from rejoint.system.errors import InputError
 
@@ -30,7 +30,7 @@ class Body:
     parent: int
     pose: Array
     """(4, 4) in the world, in the posture of the tree's joints"""
-    content: Lump
+    content: SpatialInertia
     """mass, centre and inertia in the body's frame"""
 
 
@@ -143,11 +143,11 @@ def _draft(tree: Tree, joints: list[Joint], frame: Array, tip: Array, notes: lis
     )
 
 
-def _links(tree: Tree, joints: list[Joint], poses: list[Array]) -> tuple[Lump, ...]:
+def _links(tree: Tree, joints: list[Joint], poses: list[Array]) -> tuple[SpatialInertia, ...]:
     """Everything that moves with each joint of the chain and not with the next, in the joint frames."""
     carriers = {joint.body: i for i, joint in enumerate(joints)}  # of several joints of a body the last carries it
     owner: dict[int, int] = {}
-    pieces: list[list[Lump]] = [[] for _ in joints]
+    pieces: list[list[SpatialInertia]] = [[] for _ in joints]
     for index, body in enumerate(tree.bodies[1:], start=1):
         if index in carriers:
             owner[index] = carriers[index]
@@ -156,7 +156,7 @@ def _links(tree: Tree, joints: list[Joint], poses: list[Array]) -> tuple[Lump, .
         if index in owner:
             pose = inverse(poses[owner[index]]) @ body.pose
             pieces[owner[index]].append(body.content.seen_from(pose))
-    return tuple(lump(piece) for piece in pieces)
+    return tuple(combined(piece) for piece in pieces)
 
 
 def _body(tree: Tree, name: str) -> int:

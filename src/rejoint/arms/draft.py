@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms.arm import Arm, Array, Box
-from rejoint.arms.inertia import Lump, link_ends, plausible_links
+from rejoint.arms.inertia import SpatialInertia, link_ends, plausible_links
 from rejoint.arms.workspace import derive_targets, derive_workspace, reach
 from rejoint.system.errors import InputError
 
@@ -48,7 +48,7 @@ class Draft:
     lower: Array
     upper: Array
     max_speed: Array
-    links: tuple[Lump, ...]
+    links: tuple[SpatialInertia, ...]
     """one for each joint, in the joint's frame; zero mass where unknown"""
     rest: Array | None = None
     targets: Box | None = None

@@ -34,7 +34,7 @@ ROUNDING = 0.05
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Lump:
+class SpatialInertia:
     """Mass, centre of mass and inertia of one rigid piece, in any one frame."""
 
     mass: float
@@ -46,10 +46,10 @@ class Lump:
     doubtful: bool = False
     """whether the inertia was not usable and more than half of the mass is without one"""
 
-    def seen_from(self, pose: Array) -> Lump:
+    def seen_from(self, pose: Array) -> SpatialInertia:
         """Express the piece, given in the frame ``pose`` (4, 4), in the frame that the pose is given in."""
         turn = pose[:3, :3]
-        return Lump(
+        return SpatialInertia(
             mass=self.mass,
             com=turn @ self.com + pose[:3, 3],
             inertia=turn @ self.inertia @ turn.T,
@@ -57,10 +57,10 @@ class Lump:
         )
 
 
-NOTHING = Lump(mass=0.0, com=np.zeros(3), inertia=np.zeros((3, 3)))
+NOTHING = SpatialInertia(mass=0.0, com=np.zeros(3), inertia=np.zeros((3, 3)))
 
 
-def lump(pieces: Sequence[Lump]) -> Lump:
+def combined(pieces: Sequence[SpatialInertia]) -> SpatialInertia:
     """Join rigidly connected pieces given in one frame (parallel-axis theorem)."""
     mass = sum(piece.mass for piece in pieces)
     if mass <= 0.0:
@@ -71,7 +71,7 @@ def lump(pieces: Sequence[Lump]) -> Lump:
         arm = piece.com - com
         inertia += piece.inertia + piece.mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
     unknown = sum(piece.mass for piece in pieces if piece.doubtful)
-    return Lump(mass=mass, com=com, inertia=inertia, doubtful=unknown > mass / 2)
+    return SpatialInertia(mass=mass, com=com, inertia=inertia, doubtful=unknown > mass / 2)
 
 
 def cylinder(mass: float, end: Array, radius: float) -> Array:
@@ -111,7 +111,9 @@ def link_ends(offset: Array, tip: Array) -> Array:
     return np.concatenate([offset[1:, :3, 3], tip[None, :3, 3]])
 
 
-def plausible_links(names: Sequence[str], links: Sequence[Lump], ends: Array) -> tuple[list[Lump], list[str]]:
+def plausible_links(
+    names: Sequence[str], links: Sequence[SpatialInertia], ends: Array
+) -> tuple[list[SpatialInertia], list[str]]:
     """Replace what no link of such an arm can have; returns the links and a note for each replacement.
 
     ``ends`` is (n, 3) [m], see :func:`link_ends`; ``names`` are what the notes call the links.
@@ -126,12 +128,12 @@ def plausible_links(names: Sequence[str], links: Sequence[Lump], ends: Array) ->
     return result, notes
 
 
-def _plausible(link: Lump, end: Array, reach: float) -> tuple[Lump, str]:
+def _plausible(link: SpatialInertia, end: Array, reach: float) -> tuple[SpatialInertia, str]:
     radius = reach * LINK_RADIUS_RATIO
     estimate = LINK_DENSITY * np.pi * radius**2 * float(np.linalg.norm(end))
     mass, com = link.mass, link.com
     if not estimate / IMPLAUSIBLE_MASS_RATIO**2 < mass < estimate * IMPLAUSIBLE_MASS_RATIO:
-        whole = Lump(mass=estimate, com=end / 2, inertia=cylinder(estimate, end, radius))
+        whole = SpatialInertia(mass=estimate, com=end / 2, inertia=cylinder(estimate, end, radius))
         found = "no mass" if mass == 0.0 else f"a mass of {mass:.3g} kg"
         return whole, f"{found}; estimated {estimate:.3g} kg from a solid cylinder along the link"
     problems = []
@@ -143,7 +145,7 @@ def _plausible(link: Lump, end: Array, reach: float) -> tuple[Lump, str]:
     if cause:
         problems.append(f"{cause}; estimated from a solid cylinder along the link")
         inertia = cylinder(mass, end, radius)
-    return Lump(mass=mass, com=com, inertia=_balanced(inertia)), ", ".join(problems)
+    return SpatialInertia(mass=mass, com=com, inertia=_balanced(inertia)), ", ".join(problems)
 
 
 def _wrong_size(mass: float, inertia: Array, reach: float) -> str:

@@ -46,17 +46,35 @@ def load_arm(source: str | Path, *, base: str | None = None, tip: str | None = N
     >>> arm = rejoint.load_arm("ur5e.urdf", base="base_link", tip="tool0")
     >>> rejoint.repair("emulated:worn", arm=arm)
     """
-    return read_arm(str(source), base=base, tip=tip).arm
+    return read_arm(source, base=base, tip=tip).arm
 
 
-def read_arm(source: str, *, base: str | None = None, tip: str | None = None) -> Loaded:
-    """Build an arm from a name of the catalogue, in any case, or a path to a TOML, URDF or MJCF file.
+def read_arm(source: str | Path, *, base: str | None = None, tip: str | None = None) -> Loaded:
+    r"""Load an arm as `load_arm` does, and tell what had to be assumed.
 
-    From a URDF or MJCF the serial chain from the body ``base`` to the body or site ``tip`` is cut
-    out, see :func:`rejoint.arms.chain.cut`. The notes name every value that was not given or not
-    usable. InputError or FileError say what cannot be used and why.
+    Parameters
+    ----------
+    source
+        as for `load_arm`; names of the catalogue are taken in any case
+    base, tip
+        as for `load_arm`
+
+    Returns
+    -------
+    Loaded
+        ``arm``, and ``notes``: a sentence for each value that the file does not give, or gives wrongly
+
+    Raises
+    ------
+    InputError, FileError
+        as `load_arm`
+
+    Examples
+    --------
+    >>> loaded = rejoint.read_arm("ur5e.urdf")
+    >>> print(*loaded.notes, sep="\n")
     """
-    path = Path(source)
+    path, source = Path(source), str(source)
     is_file = path.suffix.lower() in SUFFIXES
     if (base or tip) and (not is_file or path.suffix.lower() == ".toml"):
         raise InputError(f"base and tip choose a chain of a URDF or MJCF file; {source} is a single chain already")

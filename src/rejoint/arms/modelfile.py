@@ -17,7 +17,7 @@ import numpy as np
 
 from rejoint.arms.arm import Array
 from rejoint.arms.chain import Body, Joint, Site, Tree
-from rejoint.arms.inertia import NOTHING, Lump, ball, inertia_matrix, usable
+from rejoint.arms.inertia import NOTHING, SpatialInertia, ball, inertia_matrix, usable
 from rejoint.arms.rotations import pose_of, rotation_of
 from rejoint.system.errors import FileError
 from rejoint.system.extras import require
@@ -109,13 +109,13 @@ def _strip(mujoco: ModuleType, spec: Any, *, every_geom: bool, notes: list[str])
     spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO
 
 
-def _contents(spec: Any, notes: list[str]) -> dict[str, Lump | None]:  # noqa: ANN401
+def _contents(spec: Any, notes: list[str]) -> dict[str, SpatialInertia | None]:  # noqa: ANN401
     """Judge each body's mass and inertia; None where the compiled model's are good.
 
     A body whose numbers MuJoCo would refuse gets harmless ones for compiling; its chain link is
     completed later.
     """
-    result: dict[str, Lump | None] = {}
+    result: dict[str, SpatialInertia | None] = {}
     for index, body in enumerate(spec.bodies):
         body.name = body.name or f"body{index}"
         result[body.name] = None
@@ -132,7 +132,7 @@ def _contents(spec: Any, notes: list[str]) -> dict[str, Lump | None]:  # noqa: A
             result[body.name] = NOTHING
             notes.append(f"body {body.name}: a mass of {mass:g} kg at {com} m cannot be; left out")
         elif not usable(inertia):
-            result[body.name] = Lump(mass=mass, com=com, inertia=ball(mass), doubtful=True)
+            result[body.name] = SpatialInertia(mass=mass, com=com, inertia=ball(mass), doubtful=True)
             notes.append(f"body {body.name}: its inertia belongs to no rigid body (moments {_moments(inertia)} kg m^2)")
         else:
             continue
@@ -161,7 +161,7 @@ def _drives(model: Any, coupled: dict[str, str]) -> set[str]:  # noqa: ANN401
     return {leader for follower, leader in pairs if not hangs_below(body[follower], body[leader])}
 
 
-def _bodies(mujoco: ModuleType, model: Any, contents: dict[str, Lump | None]) -> tuple[tuple[Body, ...], Any]:  # noqa: ANN401
+def _bodies(mujoco: ModuleType, model: Any, contents: dict[str, SpatialInertia | None]) -> tuple[tuple[Body, ...], Any]:  # noqa: ANN401
     """Bodies in the reference posture, or the nearest within the limits, and MuJoCo's data of that posture."""
     data = mujoco.MjData(model)
     for j in range(model.njnt):
@@ -220,10 +220,10 @@ def _joint(
     )
 
 
-def _compiled(model: Any, b: int) -> Lump:  # noqa: ANN401
+def _compiled(model: Any, b: int) -> SpatialInertia:  # noqa: ANN401
     turn = rotation_of(model.body_iquat[b])
     inertia = (turn * model.body_inertia[b]) @ turn.T
-    return Lump(mass=float(model.body_mass[b]), com=model.body_ipos[b].copy(), inertia=inertia)
+    return SpatialInertia(mass=float(model.body_mass[b]), com=model.body_ipos[b].copy(), inertia=inertia)
 
 
 def _urdf_speeds(root: ET.Element) -> dict[str, float]:

@@ -46,7 +46,7 @@ import numpy as np
 
 from rejoint.arms.arm import Arm, Array, Box, DhRow, dh_chain
 from rejoint.arms.draft import Draft
-from rejoint.arms.inertia import NOTHING, Lump, inertia_matrix, inertia_values
+from rejoint.arms.inertia import NOTHING, SpatialInertia, inertia_matrix, inertia_values
 from rejoint.arms.rotations import quaternion_of, rotation_of
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import TOML_MOST, read_bounded, write_whole
@@ -77,7 +77,7 @@ def read_draft(path: Path) -> Draft:
         raise FileError(path, f"it cannot be read ({error})", "check the path of the arm") from error
     except (RecursionError, tomllib.TOMLDecodeError) as error:
         raise FileError(path, f"it is not TOML: {error}", "correct the file") from error
-    top = _Table(path=path, text=text, data=data, header="", index=0, known=_ARM_KEYS)
+    top = _TomlTable(path=path, text=text, data=data, header="", index=0, known=_ARM_KEYS)
     name = top.string("name")
     joints = top.tables("joint", _JOINT_KEYS)
     names = tuple(joint.string("name") for joint in joints)
@@ -137,7 +137,7 @@ def _joint_block(arm: Arm, i: int) -> str:
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Table:
+class _TomlTable:
     """One table of the file; its readers name the key and the line of a value that cannot be used."""
 
     path: Path
@@ -186,24 +186,24 @@ class _Table:
             raise self.error(key, f"expected {size} finite numbers, found {_shown(value)}")
         return np.array(value, dtype=float)
 
-    def table(self, key: str, known: tuple[str, ...]) -> _Table:
+    def table(self, key: str, known: tuple[str, ...]) -> _TomlTable:
         value = self.data.get(key, {})
         if not isinstance(value, dict):
             raise self.error(key, f"expected a table, found {_shown(value)}")
         header = key if not self.header else self.header
-        return _Table(path=self.path, text=self.text, data=value, header=header, index=self.index, known=known)
+        return _TomlTable(path=self.path, text=self.text, data=value, header=header, index=self.index, known=known)
 
-    def tables(self, key: str, known: tuple[str, ...]) -> list[_Table]:
+    def tables(self, key: str, known: tuple[str, ...]) -> list[_TomlTable]:
         value = self.data.get(key)
         if not isinstance(value, list) or not value or not all(isinstance(item, dict) for item in value):
             raise self.error(key, f"expected one [[{key}]] table or more, found {_shown(value)}")
         return [
-            _Table(path=self.path, text=self.text, data=item, header=key, index=i, known=known)
+            _TomlTable(path=self.path, text=self.text, data=item, header=key, index=i, known=known)
             for i, item in enumerate(value)
         ]
 
 
-def _chain(joints: list[_Table]) -> tuple[Array, Array, Array]:
+def _chain(joints: list[_TomlTable]) -> tuple[Array, Array, Array]:
     """``offset`` (n, 4, 4), ``axis`` (n, 3) and the pose (4, 4) that the tip is given in."""
     with_row = [joint for joint in joints if "dh" in joint.data]
     if not with_row:
@@ -217,12 +217,12 @@ def _chain(joints: list[_Table]) -> tuple[Array, Array, Array]:
     return dh_chain([_dh_row(joint.table("dh", _DH_KEYS)) for joint in joints])
 
 
-def _dh_row(row: _Table) -> DhRow:
+def _dh_row(row: _TomlTable) -> DhRow:
     d, a, alpha, offset = (row.number(key) or 0.0 for key in _DH_KEYS)
     return DhRow(d=d, a=a, alpha=float(np.radians(alpha)), offset=float(np.radians(offset)))
 
 
-def _pose(table: _Table) -> Array:
+def _pose(table: _TomlTable) -> Array:
     pose = np.eye(4)
     position, quaternion = table.numbers("position_m", 3), table.numbers("quaternion", 4)
     if position is not None:
@@ -235,7 +235,7 @@ def _pose(table: _Table) -> Array:
     return pose
 
 
-def _axis(joint: _Table) -> Array:
+def _axis(joint: _TomlTable) -> Array:
     axis = joint.numbers("axis", 3)
     if axis is None:
         return np.array([0.0, 0.0, 1.0])
@@ -245,7 +245,7 @@ def _axis(joint: _Table) -> Array:
     return axis / norm
 
 
-def _link(joint: _Table) -> Lump:
+def _link(joint: _TomlTable) -> SpatialInertia:
     mass = joint.number("mass_kg", above=0.0)
     com, moments = joint.numbers("com_m", 3), joint.numbers("inertia_kg_m2", 6)
     if mass is None:
@@ -255,11 +255,11 @@ def _link(joint: _Table) -> Lump:
         return NOTHING
     centre = np.zeros(3) if com is None else com
     if moments is None:
-        return Lump(mass=mass, com=centre, inertia=np.zeros((3, 3)), doubtful=True)
-    return Lump(mass=mass, com=centre, inertia=inertia_matrix(moments))
+        return SpatialInertia(mass=mass, com=centre, inertia=np.zeros((3, 3)), doubtful=True)
+    return SpatialInertia(mass=mass, com=centre, inertia=inertia_matrix(moments))
 
 
-def _targets(top: _Table) -> Box | None:
+def _targets(top: _TomlTable) -> Box | None:
     if "targets" not in top.data:
         return None
     table = top.table("targets", ("lower_m", "upper_m"))

@@ -82,11 +82,6 @@ def rising_frames(arm: Arm) -> NDArray[np.bool_]:
     return rising
 
 
-def derive_rest(arm: Arm, seed: int = 0) -> Array:
-    """Find a rest posture (n,) [rad] for an arm whose ``rest`` and ``targets`` are placeholders."""
-    return _rest_candidates(_survey(arm, seed), seed)[0]
-
-
 def derive_targets(arm: Arm, seed: int = 0) -> Box:
     """Find the region of reachable targets around the TCP of ``arm.rest``; InputError if there is none."""
     found = _largest_box(_survey(arm, seed))

@@ -1,7 +1,8 @@
 """The command line: one command per stage, and `repair` for the whole chain.
 
-Exit codes: 0 done; 2 input that cannot be used; 3 the guard stopped the motion; 4 the robot failed; 5 done, but not
-all targets were reached; 128 and the number of the signal, such as 130 for Ctrl-C and 143 for SIGTERM, interrupted.
+Exit codes: 0 done; 1 a bug, here or in the driver of another package; 2 input that cannot be used; 3 the guard stopped
+the motion; 4 the robot failed; 5 done, but not all targets were reached; 128 and the number of the signal, such as 130
+for Ctrl-C and 143 for SIGTERM, interrupted.
 Results go to standard output, everything else to standard error.
 """
 
@@ -9,6 +10,8 @@ from __future__ import annotations
 
 import signal
 import sys
+import tempfile
+import traceback
 from collections.abc import Callable
 
 import msgspec
@@ -16,9 +19,12 @@ import typer
 from rich.console import Console
 
 from rejoint.cli import chain, evaluation, foreign, measuring, offline, reproducing, serving, stages
-from rejoint.system.errors import RejointError
+from rejoint.system.errors import RejointError, first_line
 from rejoint.system.extras import explain
 from rejoint.system.stopping import Interrupted, install, interruption
+
+BUG = 1
+"""Exit code for what should never happen"""
 
 app = typer.Typer(
     name="rejoint",
@@ -53,9 +59,7 @@ def main() -> None:
         _say_notes(error)
     except ImportError as error:
         line = explain(error)
-        if line is None:  # not of an extra: the installation or the program is broken, and where is worth telling
-            raise
-        code = _fail(line, "MissingExtraError", 2, json=json)
+        code = _bug(error, json=json) if line is None else _fail(line, "MissingExtraError", 2, json=json)
     except typer.TyperException as error:
         told = getattr(error, "format_message", error.__str__)()  # names the option, which str() does not
         code = _fail(told, "UsageError", 2, json=json)
@@ -69,17 +73,35 @@ def main() -> None:
             2,
             json=json,
         )
-    except Exception:
-        asked = interruption()
-        if asked is None:
-            raise
-        code = _interrupted(asked, json=json)  # compiled code swallowed it and failed for want of what it asked for
+    except Exception as error:  # noqa: BLE001 - a bug, wherever it is, ends in one line
+        asked = interruption()  # compiled code may have swallowed it, and failed for want of what it asked for
+        code = _bug(error, json=json) if asked is None else _interrupted(asked, json=json)
     sys.exit(code)
 
 
+RESUMED = ("repair", "train", "compare")
+"""Commands that go on where they were interrupted"""
+
+
 def _interrupted(error: Interrupted, *, json: bool) -> int:
-    kept = "finished stages are kept: `rejoint repair`, `rejoint train` and `rejoint compare` go on from there"
-    code = _fail(f"{error}; {kept}", "Interrupted", error.exit_code, json=json)
+    command = sys.argv[1] if len(sys.argv) > 1 else ""
+    kept = f"; what is finished is kept: the same `rejoint {command}` goes on from there" if command in RESUMED else ""
+    code = _fail(f"{error}{kept}", "Interrupted", error.exit_code, json=json)
+    _say_notes(error)
+    return code
+
+
+def _bug(error: Exception, *, json: bool) -> int:
+    """Say in one line whose bug it is, and write where it is into a file."""
+    from rejoint.robots.registry import driver_of
+
+    with tempfile.NamedTemporaryFile(
+        "w", prefix="rejoint-traceback-", suffix=".txt", encoding="utf-8", delete=False
+    ) as file:
+        file.writelines(traceback.format_exception(error))
+    what = f"{type(error).__name__}: {first_line(error)}"
+    whose = driver_of(error) or "rejoint itself"
+    code = _fail(f"a bug in {whose}: {what}; where it is: {file.name}", "InternalError", BUG, json=json)
     _say_notes(error)
     return code
 

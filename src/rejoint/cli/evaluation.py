@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 OUT = Path("runs") / "family"
 
 
-FAMILY_ALONE = ("controllers", "variants", "arms", "gains")
+FAMILY_ONLY = ("controllers", "variants", "arms", "gains")
 """Options of `evaluate` that go with --family"""
 
 
@@ -60,13 +60,13 @@ def evaluate(
     from rejoint.control.comparison.result import Protocol
     from rejoint.research.evaluation.contestants import classical, known_names, learned
     from rejoint.research.evaluation.evaluate import evaluate as run
-    from rejoint.research.evaluation.family import VARIANTS, Family, find_variant
+    from rejoint.research.evaluation.family import VARIANTS, ArmFamily, find_variant
     from rejoint.research.evaluation.identification import evaluate_identification
     from rejoint.research.evaluation.trials import TrialSettings
 
     if family == (identification is not None):
         raise InputError("evaluate needs either --family or --identification N: the arms that controllers are tried on")
-    idle = ("iterations",) if family else FAMILY_ALONE
+    idle = ("iterations",) if family else FAMILY_ONLY
     for name in idle:
         source = context.get_parameter_source(name)
         if source is not None and source.name != "DEFAULT":
@@ -74,7 +74,7 @@ def evaluate(
     terminal = Terminal(json=json)
     arm = load_arm("mycobot280")
     if identification is not None:
-        few = Family(arms=identification, targets=targets, seed=seed)
+        few = ArmFamily(arms=identification, targets=targets, seed=seed)
         settings = TrialSettings(family=few, protocol=Protocol(), crossing=crossing, threads=threads)
         with terminal.progress("evaluating") as update:
             found = evaluate_identification(arm, policy or [], settings, out, iterations, update)
@@ -87,7 +87,7 @@ def evaluate(
         raise InputError("evaluate: nobody takes part; name --controllers or give a --policy")
     chosen = VARIANTS if variants == "all" else [find_variant(name) for name in controller_names(variants)]
     settings = TrialSettings(
-        family=Family(arms=arms, targets=targets, seed=seed), protocol=Protocol(), crossing=crossing, threads=threads
+        family=ArmFamily(arms=arms, targets=targets, seed=seed), protocol=Protocol(), crossing=crossing, threads=threads
     )
     with terminal.progress("evaluating") as update:
         result = run(arm, contestants, chosen, settings, out, update)

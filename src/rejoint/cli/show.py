@@ -105,7 +105,8 @@ def comparison(terminal: Terminal, result: Comparison, advice: Recommendation) -
     for line in filter(None, map(failure, result.rows)):
         if not any(line in reason for reason in advice.why):
             terminal.result(f"  ! {line}")
-    terminal.result(f"Recommended: {advice.controller}")
+    tie = f" (a tie with {', '.join(advice.tied)})" if advice.tied else ""
+    terminal.result(f"Recommended: {advice.controller}{tie}")
     for reason in advice.why:
         terminal.result(f"  - {reason}")
 

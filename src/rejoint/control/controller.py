@@ -10,7 +10,7 @@ from rejoint.control.robot import JointState, Mask
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Situation:
+class ControlInput:
     """All that a controller knows when it decides."""
 
     state: JointState
@@ -23,14 +23,14 @@ class Situation:
 
 
 class Controller(Protocol):
-    """Turns situations into commands; may keep memory between cycles."""
+    """Turns control inputs into commands; may keep memory between cycles."""
 
     @property
     def name(self) -> str:
         """Short name used in tables and on the command line."""
 
-    def reset(self, situation: Situation, where: Mask) -> None:
+    def reset(self, inputs: ControlInput, where: Mask) -> None:
         """Forget what belongs to the old target, for the arms in ``where`` (B,)."""
 
-    def command(self, situation: Situation) -> Array:
+    def command(self, inputs: ControlInput) -> Array:
         """Return the wanted joint positions (B, n) [rad]; the guard decides what is sent."""

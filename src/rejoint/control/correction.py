@@ -13,7 +13,7 @@ from typing import Protocol
 import numpy as np
 
 from rejoint.arms import Arm, Array, Displacement, solve_position, tcp_position
-from rejoint.control.controller import Situation
+from rejoint.control.controller import ControlInput
 from rejoint.control.robot import Mask
 from rejoint.system.errors import InputError
 
@@ -40,8 +40,8 @@ class Correction(Protocol):
         ``start`` (B, n) [rad] is what the arms were sent last.
         """
 
-    def again(self, target: Array, situation: Situation) -> Array | None:
-        """Once a control cycle, return new aims (B, 3) [m]; None where the present ones, in ``situation``, stay."""
+    def again(self, target: Array, inputs: ControlInput) -> Array | None:
+        """Once a control cycle, return new aims (B, 3) [m]; None where the present ones, in ``inputs``, stay."""
 
 
 @dataclass(eq=False)
@@ -83,29 +83,29 @@ class Modelled:
         aims[aimed] = checked(goal, place)
         return aims
 
-    def again(self, target: Array, situation: Situation) -> Array | None:
+    def again(self, target: Array, inputs: ControlInput) -> Array | None:
         """Aim once more at the posture in which an arm has settled: redundant ones do not end where they were sent."""
-        settled = self._settled(situation) & ~self._done
+        settled = self._settled(inputs) & ~self._done
         if not settled.any():
             return None
         self._done = self._done | settled
-        position = situation.state.position
-        fresh = np.where(settled[:, None], target - self.shift(position), situation.target)
-        changed = np.linalg.norm(fresh - situation.target, axis=-1) > CHANGE
+        position = inputs.state.position
+        fresh = np.where(settled[:, None], target - self.shift(position), inputs.target)
+        changed = np.linalg.norm(fresh - inputs.target, axis=-1) > CHANGE
         if not changed.any():
             return None
-        return np.where(changed[:, None], checked(target, fresh), situation.target)
+        return np.where(changed[:, None], checked(target, fresh), inputs.target)
 
-    def _settled(self, situation: Situation) -> Mask:
+    def _settled(self, inputs: ControlInput) -> Mask:
         """Arms (B,) that have stood for a while where they were sent."""
-        position, now = situation.state.position, situation.state.time
+        position, now = inputs.state.position, inputs.state.time
         moving = (np.abs(position - self._posture) > STILL).any(axis=-1) | np.isnan(self._since)
         self._posture = np.where(moving[:, None], position, self._posture)
         self._since = np.where(moving, now, self._since)
         calm = now - self._since > CALM
         if not calm.any():
             return calm
-        off = np.linalg.norm(situation.target - tcp_position(self.arm, position), axis=-1)
+        off = np.linalg.norm(inputs.target - tcp_position(self.arm, position), axis=-1)
         return calm & (off < NEAR)
 
 

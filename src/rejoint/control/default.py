@@ -7,7 +7,7 @@ kinematics starts at the last command.
 from __future__ import annotations
 
 from rejoint.arms import Arm, Array
-from rejoint.control.controller import Situation
+from rejoint.control.controller import ControlInput
 from rejoint.control.goal import Goal
 from rejoint.control.robot import Mask
 
@@ -20,10 +20,10 @@ class DefaultController:
     def __init__(self, arm: Arm) -> None:
         self._goal = Goal(arm)
 
-    def reset(self, situation: Situation, where: Mask) -> None:
+    def reset(self, inputs: ControlInput, where: Mask) -> None:
         """Solve for the new targets of the arms in ``where`` (B,)."""
-        self._goal.reset(situation, where)
+        self._goal.reset(inputs, where)
 
-    def command(self, situation: Situation) -> Array:  # noqa: ARG002 - open loop: what happens does not matter
+    def command(self, inputs: ControlInput) -> Array:  # noqa: ARG002 - open loop: what happens does not matter
         """Return the goal postures (B, n) [rad]."""
         return self._goal.position.copy()

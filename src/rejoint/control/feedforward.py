@@ -14,7 +14,7 @@ import numpy as np
 
 from rejoint.arms import Arm, Array, gravity_torque, position_kinematics
 from rejoint.arms.size import torque_size
-from rejoint.control.controller import Situation
+from rejoint.control.controller import ControlInput
 from rejoint.control.goal import Goal
 from rejoint.control.integrator import IntegratorGains
 from rejoint.control.law import dls_step, fade, limit_position, null_space, plain
@@ -60,11 +60,11 @@ class FeedforwardController:
         self._raised = self._correction = self._speed = self._position = np.zeros((0, arm.joints))
         self._pace = Pace()
 
-    def reset(self, situation: Situation, where: Mask) -> None:
+    def reset(self, inputs: ControlInput, where: Mask) -> None:
         """Solve for the new targets of the arms in ``where`` (B,); what was learned carries over."""
-        if len(self._position) != len(situation.sent):
-            self.forget(situation, np.ones(len(situation.sent), dtype=bool))
-        self._goal.reset(situation, where)
+        if len(self._position) != len(inputs.sent):
+            self.reset_learned(inputs, np.ones(len(inputs.sent), dtype=bool))
+        self._goal.reset(inputs, where)
         goal = self._goal.position[where]
         # What was learned in the null space moves no tool, but adds up from target to target until the arm folds.
         idle = null_space(position_kinematics(self._arm, goal)[1], self._correction[where])
@@ -75,25 +75,25 @@ class FeedforwardController:
         """Solve ahead for the ``target`` (B, 3) of the next `reset` of the arms in ``where``, from ``start`` (B, n)."""
         self._goal.foresee(target, start, where)
 
-    def command(self, situation: Situation) -> Array:
+    def command(self, inputs: ControlInput) -> Array:
         """Return the raised goal postures plus the correction, (B, n) [rad]."""
-        seen = dls_step(self._arm, situation.state.position, situation.target)
+        seen = dls_step(self._arm, inputs.state.position, inputs.target)
         step = fade(seen.error, self._gains.fade) * seen.step
-        return self.correct(situation, step, np.zeros_like(step))
+        return self.correct(inputs, step, np.zeros_like(step))
 
-    def correct(self, situation: Situation, step: Array, extra: Array) -> Array:
+    def correct(self, inputs: ControlInput, step: Array, extra: Array) -> Array:
         """Integrate ``step`` (B, n) [rad] where joints are not on their way and add ``extra`` (B, n) [rad] everywhere.
 
         Returns what `command` returns; call one of the two per cycle.
         """
-        position = plain(situation.state.position)
+        position = plain(inputs.state.position)
         if not step.shape == extra.shape == position.shape == self._correction.shape:
             raise InputError(
                 f"feedforward: step {step.shape}, extra {extra.shape}, position {position.shape}; expected "
                 f"{self._correction.shape}, as at the last reset"
             )
         step, extra = plain(step), plain(extra)
-        gains, elapsed = self._gains, self._pace.tick(situation.state.time)
+        gains, elapsed = self._gains, self._pace.tick(inputs.state.time)
         # Bounded by itself, not by the measured position: on the way the command leads by the whole distance.
         compiled.integrate(
             self._correction, self._speed, self._position, position, elapsed, step, extra,
@@ -101,13 +101,13 @@ class FeedforwardController:
         )  # fmt: skip
         return limit_position(self._arm, self._raised + self._correction)
 
-    def forget(self, situation: Situation, where: Mask) -> None:
+    def reset_learned(self, inputs: ControlInput, where: Mask) -> None:
         """Drop what was learned about the arms in ``where`` (B,), exchanged for others; `reset` must follow."""
-        if len(self._position) != len(situation.sent):
-            self._raised, self._correction, self._speed, self._position = np.zeros((4, *situation.sent.shape))
+        if len(self._position) != len(inputs.sent):
+            self._raised, self._correction, self._speed, self._position = np.zeros((4, *inputs.sent.shape))
         self._correction[where] = self._speed[where] = 0.0
-        self._position = np.where(where[:, None], situation.state.position, self._position)
-        self._pace.begin(situation.state.time, where)
+        self._position = np.where(where[:, None], inputs.state.position, self._position)
+        self._pace.begin(inputs.state.time, where)
 
     def memory(self) -> dict[str, Array]:
         """Return everything that is remembered, by name; live arrays."""

@@ -11,7 +11,7 @@ from typing import NamedTuple
 from rejoint.system.errors import ContractError
 
 
-class KnownArm(NamedTuple):
+class CatalogueArm(NamedTuple):
     """An arm as the catalogue had it then."""
 
     geometry: str
@@ -21,7 +21,7 @@ class KnownArm(NamedTuple):
 
 
 ARMS = {
-    "mycobot280": KnownArm(
+    "mycobot280": CatalogueArm(
         geometry="f382bddea59dce3b",
         digests={
             "offset": "041f687116d49dd1", "axis": "ced5b88ecbb703c1", "tip": "7ed532836d7106ed",
@@ -29,7 +29,7 @@ ARMS = {
             "targets": "917d0001737460db",
         },
     ),
-    "so101": KnownArm(
+    "so101": CatalogueArm(
         geometry="f43b8d4c7691f1ca",
         digests={
             "offset": "4ee046714aeaf049", "axis": "e6b475edbf78e1ca", "tip": "ac387094a4d9e7cb",

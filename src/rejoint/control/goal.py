@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from rejoint.arms import Arm, Array, solve_position
-from rejoint.control.controller import Situation
+from rejoint.control.controller import ControlInput
 from rejoint.control.robot import Mask
 
 
@@ -28,16 +28,16 @@ class Goal:
         self._ahead = start.copy()
         self._ahead[where] = solve_position(self._arm, target[where], start[where]).q
 
-    def reset(self, situation: Situation, where: Mask) -> None:
+    def reset(self, inputs: ControlInput, where: Mask) -> None:
         """Solve for the targets of the arms in ``where`` (B,), searching from their last commands.
 
         A target out of reach gets the nearest posture found.
         """
-        if len(self.position) != len(situation.sent):
-            self.position = situation.sent.copy()
+        if len(self.position) != len(inputs.sent):
+            self.position = inputs.sent.copy()
         if len(self._foreseen) == len(where):
-            known = where & (self._foreseen == situation.target).all(axis=1)
+            known = where & (self._foreseen == inputs.target).all(axis=1)
             self.position[known], self._foreseen[known] = self._ahead[known], np.nan
             where = where & ~known
         if where.any():
-            self.position[where] = solve_position(self._arm, situation.target[where], situation.sent[where]).q
+            self.position[where] = solve_position(self._arm, inputs.target[where], inputs.sent[where]).q

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rejoint.arms import Arm, Array, clip_norm
-from rejoint.control.controller import Situation
+from rejoint.control.controller import ControlInput
 from rejoint.control.law import GAIN, dls_step, fade, limit_lead, limit_position, null_space
 from rejoint.control.pace import NOMINAL_PERIOD, Pace
 from rejoint.control.robot import Mask
@@ -46,15 +46,15 @@ class IntegratorController:
     def __init__(self, arm: Arm, gains: IntegratorGains | None = None) -> None:
         self._arm, self._gains, self._pace = arm, gains or IntegratorGains(), Pace()
 
-    def reset(self, situation: Situation, where: Mask) -> None:
+    def reset(self, inputs: ControlInput, where: Mask) -> None:
         """Do nothing: what is remembered is the last command, and it carries over."""
 
-    def command(self, situation: Situation) -> Array:
+    def command(self, inputs: ControlInput) -> Array:
         """Return the last command, moved towards the target, (B, n) [rad]."""
-        arm, gains, measured = self._arm, self._gains, situation.state.position
-        elapsed = self._pace.tick(situation.state.time)[:, None]
-        seen = dls_step(arm, measured, situation.target)
+        arm, gains, measured = self._arm, self._gains, inputs.state.position
+        elapsed = self._pace.tick(inputs.state.time)[:, None]
+        seen = dls_step(arm, measured, inputs.target)
         step = gains.rate * elapsed * fade(seen.error, gains.fade) * seen.step
-        pull = clip_norm(null_space(seen.jacobian, gains.rest_gain * (arm.rest - situation.sent)), gains.rest_step)
+        pull = clip_norm(null_space(seen.jacobian, gains.rest_gain * (arm.rest - inputs.sent)), gains.rest_step)
         far = np.linalg.norm(seen.error, axis=-1, keepdims=True) > gains.rest_distance
-        return limit_position(arm, limit_lead(situation.sent + step + far * pull, measured, gains.lead))
+        return limit_position(arm, limit_lead(inputs.sent + step + far * pull, measured, gains.lead))

@@ -14,13 +14,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from rejoint.arms import Array, tcp_position
-from rejoint.control.controller import Controller, Situation
+from rejoint.control.controller import ControlInput, Controller
 from rejoint.control.correction import Correction
 from rejoint.control.following import Following
 from rejoint.control.guard import TRIPS, Guarded, GuardLimits, Reason, Reasons, guard, warm_up
-from rejoint.control.progress import Progress, own, told_load
 from rejoint.control.recording import Cycle, OnCycle, Recorder, Recording, attach
 from rejoint.control.robot import JointState, Mask, Robot
+from rejoint.control.runstate import RunState, own, reported_load
 from rejoint.control.trips import trip_error
 from rejoint.system.errors import InputError, RejointError, first_line
 from rejoint.system.stopping import check, noted, shielded
@@ -43,7 +43,7 @@ class Schedule:
     sent: Array | None = None
     """(B, n) [rad] command in force before the run; None: the measured position. An arm that sags drops by
     its sag where this is forgotten."""
-    give_up: Callable[[Situation], Mask] | None = None
+    give_up: Callable[[ControlInput], Mask] | None = None
     """asked once per cycle with what was read: arms (B,) that are done, whatever is left of their targets. They stay
     where they are, at the last command"""
 
@@ -96,23 +96,23 @@ def _warm_up(limits: GuardLimits) -> None:
 
 def _drive(loop: _Loop, targets: Array) -> Recording:
     robot, recorder = loop.robot, loop.recorder
-    progress: Progress | None = None
+    run_state: RunState | None = None
     try:
         check()
-        progress = Progress.begin(own(robot.read()), targets, loop.schedule.sent, loop.limits, loop.correction)
-        loop.controller.reset(progress.situation(), np.ones(robot.count, dtype=bool))
-        while loop.cycle(progress):
+        run_state = RunState.begin(own(robot.read()), targets, loop.schedule.sent, loop.limits, loop.correction)
+        loop.controller.reset(run_state.inputs(), np.ones(robot.count, dtype=bool))
+        while loop.cycle(run_state):
             check()
-        if progress.tripped.any():
+        if run_state.tripped.any():
             robot.stop()
     except BaseException as error:
         held = _hold(robot)
-        if progress is not None:
-            attach(error, recorder.recording(progress.tripped))
+        if run_state is not None:
+            attach(error, recorder.recording(run_state.tripped))
         if robot.count == 1:
             error.add_note(held)
         raise
-    return recorder.recording(progress.tripped)
+    return recorder.recording(run_state.tripped)
 
 
 def _hold(robot: Robot) -> str:
@@ -178,12 +178,12 @@ class Playback:
     def __init__(self, trajectory: Callable[[Array], Array]) -> None:
         self._trajectory = trajectory
 
-    def reset(self, situation: Situation, where: Mask) -> None:
-        """Do nothing: the clock is the situation's."""
+    def reset(self, inputs: ControlInput, where: Mask) -> None:
+        """Do nothing: the clock is that of the inputs."""
 
-    def command(self, situation: Situation) -> Array:
+    def command(self, inputs: ControlInput) -> Array:
         """Return the trajectory's posture (B, n) [rad] at this time."""
-        return self._trajectory(situation.since_target)
+        return self._trajectory(inputs.since_target)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -198,90 +198,94 @@ class _Loop:
     on_cycle: OnCycle | None
     correction: Correction | None
 
-    def cycle(self, progress: Progress) -> bool:
+    def cycle(self, run_state: RunState) -> bool:
         """Do one control cycle; returns whether there is another one."""
-        before, target = progress.situation(), progress.target
-        fresh, index = progress.active, progress.index
+        before, target = run_state.inputs(), run_state.target
+        fresh, index = run_state.active, run_state.index
         if self.schedule.give_up is not None:
-            progress.active = fresh & ~self.schedule.give_up(before)
-        renewed = progress.advance(progress.active & self._finished(before))
-        command, reasons, speed = self._decide(progress, renewed)
+            run_state.active = fresh & ~self.schedule.give_up(before)
+        renewed = run_state.advance(run_state.active & self._finished(before))
+        command, reasons, speed = self._decide(run_state, renewed)
         cycle = Cycle(
             time=before.state.time, position=before.state.position, command=command, target=target,
             aim=before.target, target_index=index, since_target=before.since_target,
-            true_tcp=self.robot.true_tcp().copy(), active=fresh, reasons=reasons, load=told_load(before.state),
+            true_tcp=self.robot.true_tcp().copy(), active=fresh, reasons=reasons, load=reported_load(before.state),
         )  # fmt: skip
         self.recorder.cycles.append(cycle)
         if self.on_cycle is not None:
             self.on_cycle(cycle)
-        self._stop_tripped(progress, reasons)
-        if progress.active.any():
-            progress.stepped(own(self.robot.step(command, progress.active)), command, speed)
-        return bool(progress.active.any())
+        self._stop_tripped(run_state, reasons)
+        if run_state.active.any():
+            run_state.stepped(own(self.robot.step(command, run_state.active)), command, speed)
+        return bool(run_state.active.any())
 
-    def _finished(self, situation: Situation) -> Mask:
+    def _finished(self, inputs: ControlInput) -> Mask:
         """Arms (B,) that have reached their target or waited long enough."""
-        finished: Mask = situation.since_target >= self.schedule.dwell
+        finished: Mask = inputs.since_target >= self.schedule.dwell
         if self.schedule.stop_below is not None:
-            error = np.linalg.norm(situation.target - tcp_position(self.robot.arm, situation.state.position), axis=-1)
+            error = np.linalg.norm(inputs.target - tcp_position(self.robot.arm, inputs.state.position), axis=-1)
             finished = finished | (error < self.schedule.stop_below)
         return finished
 
-    def _decide(self, progress: Progress, renewed: Mask) -> Guarded:
+    def _decide(self, run_state: RunState, renewed: Mask) -> Guarded:
         """Commands (B, n) that may be sent, the guard's reasons (B,), and the speed of the commands."""
-        active = progress.active
+        active = run_state.active
         if not active.any():
-            return Guarded(progress.sent, np.zeros(len(active), dtype=np.uint16), progress.speed)
-        situation = progress.situation()
-        corrected = progress.aim_again()
+            return Guarded(run_state.sent, np.zeros(len(active), dtype=np.uint16), run_state.speed)
+        inputs, fresh = run_state.inputs(), renewed | run_state.gap
+        corrected = run_state.aim_again()
         if corrected is not None:
-            situation = progress.situation()
-        fresh = renewed | progress.gap if corrected is None else renewed | progress.gap | corrected
+            inputs, fresh = run_state.inputs(), fresh | corrected
         if fresh.any():
-            self.controller.reset(situation, fresh)
-        aimed = np.isfinite(situation.target[:, 0])
-        progress.unbelieved = progress.following.check(progress.state, progress.sent, aimed)
-        wanted = progress.following.bound(self.controller.command(situation), progress.state.position, aimed)
-        ease = progress.ease  # slower time for the guard is a slower arm
+            self.controller.reset(inputs, fresh)
+        aimed = np.isfinite(inputs.target[:, 0])
+        run_state.unbelieved = run_state.following.check(run_state.state, run_state.sent, aimed)
+        wanted = run_state.following.bound(self.controller.command(inputs), run_state.state.position, aimed)
+        ease = run_state.ease  # slower time for the guard is a slower arm
         guarded = guard(
-            self.limits, wanted, progress.sent, progress.speed / ease[:, None], progress.state, ease * progress.period
+            self.limits,
+            wanted,
+            run_state.sent,
+            run_state.speed / ease[:, None],
+            run_state.state,
+            ease * run_state.period,
         )
         command = guarded.command
-        reasons = guarded.reasons + progress.gap * np.uint16(Reason.GAP.value)
-        if progress.unbelieved is not None:
-            lost: Mask = np.logical_or.reduce(progress.unbelieved, axis=-1)
-            command = np.where(lost[:, None], progress.sent, command)
+        reasons = guarded.reasons + run_state.gap * np.uint16(Reason.GAP.value)
+        if run_state.unbelieved is not None:
+            lost: Mask = np.logical_or.reduce(run_state.unbelieved, axis=-1)
+            command = np.where(lost[:, None], run_state.sent, command)
             reasons = reasons | lost * np.uint16(Reason.NOT_FOLLOWING.value)
-        command = np.where(active[:, None], command, progress.sent)
+        command = np.where(active[:, None], command, run_state.sent)
         return Guarded(command, reasons * active, ease[:, None] * guarded.speed)
 
-    def _stop_tripped(self, progress: Progress, reasons: Reasons) -> None:
+    def _stop_tripped(self, run_state: RunState, reasons: Reasons) -> None:
         trips = reasons & np.uint16(TRIPS.value)
         if not trips.any():
             return
-        progress.tripped = progress.tripped | trips
-        self._release(progress, trips)
+        run_state.tripped = run_state.tripped | trips
+        self._release(run_state, trips)
         if not self.schedule.keep_going:
-            raise trip_error(int(np.flatnonzero(trips)[0]), progress, self.limits)
-        progress.active = progress.active & (trips == 0)
+            raise trip_error(int(np.flatnonzero(trips)[0]), run_state, self.limits)
+        run_state.active = run_state.active & (trips == 0)
 
-    def _release(self, progress: Progress, trips: Reasons) -> None:
+    def _release(self, run_state: RunState, trips: Reasons) -> None:
         """Lead joints that are not believed back to where they were in balance: to hold a blind one is to drive it."""
-        if progress.unbelieved is None:
+        if run_state.unbelieved is None:
             return
-        where = progress.active & ((trips & np.uint16(Reason.NOT_FOLLOWING)) != 0)
-        goal = progress.following.balance(progress.unbelieved & where[:, None], progress.sent)
-        sent = progress.sent
+        where = run_state.active & ((trips & np.uint16(Reason.NOT_FOLLOWING)) != 0)
+        goal = run_state.following.balance(run_state.unbelieved & where[:, None], run_state.sent)
+        sent = run_state.sent
         with shielded(), suppress(RejointError, OSError):  # the trip is the error to report
             for _ in range(RELEASE_CYCLES):
-                reach = self.limits.max_speed * np.minimum(progress.period, self.limits.max_period)[:, None]
+                reach = self.limits.max_speed * np.minimum(run_state.period, self.limits.max_period)[:, None]
                 sent = np.minimum(np.maximum(goal, sent - reach), sent + reach)
-                progress.state = own(self.robot.step(sent, where))
+                run_state.state = own(self.robot.step(sent, where))
                 last = self.recorder.cycles[-1]
                 self.recorder.cycles.append(
                     last._replace(
-                        time=progress.state.time, position=progress.state.position, command=sent, active=where,
-                        true_tcp=self.robot.true_tcp().copy(), load=told_load(progress.state),
+                        time=run_state.state.time, position=run_state.state.position, command=sent, active=where,
+                        true_tcp=self.robot.true_tcp().copy(), load=reported_load(run_state.state),
                     )
                 )  # fmt: skip
-        progress.sent = np.where(where[:, None], sent, progress.sent)
+        run_state.sent = np.where(where[:, None], sent, run_state.sent)

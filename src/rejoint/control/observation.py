@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, collides, frames, position_kinematics
 from rejoint.arms.inverse import DAMPING
-from rejoint.control.controller import Situation
+from rejoint.control.controller import ControlInput
 from rejoint.control.law import plain
 from rejoint.control.robot import Mask
 from rejoint.system.errors import InputError
@@ -80,7 +80,7 @@ class View(NamedTuple):
     """(B, n) [rad] way back to the rest posture that leaves the TCP where it is (to first order)"""
 
 
-class Reading(NamedTuple):
+class ObservationInput(NamedTuple):
     """Everything an observation is made of, for B arms."""
 
     position: Array
@@ -153,7 +153,7 @@ def layout_size(layout: Layout, joints: int) -> int:
 
 
 class Observer:
-    """Turns situations of B arms into observations; remembers the last measurements and actions.
+    """Turns control inputs of B arms into observations; remembers the last measurements and actions.
 
     `observe` must be called once per control cycle, `acted` after the policy has decided. `view`
     holds the geometry of the last observation, which the command law needs again.
@@ -168,35 +168,35 @@ class Observer:
         self._velocity, self._action = np.zeros((2, count, HISTORY, n))
         self.view = View(*(np.zeros((count, *tail)) for tail in ((3,), (3,), (), (n,), (n,))))
 
-    def reset(self, situation: Situation, where: Mask) -> None:
+    def reset(self, inputs: ControlInput, where: Mask) -> None:
         """Start from rest at the current measurement for the arms in ``where`` (B,)."""
-        self._position[where] = situation.state.position[where]
-        self._time[where] = situation.state.time[where]
+        self._position[where] = inputs.state.position[where]
+        self._time[where] = inputs.state.time[where]
         self._velocity[where] = 0.0
         self._action[where] = 0.0
 
-    def forget(self, where: Mask) -> None:
+    def reset_learned(self, where: Mask) -> None:
         """Drop what was learned about the wire of the arms in ``where`` (B,), exchanged for others."""
         self._period[where] = _MIDDLE_PERIOD
 
-    def observe(self, situation: Situation, rows: Rows = ALL) -> Observation:
+    def observe(self, inputs: ControlInput, rows: Rows = ALL) -> Observation:
         """Return the observation (B, size) of all arms, or of some ``rows`` only."""
-        state = situation.state
+        state = inputs.state
         position = state.position[rows]
         self._differentiate(state.time[rows], position, rows)
-        view = look(self.arm, position, situation.target[rows])
+        view = look(self.arm, position, inputs.target[rows])
         if isinstance(rows, slice) and rows == ALL:
             self.view = view
         else:
             for whole, part in zip(self.view, view, strict=True):
                 whole[rows] = part
-        reading = Reading(
+        reading = ObservationInput(
             position,
             self._velocity[rows],
-            situation.sent[rows] - position,
+            inputs.sent[rows] - position,
             view,
-            situation.target[rows],
-            np.minimum(situation.since_target[rows], _LONGEST_WAIT),
+            inputs.target[rows],
+            np.minimum(inputs.since_target[rows], _LONGEST_WAIT),
             self._period[rows],
             self._action[rows],
         )
@@ -231,7 +231,7 @@ class Observer:
         compiled.differentiate(chosen, *new, *known, _LONGEST_PERIOD, _SMOOTHING)
 
 
-def _residual(out: Observation, reading: Reading) -> None:
+def _residual(out: Observation, reading: ObservationInput) -> None:
     """Fill ``out`` (B, 11n + 9) as `layout_slots` says."""
     view, (count, n) = reading.view, reading.position.shape
     distance = view.distance[:, None]
@@ -255,7 +255,7 @@ def _residual_factors(n: int) -> Array:
     return np.repeat(factors, [n, HISTORY * n, n, n, n, n, 3, 3, 1, 1, 1, HISTORY * n])
 
 
-def _equation_16(out: Observation, reading: Reading, change: Array, arm: Arm) -> None:
+def _equation_16(out: Observation, reading: ObservationInput, change: Array, arm: Arm) -> None:
     """Fill ``out`` (B, 3n + 10) as `layout_slots` says, with ``change`` (B, n) for Delta theta."""
     n, view = reading.position.shape[1], reading.view
     columns = out.T

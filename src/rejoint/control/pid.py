@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rejoint.arms import Arm, Array
-from rejoint.control.controller import Situation
+from rejoint.control.controller import ControlInput
 from rejoint.control.goal import Goal
 from rejoint.control.robot import Mask
 
@@ -47,18 +47,18 @@ class PidController:
         """Name with the reading of the integral."""
         return "pid-literal" if self._gains.integral_times_period else "pid-sum"
 
-    def reset(self, situation: Situation, where: Mask) -> None:
+    def reset(self, inputs: ControlInput, where: Mask) -> None:
         """Solve for the new targets and forget the integral, for the arms in ``where`` (B,)."""
-        self._goal.reset(situation, where)
-        if len(self._sum) != len(situation.sent):
-            self._sum, self._last = np.zeros_like(situation.sent), np.zeros_like(situation.sent)
+        self._goal.reset(inputs, where)
+        if len(self._sum) != len(inputs.sent):
+            self._sum, self._last = np.zeros_like(inputs.sent), np.zeros_like(inputs.sent)
         self._sum[where] = 0.0
         # The change of the error at a new target is the target's jump, not a motion of the arm.
-        self._last[where] = self._goal.position[where] - situation.state.position[where]
+        self._last[where] = self._goal.position[where] - inputs.state.position[where]
 
-    def command(self, situation: Situation) -> Array:
+    def command(self, inputs: ControlInput) -> Array:
         """Return the measured positions plus the correction, (B, n) [rad]."""
-        gains, measured = self._gains, situation.state.position
+        gains, measured = self._gains, inputs.state.position
         error = self._goal.position - measured
         self._sum += error * (gains.period if gains.integral_times_period else 1.0)
         change = (error - self._last) / gains.period

@@ -22,7 +22,7 @@ from rejoint.control.contract import (
     probe_observations,
     shown,
 )
-from rejoint.control.controller import Situation
+from rejoint.control.controller import ControlInput
 from rejoint.control.observation import Observation, Observer
 from rejoint.control.onnxfile import content_digest, read_metadata
 from rejoint.control.residual import Commander
@@ -50,21 +50,21 @@ class PolicyController:
         """Name in tables."""
         return "policy"
 
-    def reset(self, situation: Situation, where: Mask) -> None:
+    def reset(self, inputs: ControlInput, where: Mask) -> None:
         """Start afresh for the arms in ``where`` (B,)."""
-        count = len(situation.sent)
+        count = len(inputs.sent)
         if count != self._observer.count:
             self._observer = Observer(self.arm, count, self.contract.layout)
             where = np.ones(count, dtype=bool)
-        self._observer.reset(situation, where)
-        self._commander.reset(situation, where)
+        self._observer.reset(inputs, where)
+        self._commander.reset(inputs, where)
 
-    def command(self, situation: Situation) -> Array:
+    def command(self, inputs: ControlInput) -> Array:
         """Return the wanted joint positions (B, n) [rad]."""
         observer = self._observer
-        action = self.act(observer.observe(situation))
+        action = self.act(observer.observe(inputs))
         observer.acted(action)
-        return self._commander.command(situation, observer.view, action)
+        return self._commander.command(inputs, observer.view, action)
 
     def act(self, observation: Observation) -> Array:
         """Mean action (B, n) in [-1, 1] of the network for observations (B, size)."""

@@ -22,7 +22,7 @@ import numpy as np
 
 from rejoint.arms import Arm, Array, clip_norm, solve_position
 from rejoint.arms.size import heaviest_load, moves_tool, unloaded_joints
-from rejoint.control.controller import Situation
+from rejoint.control.controller import ControlInput
 from rejoint.control.feedforward import FeedforwardController, FeedforwardGains
 from rejoint.control.law import GAIN, STEP_LIMIT, between, limit_lead, limit_position, plain
 from rejoint.control.observation import View
@@ -127,26 +127,26 @@ class Commander:
                 raise InputError(f"the law needs the stiffness of {arm.joints} servos, got {list(law.stiffness)}")
             self._base = FeedforwardController(arm, np.array(law.stiffness), law.learning)
 
-    def reset(self, situation: Situation, where: Mask) -> None:
+    def reset(self, inputs: ControlInput, where: Mask) -> None:
         """Take over the new targets of the arms in ``where`` (B,)."""
         if self._base is not None:
-            self._base.reset(situation, where)
+            self._base.reset(inputs, where)
 
     def foresee(self, target: Array, start: Array, where: Mask) -> None:
         """Solve ahead for the ``target`` (B, 3) of the next `reset` of the arms in ``where``, from ``start`` (B, n)."""
         if self._base is not None:
             self._base.foresee(target, start, where)
 
-    def forget(self, situation: Situation, where: Mask) -> None:
+    def reset_learned(self, inputs: ControlInput, where: Mask) -> None:
         """Start afresh with other arms in ``where`` (B,)."""
         if self._base is not None:
-            self._base.forget(situation, where)
+            self._base.reset_learned(inputs, where)
 
-    def command(self, situation: Situation, view: View, action: Array) -> Array:
+    def command(self, inputs: ControlInput, view: View, action: Array) -> Array:
         """Return the wanted joint positions (B, n) [rad] for actions (B, n) in [-1, 1]."""
         law = self.law
         if self._base is None:
-            return law.command(self._arm, view, situation.state.position, situation.sent, action)
+            return law.command(self._arm, view, inputs.state.position, inputs.sent, action)
         step, extra = out = np.empty((2, *view.step.shape))
         compiled.weigh(
             out, plain(view.step), plain(view.error), plain(view.distance), plain(action), self._moves,
@@ -154,9 +154,9 @@ class Commander:
             law.step_limit, law.learning.fade, law.load_penalty_distance,
         )  # fmt: skip
         if law.decay_start > 0.0:
-            factor = np.where(unloaded_joints(self._arm), law.decayed(situation.since_target, view.step), 1.0)
+            factor = np.where(unloaded_joints(self._arm), law.decayed(inputs.since_target, view.step), 1.0)
             step, extra = factor * step, factor * extra
-        wanted = self._base.correct(situation, step, extra)
+        wanted = self._base.correct(inputs, step, extra)
         lower, upper = working_envelope(self._arm, law.envelope_margin)
         return between(wanted, lower, upper)
 

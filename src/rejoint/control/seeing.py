@@ -14,7 +14,7 @@ from typing import Protocol
 import numpy as np
 
 from rejoint.arms import Array, tcp_position
-from rejoint.control.controller import Situation
+from rejoint.control.controller import ControlInput
 from rejoint.control.correction import MOST, Modelled
 from rejoint.control.robot import Mask
 
@@ -65,9 +65,9 @@ class Seen(Modelled):
         self._first, self._extra = super().aim(target, start, where), np.zeros(3)
         return self._first
 
-    def again(self, target: Array, situation: Situation) -> Array | None:
+    def again(self, target: Array, inputs: ControlInput) -> Array | None:
         """Shift the aim by what the newest sighting tells."""
-        now, position = float(situation.state.time[0]), situation.state.position[0]
+        now, position = float(inputs.state.time[0]), inputs.state.position[0]
         self._told.append((now, position.copy()))
         if not np.isfinite(target).all():
             return None
@@ -76,14 +76,14 @@ class Seen(Modelled):
             return None
         self._last = seen.time
         then = self._position(seen.time)
-        away = float(np.linalg.norm(situation.target[0] - tcp_position(self.arm, then)))
+        away = float(np.linalg.norm(inputs.target[0] - tcp_position(self.arm, then)))
         unknown = seen.place - tcp_position(self.arm, then) - self.shift(then)
         if away > NEAR or float(np.linalg.norm(unknown)) > JUMP:
             return None
         self._extra += (SHARE if self.used else 1.0) * (unknown - self._extra)
         self.used += 1
         fresh = self._first - self._extra
-        changed = float(np.linalg.norm(fresh - situation.target)) > CHANGE
+        changed = float(np.linalg.norm(fresh - inputs.target)) > CHANGE
         return fresh if changed and float(np.linalg.norm(fresh - target)) < MOST else None
 
     def _remembered(self, time: float) -> bool:

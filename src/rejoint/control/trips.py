@@ -7,13 +7,13 @@ from numpy.typing import NDArray
 
 from rejoint.arms import Array
 from rejoint.control.limits import GuardLimits, Reason, reason_names
-from rejoint.control.progress import Progress
+from rejoint.control.runstate import RunState
 from rejoint.system.errors import GuardTripError
 
 
-def trip_error(b: int, progress: Progress, limits: GuardLimits) -> GuardTripError:
+def trip_error(b: int, run_state: RunState, limits: GuardLimits) -> GuardTripError:
     """Return the error of the arm ``b`` that tripped."""
-    state, flags = progress.state, Reason(int(progress.tripped[b]))
+    state, flags = run_state.state, Reason(int(run_state.tripped[b]))
     names = limits.arm.joint_names
     details = []
     if Reason.STALE in flags:
@@ -27,11 +27,13 @@ def trip_error(b: int, progress: Progress, limits: GuardLimits) -> GuardTripErro
     if Reason.OUT_OF_RANGE in flags:
         degrees = np.round(np.degrees(state.position[b]), 1).tolist()
         details.append(f"measured {degrees} deg lies far outside the joint limits; check the arm's zero")
-    if Reason.NOT_FOLLOWING in flags and progress.unbelieved is not None:
-        details.append(progress.following.describe(b, progress.unbelieved[b]))
+    if Reason.NOT_FOLLOWING in flags and run_state.unbelieved is not None:
+        details.append(run_state.following.describe(b, run_state.unbelieved[b]))
     if Reason.NOT_FINITE in flags:
         details.append("a command or a measured position is not a number; check the controller and the connection")
-    where = f"arm {b} at {progress.state.time[b] - progress.set_at[b]:.2f} s into target {int(progress.index[b]) + 1}"
+    where = (
+        f"arm {b} at {run_state.state.time[b] - run_state.set_at[b]:.2f} s into target {int(run_state.index[b]) + 1}"
+    )
     return GuardTripError(", ".join(reason_names(int(flags))), f"{where}: {'; '.join(details)}")
 
 

@@ -32,6 +32,7 @@ KINDS = {
     "torque_limit": "out of torque",
     "low_damping": "badly damped, so that it rings",
     "lag": "late",
+    "offset": "beside its commands everywhere",
     "noise": "restless in its readings",
 }
 """What each kind of finding makes of a joint, in words"""
@@ -112,8 +113,8 @@ def _verdict(open_loop: OpenLoop, findings: tuple[Finding, ...], healthy: Health
     )
     if _unexplained(open_loop, findings, healthy):
         return (
-            f"{first} No joint shows why: look for a wrong zero of a joint (a twin tells offsets), for a load at the "
-            "tool, and for something in its way."
+            f"{first} No joint shows why: look for a load at the tool, for something in its way, and for offsets too "
+            "small to name (a twin fits them)."
         )
     if not findings:
         return f"{first} No joint shows wear that its encoder can see."
@@ -167,9 +168,9 @@ def _unseen(
         "Play inside the servo loop shows only where the load on a joint changes its side; a joint that always "
         "carries weight rests on one flank."
     )
-    free = [f"{row.joint} {row.torque_seen_nm:.2f}" for row in measurement.joints if row.torque_limit_nm is None]
+    free = [row.joint for row in measurement.joints if row.torque_limit_nm is None]
     if free:
-        lines.append(f"Torque limits that were not reached are only known to be above: {', '.join(free)} N m.")
+        lines.append(f"The torque limit of {', '.join(free)} was not reached, so it is not known.")
     return tuple(lines)
 
 

@@ -16,7 +16,7 @@ from rejoint.arms import Array
 from rejoint.arms.size import length_size, torque_size
 from rejoint.diagnosis.metrics import nuisance, sweep_fit
 from rejoint.diagnosis.modulation import Averages, window_averages
-from rejoint.diagnosis.regression import Fit, fit_trimmed, mean_of
+from rejoint.diagnosis.regression import LinearFit, fit_trimmed, mean_of
 from rejoint.diagnosis.segments import ExcitationLog
 from rejoint.system.statistics import Estimate
 
@@ -56,7 +56,7 @@ _MIN_RATIO = 5e-5
 """[s^2] J/k below which a fit is not believed: an oscillation at 22 Hz, stiffer than such a servo is (chosen)."""
 
 
-def fit_dynamics(data: ExcitationLog, joint: int, delay: float) -> Fit:
+def fit_dynamics(data: ExcitationLog, joint: int, delay: float) -> LinearFit:
     """Fit the multisine of a joint: coefficients (J/k [s^2], d/k [s], F/k [rad], 1/k [rad/(N m)], offset [rad])."""
     averages = _multisine(data, joint, np.array([delay]))
     return fit_trimmed(_design(data, averages), averages.error[0], averages.cluster)
@@ -142,6 +142,8 @@ class Law:
     """F/k [rad]"""
     delay: float
     """[s]"""
+    offset: float = 0.0
+    """[rad] of the error where nothing loads the joint"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -168,7 +170,7 @@ def torque_given(data: ExcitationLog, joint: int, law: Law) -> Torque:
     averages = window_averages(data, segments, joint, length=_TORQUE_WINDOW, delays=np.array([law.delay]))
     steady = np.abs(averages.acceleration) < _STEADY / length_size(data.arm)
     data.require(int(steady.sum()) >= _MIN_WINDOWS, "steady moments", joint)
-    demand = (law.stiffness * (averages.error[0] - law.lag * averages.speed))[steady]
+    demand = (law.stiffness * (averages.error[0] - law.offset - law.lag * averages.speed))[steady]
     given = (averages.gravity + law.stiffness * law.half_width * averages.direction)[steady]
     margin = 2 * law.half_width + 0.010 * np.abs(averages.command_speed[steady])
     excess = np.abs(demand) - np.abs(given)

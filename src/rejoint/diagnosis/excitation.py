@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from rejoint.arms import Arm, Array, frames, gravity_torque, tcp_position
 from rejoint.arms.size import heaviest_load, length_size, torque_size
 from rejoint.arms.workspace import rising_frames
-from rejoint.diagnosis.path import Path, smooth_ramp
+from rejoint.diagnosis.path import CommandPath, smooth_ramp
 from rejoint.diagnosis.segments import Segment
 from rejoint.system.errors import InputError
 
@@ -151,7 +151,7 @@ def plan_excitation(arm: Arm, *, seed: int, start: Array | None = None, plan: Pl
 
 def _plan_once(arm: Arm, seed: int, start: Array, plan: Plan) -> Excitation:
     rng = np.random.default_rng(seed)
-    path = Path(start)
+    path = CommandPath(start)
     with path.segment("approach", "approach"):
         path.travel(arm.rest, plan.travel_speed / 2)
         path.wait(0.5)
@@ -180,7 +180,7 @@ def is_safe(arm: Arm, q: Array) -> NDArray[np.bool_]:
     return inside & light & (lowest >= arm.floor + CLEARANCE * length_size(arm)) & (reach >= COLUMN * rest_reach)
 
 
-def _add_sweeps(path: Path, arm: Arm, plan: Plan) -> None:
+def _add_sweeps(path: CommandPath, arm: Arm, plan: Plan) -> None:
     """Sweep every other joint at once: neighbours disturb each other, the rest hardly."""
     for group in (range(0, arm.joints, 2), range(1, arm.joints, 2)):
         joints = tuple(group)
@@ -197,7 +197,7 @@ def _add_sweeps(path: Path, arm: Arm, plan: Plan) -> None:
         path.wait(_SETTLE)
 
 
-def _add_steps(path: Path, arm: Arm, plan: Plan) -> None:
+def _add_steps(path: CommandPath, arm: Arm, plan: Plan) -> None:
     for joint in range(arm.joints):
         for index, side in enumerate((1.0, 0.0, -1.0, 0.0)):
             goal = arm.rest.copy()
@@ -207,7 +207,7 @@ def _add_steps(path: Path, arm: Arm, plan: Plan) -> None:
                 path.wait(plan.step_dwell)
 
 
-def _add_multisine(path: Path, arm: Arm, plan: Plan, rng: np.random.Generator) -> None:
+def _add_multisine(path: CommandPath, arm: Arm, plan: Plan, rng: np.random.Generator) -> None:
     """All joints at once on interleaved lines, faded in and out over a second."""
     duration = plan.multisine_period * plan.multisine_periods
     time = np.arange(0.0, duration + 1e-9, 0.01)
@@ -226,7 +226,7 @@ def _add_multisine(path: Path, arm: Arm, plan: Plan, rng: np.random.Generator) -
         path.wait(_SETTLE)
 
 
-def _add_holds(path: Path, arm: Arm, plan: Plan, rng: np.random.Generator) -> None:
+def _add_holds(path: CommandPath, arm: Arm, plan: Plan, rng: np.random.Generator) -> None:
     for index, posture in enumerate(hold_postures(arm, plan, rng)):
         for side, name in ((-1.0, "below"), (1.0, "above")):
             begin = posture + side * plan.hold_offset

@@ -147,25 +147,27 @@ def _motions(evidence: Evidence) -> str:
     return f"From {motions}, {evidence.free_seconds:.0f} s in free space{left_out(evidence)}."
 
 
-def _untold(measurement: Measurement) -> list[str]:
+def _unmeasured(measurement: Measurement) -> list[str]:
     """Joints of which these logs say nothing: neither how they move nor that they do not."""
     return [row.joint for row in measurement.joints if row.hysteresis_rad is None]
 
 
 def _condition(measurement: Measurement, findings: tuple[Finding, ...]) -> str:
-    nothing = not findings and len(_untold(measurement)) == len(measurement.joints)
+    nothing = not findings and len(_unmeasured(measurement)) == len(measurement.joints)
     return "unknown" if nothing else condition_of(findings)
 
 
 def _verdict(measurement: Measurement, findings: tuple[Finding, ...], healthy: HealthyReference | None) -> str:
-    untold = _untold(measurement)
-    if not findings and len(untold) == len(measurement.joints):
+    unmeasured = _unmeasured(measurement)
+    if not findings and len(unmeasured) == len(measurement.joints):
         why = "no joint moves slowly and in both directions for long enough"
         if measurement.period_s > COARSEST:
             why = f"readings are {measurement.period_s:.2f} s apart, expected at most {COARSEST:g} s"
         return f"Whether the arm is worn cannot be told: {why}."
     if not findings:
-        return f"No joint shows wear in these logs{'; they do not tell about ' * bool(untold)}{', '.join(untold)}."
+        return (
+            f"No joint shows wear in these logs{'; they do not tell about ' * bool(unmeasured)}{', '.join(unmeasured)}."
+        )
     joints = {finding.joint: finding for finding in reversed(findings)}  # the worst finding of a joint wins
     worst = sorted(joints.values(), key=lambda f: -f.tcp_mm)
     named = "; ".join(f"{f.joint} is {KINDS[f.kind]} ({f.tcp_mm:.1f} mm)" for f in worst[:3])

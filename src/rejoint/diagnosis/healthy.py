@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from rejoint.arms import Arm
-from rejoint.diagnosis.measurement import JointMetrics, measure
+from rejoint.diagnosis.measurement import OFFSET_ALLOWED, JointMetrics, measure
 from rejoint.diagnosis.open_loop import open_loop_errors
 from rejoint.diagnosis.record import DiagnosisLogs, record
 from rejoint.robots import SIMULATOR, open_robot
@@ -37,6 +37,9 @@ fifty numbers, so two would be too few)."""
 
 OVERSHOOT_ALLOWED = 0.05
 """Fraction of a step that any healthy arm may shoot over (chosen)."""
+
+NO_OFFSET = Estimate(0.0, -OFFSET_ALLOWED, OFFSET_ALLOWED)
+"""What a joint without an offset shows: each servo has its own zero, so no other arm tells"""
 
 ARMS, SEED = 12, 2024
 """Emulated healthy arms that are measured for the reference (chosen)."""
@@ -132,6 +135,7 @@ def _combine(arm: Arm, rows: list[JointMetrics]) -> JointMetrics:
         motor_inertia_kg_m2=_typical([row.motor_inertia_kg_m2 for row in rows]),
         sweep_gain=min((row.sweep_gain for row in rows if row.sweep_gain is not None), default=None),
         stuck_rad=max(row.stuck_rad for row in rows),
+        offset_rad=NO_OFFSET,
     )
 
 

@@ -11,7 +11,7 @@ from typing import Any
 
 from rejoint.arms import Arm
 from rejoint.diagnosis.diagnosis import Diagnosis
-from rejoint.diagnosis.healthy import OVERSHOOT_ALLOWED, TOLERANCE, HealthyReference
+from rejoint.diagnosis.healthy import NO_OFFSET, OVERSHOOT_ALLOWED, TOLERANCE, HealthyReference
 from rejoint.diagnosis.measurement import JointMetrics
 from rejoint.system.errors import InputError
 from rejoint.system.statistics import Estimate
@@ -49,7 +49,7 @@ def _ranges(arm: Arm, row: JointMetrics) -> JointMetrics:
     for name, margin in allowed.items():
         if (found := getattr(row, name)) is not None:
             changed[name] = _margin(found, margin)
-    return dataclasses.replace(row, **changed)
+    return dataclasses.replace(row, offset_rad=NO_OFFSET, **changed)
 
 
 def _factor(found: Estimate) -> Estimate:

@@ -17,7 +17,7 @@ from rejoint.arms.size import torque_size
 from rejoint.diagnosis import metrics
 from rejoint.diagnosis.measurement import JointMetrics, friction_torque, scaled
 from rejoint.diagnosis.modulation import Averages, window_averages
-from rejoint.diagnosis.regression import Fit, fit_trimmed, reciprocal
+from rejoint.diagnosis.regression import LinearFit, fit_trimmed, reciprocal
 from rejoint.diagnosis.segments import ExcitationLog
 from rejoint.diagnosis.spans import FREE, STEP, STILL, log_of
 from rejoint.system.statistics import Estimate
@@ -34,7 +34,7 @@ _SETTLING = 0.2
 SLOW = 0.6
 """[rad/s] of a joint above which its motion is left out: limits of the servo show beyond (chosen)"""
 
-CALM = 5.0
+MAX_ACCELERATION = 5.0
 """[rad/s^2] of a joint above which its motion is left out (chosen likewise)"""
 
 _MOVING = 0.7
@@ -65,7 +65,7 @@ FEWEST_STEPS, FEWEST_RESTS = 3, 4
 class Slow:
     """The law of one joint as its free slow motion shows it."""
 
-    fit: Fit
+    fit: LinearFit
     """coefficients (lag [s], F/k [rad], J/k [s^2], 1/k [rad/(N m)], offset of the error [rad])"""
     gravity_range: float
     """[N m] variation of gravity's torque"""
@@ -97,7 +97,7 @@ def measure_joint(data: ExcitationLog, joint: int) -> JointMetrics:
         motor_inertia_kg_m2=None,
         sweep_gain=_gain(data, joint),
         stuck_rad=0.0 if slow is None else slow.residual,
-        offset_rad=None if slow is None else scaled_back(slow.fit.estimate(4)),
+        offset_rad=None if slow is None else scaled(slow.fit.estimate(4), -1.0),
     )
 
 
@@ -111,7 +111,7 @@ def slow_motion(data: ExcitationLog, joint: int) -> Slow | None:
     segments = data.of_kind(FREE)
     averages = window_averages(data, segments, joint, length=_WINDOW, delays=np.array([0.0]), cut=_SETTLING)
     chosen = np.abs(averages.direction) > _MOVING
-    chosen &= (np.abs(averages.speed) < SLOW) & (np.abs(averages.acceleration) < CALM)
+    chosen &= (np.abs(averages.speed) < SLOW) & (np.abs(averages.acceleration) < MAX_ACCELERATION)
     cluster = _observations(averages, np.array([log_of(segment) for segment in segments], dtype=np.intp))[chosen]
     forward = averages.direction[chosen] > 0
     ways = [len(np.unique(cluster[way])) for way in (forward, ~forward)]
@@ -128,12 +128,6 @@ def slow_motion(data: ExcitationLog, joint: int) -> Slow | None:
         gravity_range=float(np.ptp(averages.gravity[chosen])),
         residual=float(np.quantile(np.abs(error - design @ fit.coefficients), 0.995)),
     )
-
-
-def scaled_back(estimate: Estimate) -> Estimate:
-    """Turn a number around with its interval."""
-    low, high = estimate.low, estimate.high
-    return Estimate(-estimate.value, None if high is None else -high, None if low is None else -low)
 
 
 def _observations(averages: Averages, logs: NDArray[np.intp]) -> NDArray[np.intp]:

@@ -10,7 +10,7 @@ import numpy as np
 from rejoint.arms import Arm, link_inertia
 from rejoint.diagnosis import metrics
 from rejoint.diagnosis.dynamics import Law, arm_delay, fit_dynamics, torque_given
-from rejoint.diagnosis.regression import Fit, product, reciprocal
+from rejoint.diagnosis.regression import LinearFit, product, reciprocal
 from rejoint.diagnosis.segments import ExcitationLog
 from rejoint.logs.runlog import RunLog
 from rejoint.system.statistics import Estimate
@@ -28,6 +28,10 @@ not change with wear, but the inertia of a stiff joint is hard to measure)."""
 
 MOTOR_SHARE = 0.35
 """Relative half width up to which a motor's inertia counts as known (chosen as for gravity)."""
+
+OFFSET_ALLOWED = 0.01
+"""[rad] that any healthy joint may rest off its command without load (chosen: what a twin believes of a servo before
+any data, and 2 mm at the tool of a myCobot 280)"""
 
 DELAY_ERROR = 0.003
 """[s] error of the delay (measured: its scatter over emulated arms of one channel); it enters J/k times the lag."""
@@ -69,7 +73,7 @@ class JointMetrics:
     stuck_rad: float
     """farthest that the joint stayed off what its own stiffness explains, in a held posture"""
     offset_rad: Estimate | None = None
-    """position under no load, minus command; measured from logs alone"""
+    """position under no load, minus command; None where the joint hardly moves"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,10 +111,10 @@ class _Stiffness:
     motor: Estimate | None = None
 
 
-def _joint(data: ExcitationLog, joint: int, delay: float, dynamics: Fit, stiffness: _Stiffness) -> JointMetrics:
+def _joint(data: ExcitationLog, joint: int, delay: float, dynamics: LinearFit, stiffness: _Stiffness) -> JointMetrics:
     sweep = metrics.sweep_fit(data, joint, delay)
     lag, half_width = (None, None) if sweep is None else (sweep.estimate(0), sweep.estimate(1))
-    k = stiffness.value
+    k, held = stiffness.value, metrics.holds(data, joint)
     hunting, noise = metrics.hunting(data, joint), metrics.noise(data, joint)
     data.require(hunting is not None, "holds", joint)
     data.require(noise is not None, "readings at rest", joint)
@@ -130,11 +134,14 @@ def _joint(data: ExcitationLog, joint: int, delay: float, dynamics: Fit, stiffne
         saturated_share=0.0,
         motor_inertia_kg_m2=None if stiffness.motor is None else stiffness.motor.value,
         sweep_gain=metrics.sweep_gain(data, joint),
-        stuck_rad=_stuck(metrics.holds(data, joint)),
+        stuck_rad=_stuck(held),
+        offset_rad=None if lag is None else scaled(held.sag()[0].estimate(0), -1.0),
     )
     if k is None or lag is None or half_width is None:
         return row
-    law = Law(stiffness=k.value, lag=lag.value, half_width=max(half_width.value, 0.0), delay=delay)
+    surely = row.offset_rad is not None and surely_offset(row.offset_rad)
+    offset = -row.offset_rad.value if surely and row.offset_rad else 0.0
+    law = Law(stiffness=k.value, lag=lag.value, half_width=max(half_width.value, 0.0), delay=delay, offset=offset)
     torque = torque_given(data, joint, law)
     return replace(
         row, torque_limit_nm=torque.limit, torque_seen_nm=torque.seen, saturated_share=torque.saturated_share
@@ -142,7 +149,7 @@ def _joint(data: ExcitationLog, joint: int, delay: float, dynamics: Fit, stiffne
 
 
 def _stiffness(
-    arm: Arm, sags: list[Fit], ratios: list[Estimate], motors: Sequence[float | None] | None
+    arm: Arm, sags: list[LinearFit], ratios: list[Estimate], motors: Sequence[float | None] | None
 ) -> list[_Stiffness]:
     """Stiffness from gravity where that is precise, else from J/k and the motor inertia of the nearest known joint."""
     links = link_inertia(arm, arm.rest)
@@ -163,7 +170,7 @@ def _stiffness(
     return found
 
 
-def _from_gravity(sag: Fit, ratio: Estimate, link: float) -> _Stiffness:
+def _from_gravity(sag: LinearFit, ratio: Estimate, link: float) -> _Stiffness:
     k = reciprocal(sag.estimate(1)) if sag.coefficients[1] > 0 else None
     if k is None or k.low is None or k.high is None or k.high - k.low > 2 * GRAVITY_SHARE * k.value:
         return _Stiffness()
@@ -173,7 +180,7 @@ def _from_gravity(sag: Fit, ratio: Estimate, link: float) -> _Stiffness:
     return _Stiffness(value=k, source="gravity", motor=motor)
 
 
-def _inertia_ratio(dynamics: Fit) -> Estimate:
+def _inertia_ratio(dynamics: LinearFit) -> Estimate:
     """J/k [s^2] of a fit, its interval widened by what the delay may be wrong."""
     ratio, lag = dynamics.estimate(0), float(dynamics.coefficients[1])
     half = float(np.hypot((ratio.high or 0.0) - ratio.value, DELAY_ERROR * lag))
@@ -184,7 +191,7 @@ def _within(value: float, share: float) -> Estimate:
     return Estimate(value, value * (1 - share), value * (1 + share))
 
 
-def _damping_ratio(dynamics: Fit) -> Estimate | None:
+def _damping_ratio(dynamics: LinearFit) -> Estimate | None:
     """(d/k) / (2 sqrt(J/k)); the uncertainty of d/k dominates."""
     ratio, lag = float(dynamics.coefficients[0]), dynamics.estimate(1)
     return None if ratio <= 0 else scaled(lag, 0.5 / ratio**0.5)
@@ -198,7 +205,13 @@ def friction_torque(stiffness: Estimate, half_width: Estimate) -> Estimate:
     return Estimate(0.0, 0.0, high)
 
 
-def _stuck(held: metrics.Holds) -> float:
+def surely_offset(offset: Estimate, *, doubt: float = 0.0) -> bool:
+    """Whether the whole interval of an offset lies beyond what a healthy joint may have and ``doubt`` [rad]."""
+    low, high = offset.low, offset.high
+    return low is not None and high is not None and max(low, -high) > OFFSET_ALLOWED + doubt
+
+
+def _stuck(held: metrics.HeldPostures) -> float:
     fit, _ = held.sag()
     expected = fit.coefficients[0] + fit.coefficients[1] * held.torque.mean(axis=1)
     return float(np.abs(held.error.mean(axis=1) - expected).max())
@@ -206,10 +219,8 @@ def _stuck(held: metrics.Holds) -> float:
 
 def scaled(estimate: Estimate, factor: float) -> Estimate:
     """Multiply a number and its interval."""
-    low, high = estimate.low, estimate.high
-    return Estimate(
-        factor * estimate.value, None if low is None else factor * low, None if high is None else factor * high
-    )
+    low, high = (None if end is None else factor * end for end in (estimate.low, estimate.high))
+    return Estimate(factor * estimate.value, *((high, low) if factor < 0.0 else (low, high)))
 
 
 def _shifted(estimate: Estimate, offset: float) -> Estimate | None:

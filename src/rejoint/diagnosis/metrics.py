@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from rejoint.arms import Array
 from rejoint.arms.size import torque_size
 from rejoint.diagnosis.modulation import Averages, window_averages
-from rejoint.diagnosis.regression import Fit, fit_line, fit_trimmed, mean_of
+from rejoint.diagnosis.regression import LinearFit, fit_line, fit_trimmed, mean_of
 from rejoint.diagnosis.segments import ExcitationLog
 from rejoint.system.statistics import Estimate
 
@@ -45,7 +45,7 @@ _MIN_STEP = 0.02
 """[rad] motion below which an overshoot is not expressed as a fraction of it (chosen)."""
 
 
-def sweep_fit(data: ExcitationLog, joint: int, delay: float) -> Fit | None:
+def sweep_fit(data: ExcitationLog, joint: int, delay: float) -> LinearFit | None:
     """Fit the sweeps of a joint: coefficients (d/k [s], F/k [rad], J/k [s^2], 1/k [rad/(N m)], offset [rad]).
 
     Windows in which the joint sticks are left out: friction is then whatever it needs to be. J/k and 1/k
@@ -77,7 +77,7 @@ def nuisance(data: ExcitationLog, averages: Averages) -> tuple[Array, Array]:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Holds:
+class HeldPostures:
     """Settled following errors of one joint in postures held after an approach from both sides; P postures."""
 
     torque: Array
@@ -85,7 +85,7 @@ class Holds:
     error: Array
     """(P, 2) [rad] command minus measured position"""
 
-    def sag(self) -> tuple[Fit, NDArray[np.bool_]]:
+    def sag(self) -> tuple[LinearFit, NDArray[np.bool_]]:
         """Line of the mean of both sides over gravity torque, and the postures (P,) it was fitted on.
 
         Coefficients (offset [rad], 1/k [rad/(N m)]). Postures far off the line that the others make, or
@@ -101,7 +101,7 @@ class Holds:
         return fit_line(x[kept], y[kept]), kept
 
 
-def holds(data: ExcitationLog, joint: int) -> Holds:
+def holds(data: ExcitationLog, joint: int) -> HeldPostures:
     """Collect the holds of a joint."""
     found: dict[str, dict[str, tuple[float, float]]] = {}
     for segment in data.of_kind("hold", joint):
@@ -112,7 +112,7 @@ def holds(data: ExcitationLog, joint: int) -> Holds:
             found.setdefault(posture, {})[side] = (float(data.gravity[rows, joint].mean()), error)
     pairs = np.array([[both["below"], both["above"]] for both in found.values() if len(both) == 2])
     data.require(len(pairs) >= 3, "holds", joint)
-    return Holds(torque=pairs[:, :, 0], error=pairs[:, :, 1])
+    return HeldPostures(torque=pairs[:, :, 0], error=pairs[:, :, 1])
 
 
 def overshoot(data: ExcitationLog, joint: int) -> Estimate:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rejoint.arms import Arm, Array, tcp_position
+from rejoint.arms import Arm, tcp_position
 from rejoint.diagnosis.regression import mean_of
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
@@ -52,11 +52,6 @@ class OpenLoop:
     true_error_mm: Estimate | None
     hidden_mm: float | None
     """mean distance between the tool and where the encoders put it; None where nobody knows"""
-
-
-def draw_targets(arm: Arm, seed: int) -> Array:
-    """Targets (10, 3) [m], uniform in the arm's target region."""
-    return arm.targets.sample(np.random.default_rng(seed), (TARGETS,))
 
 
 def settled_rows(log: RunLog) -> list[NDArray[np.intp]]:

@@ -11,7 +11,7 @@ from rejoint.arms import Array
 from rejoint.diagnosis.segments import Segment
 
 
-class Path:
+class CommandPath:
     """Knots of a trajectory that grows from a start posture (n,) [rad] at time 0."""
 
     def __init__(self, start: Array) -> None:

@@ -12,10 +12,10 @@ from rejoint.control.recording import Cycle, OnCycle
 from rejoint.control.robot import Robot
 from rejoint.control.start import begin
 from rejoint.diagnosis.excitation import FULL, Plan, plan_excitation
-from rejoint.diagnosis.open_loop import DWELL, TARGETS, draw_targets
+from rejoint.diagnosis.open_loop import DWELL, TARGETS
 from rejoint.diagnosis.segments import attach_segments
 from rejoint.logs.runlog import RunLog
-from rejoint.system.progress import Progress, no_progress
+from rejoint.system.progress import Progress, no_progress, part
 
 TARGETS_LABEL, EXCITATION_LABEL = "diagnosis/targets", "diagnosis/excitation"
 """Labels of the run logs."""
@@ -44,16 +44,19 @@ def record(
     arm = robot.arm
     extra = {"seed": str(seed)}
     begin(robot)
-    targets = np.tile(draw_targets(arm, seed), (robot.count, 1, 1))
+    excitation = plan_excitation(arm, seed=seed, plan=plan)
+    whole, first = TARGETS * DWELL + excitation.duration, TARGETS * DWELL
+    targets = np.tile(arm.targets.sample(np.random.default_rng(seed), (TARGETS,)), (robot.count, 1, 1))
     open_loop = run(
         robot, DefaultController(arm), targets, Schedule(dwell=DWELL),
-        on_cycle=_progress("ten targets", TARGETS * DWELL, on_progress, on_cycle, robot),
+        on_cycle=_progress("ten targets", first, part(on_progress, 0.0, first / whole), on_cycle, robot),
     )  # fmt: skip
     move(robot, arm.rest)
-    excitation = plan_excitation(arm, seed=seed, plan=plan)
     excited = play(
         robot, excitation.command, excitation.duration,
-        on_cycle=_progress("excitation", excitation.duration, on_progress, on_cycle, robot),
+        on_cycle=_progress(
+            "excitation", excitation.duration, part(on_progress, first / whole, 1.0), on_cycle, robot
+        ),
     )  # fmt: skip
     return tuple(
         DiagnosisLogs(

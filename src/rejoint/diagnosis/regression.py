@@ -21,7 +21,7 @@ _LAD_ROUNDS = 12
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Fit:
+class LinearFit:
     """Coefficients with their clustered covariance."""
 
     coefficients: Array
@@ -38,7 +38,7 @@ class Fit:
         return Estimate(value, value - half, value + half)
 
 
-def fit_clustered(design: Array, response: Array, cluster: NDArray[np.intp]) -> Fit:
+def fit_clustered(design: Array, response: Array, cluster: NDArray[np.intp]) -> LinearFit:
     """Fit ``response`` (N,) on ``design`` (N, p), samples grouped by ``cluster`` (N,)."""
     scale = np.sqrt((design**2).mean(axis=0))
     scale = np.where(scale > 0.0, scale, 1.0)  # a column of zeros keeps the coefficient 0
@@ -51,10 +51,12 @@ def fit_clustered(design: Array, response: Array, cluster: NDArray[np.intp]) -> 
     count, (rows, terms) = len(groups), design.shape
     factor = count / max(count - 1, 1) * (rows - 1) / max(rows - terms, 1)
     covariance = factor * inverse @ (scores.T @ scores) @ inverse
-    return Fit(coefficients=beta / scale, covariance=covariance / np.outer(scale, scale), freedom=max(count - terms, 1))
+    return LinearFit(
+        coefficients=beta / scale, covariance=covariance / np.outer(scale, scale), freedom=max(count - terms, 1)
+    )
 
 
-def fit_trimmed(design: Array, response: Array, cluster: NDArray[np.intp]) -> Fit:
+def fit_trimmed(design: Array, response: Array, cluster: NDArray[np.intp]) -> LinearFit:
     """Like `fit_clustered`, without samples more than five robust deviations off (a stuck or saturated joint).
 
     Least absolute deviations (iteratively reweighted, Schlossmacher 1973) come first: up to half of the
@@ -70,14 +72,14 @@ def fit_trimmed(design: Array, response: Array, cluster: NDArray[np.intp]) -> Fi
     return fit_clustered(design[kept], response[kept], cluster[kept])
 
 
-def fit_line(x: Array, y: Array) -> Fit:
+def fit_line(x: Array, y: Array) -> LinearFit:
     """Fit y = a + b x for independent points (N,); coefficients (a, b), ordinary covariance."""
     design = np.stack([np.ones_like(x), x], axis=1)
     inverse = np.linalg.pinv(design.T @ design, hermitian=True)
     beta = inverse @ (design.T @ y)
     freedom = max(len(x) - 2, 1)
     variance = float(((y - design @ beta) ** 2).sum()) / freedom
-    return Fit(coefficients=beta, covariance=variance * inverse, freedom=freedom)
+    return LinearFit(coefficients=beta, covariance=variance * inverse, freedom=freedom)
 
 
 def mean_of(values: Array) -> Estimate:

@@ -2,7 +2,10 @@
 
 The rule for every kind is the same: a finding is made where the 95 % interval of the measurement lies
 wholly outside the healthy range, on the bad side. Without a healthy reference only what is wrong in
-itself is named: a torque limit that was reached, hunting, ringing.
+itself is named: a torque limit that was reached, hunting, ringing, an offset.
+
+Sentences tell what a finding does and what it costs. What a twin fits as well (stiffness, friction, torque limit,
+offset) is not in them as a number: an owner who has a twin reads one number for each, the twin's.
 """
 
 from __future__ import annotations
@@ -15,7 +18,7 @@ import numpy as np
 from rejoint.arms import Arm, Array, gravity_torque, position_kinematics
 from rejoint.arms.size import length_size
 from rejoint.diagnosis.healthy import OVERSHOOT_ALLOWED, HealthyReference
-from rejoint.diagnosis.measurement import JointMetrics, Measurement
+from rejoint.diagnosis.measurement import JointMetrics, Measurement, surely_offset
 from rejoint.diagnosis.postures import Postures
 from rejoint.diagnosis.regression import mean_of
 from rejoint.system.statistics import Estimate
@@ -47,6 +50,13 @@ of a worn joint)."""
 STUCK_COUNTS = 10.0
 """Encoder counts off what stiffness explains from which a joint is called stuck: a degree (chosen)."""
 
+GRAVITY_DOUBT = 0.2
+"""Share of a joint's sag by which its offset may be wrong, because the masses of the arm are (chosen: those of most
+descriptions are estimates)."""
+
+UNLOADED = 1e-6
+"""[N m] of gravity up to which a joint counts as unloaded: rounding, as about a vertical axis."""
+
 WORKING_SPEED = 0.5
 """[rad/s] at which a lag is turned into millimetres (chosen: a joint in the middle of a move)."""
 
@@ -57,7 +67,7 @@ class Finding:
 
     joint: str
     kind: str
-    """stuck, weak_gain, friction, hysteresis, play_in_loop, torque_limit, low_damping, lag or noise"""
+    """stuck, weak_gain, friction, hysteresis, play_in_loop, torque_limit, low_damping, lag, offset or noise"""
     severity: str
     """worn or bad"""
     quantity: str
@@ -168,18 +178,9 @@ def weak_gain(case: _Case) -> Iterator[Finding]:
     friction = case.row.coulomb_nm.value if case.row.coulomb_nm is not None else 0.0
     weight = float((case.levers * case.loads).mean())
     tcp = (weight + case.lever * friction) / k.value
-    share = f"{k.value:.1f} N m per radian{_interval(k)}{_against(case, 'stiffness_nm_per_rad', '.0f')}"
-    if weight > case.lever * friction:
-        yield case.finding(
-            "weak_gain", "stiffness_nm_per_rad", k, tcp,
-            f"is soft and sags under the arm's own weight: its servo gives {share}, so it hangs "
-            f"{np.degrees(case.loads.mean() / k.value):.1f} deg low,",
-        )  # fmt: skip
-    else:
-        yield case.finding(
-            "weak_gain", "stiffness_nm_per_rad", k, tcp,
-            f"is soft and stops short of where it is sent: its servo gives {share};",
-        )  # fmt: skip
+    sags = f"sags under the arm's own weight: it hangs {np.degrees(case.loads.mean() / k.value):.1f} deg low"
+    effect = sags if weight > case.lever * friction else "stops short of where it is sent"
+    yield case.finding("weak_gain", "stiffness_nm_per_rad", k, tcp, f"is soft and {effect},")
 
 
 def friction(case: _Case) -> Iterator[Finding]:
@@ -190,8 +191,7 @@ def friction(case: _Case) -> Iterator[Finding]:
     half = max(case.row.hysteresis_rad.value, 0.0) / 2 if case.row.hysteresis_rad is not None else 0.0
     yield case.finding(
         "friction", "coulomb_nm", force, case.lever * half,
-        f"is stiff to turn: {force.value:.2f} N m of friction{_interval(force, '.2f')}"
-        f"{_against(case, 'coulomb_nm', '.2f')}; it stops up to {np.degrees(half):.2f} deg short on either side,",
+        f"is stiff to turn: it stops up to {np.degrees(half):.2f} deg short on either side,",
     )  # fmt: skip
 
 
@@ -204,7 +204,8 @@ def hysteresis(case: _Case) -> Iterator[Finding]:
     yield case.finding(
         "hysteresis", "hysteresis_rad", width, case.lever * width.value / 2,
         f"stops short: coming from below and from above it rests {np.degrees(width.value):.2f} deg apart"
-        f"{_against_deg(case)}; whether it is stiff to turn or soft, or both, cannot be told; on either side,",
+        f"{_against(case, 'hysteresis_rad', '.2f', np.degrees(1.0))}; whether it is stiff to turn or soft, or both, "
+        "cannot be told; on either side,",
     )  # fmt: skip
 
 
@@ -232,8 +233,7 @@ def torque_limit(case: _Case) -> Iterator[Finding]:
     stuck = f"; in some postures it stays {np.degrees(case.row.stuck_rad):.0f} deg off" if off else ""
     yield case.finding(
         "torque_limit", "torque_limit_nm", limit, tcp,
-        f"runs out of torque: no more than {limit.value:.2f} N m{_interval(limit, '.2f')} reach its load, "
-        f"and it spent {case.row.saturated_share * 100:.0f} % of the excitation at that limit{stuck}; "
+        f"runs out of torque: it spent {case.row.saturated_share * 100:.0f} % of the excitation at its limit{stuck}; "
         "at its targets this costs",
     )  # fmt: skip
 
@@ -258,7 +258,7 @@ def low_damping(case: _Case) -> Iterator[Finding]:
         return
     yield case.finding(
         "low_damping", "damping_ratio", ratio, case.lever * over * 0.2,
-        f"rings: its damping ratio is {ratio.value:.2f}{_interval(ratio, '.2f')}"
+        f"rings: its damping ratio is {ratio.value:.2f}{_interval(ratio)}"
         f"{_against(case, 'damping_ratio', '.2f')}; after a step of 0.2 rad it shoots "
         f"{over * 100:.0f} % too far before it settles,",
     )  # fmt: skip
@@ -285,6 +285,19 @@ def lag(case: _Case) -> Iterator[Finding]:
     )  # fmt: skip
 
 
+def offset(case: _Case) -> Iterator[Finding]:
+    """Tell whether the joint rests beside its commands by the same angle everywhere, load or not."""
+    found, k, weight = case.row.offset_rad, case.row.stiffness_nm_per_rad, float(case.loads.mean())
+    if found is None or not case.moves or (k is None and weight > UNLOADED):
+        return
+    if not surely_offset(found, doubt=0.0 if k is None else GRAVITY_DOUBT * weight / k.value):
+        return
+    yield case.finding(
+        "offset", "offset_rad", found, case.lever * abs(found.value),
+        "has an offset: it rests beside its command by the same angle everywhere, also where nothing loads it,",
+    )  # fmt: skip
+
+
 def noise(case: _Case) -> Iterator[Finding]:
     """Tell whether the readings jump although nothing moves. A joint that hunts does move."""
     level = case.row.noise_rad
@@ -297,7 +310,7 @@ def noise(case: _Case) -> Iterator[Finding]:
 
 
 RULES: tuple[Callable[[_Case], Iterator[Finding]], ...] = (
-    stuck, weak_gain, friction, hysteresis, play_in_loop, torque_limit, low_damping, lag, noise,
+    stuck, weak_gain, friction, hysteresis, play_in_loop, torque_limit, low_damping, lag, offset, noise,
 )  # fmt: skip
 """All rules, each for one joint."""
 
@@ -311,15 +324,8 @@ def _common_lag(measurement: Measurement, healthy: HealthyReference | None) -> f
     return max(float(np.median(excess)), 0.0) if excess else 0.0
 
 
-def _interval(estimate: Estimate, digits: str = ".1f") -> str:
-    if estimate.low is None or estimate.high is None:
-        return ""
-    return f" ({estimate.low:{digits}} to {estimate.high:{digits}})"
-
-
-def _against_deg(case: _Case) -> str:
-    reference = case.healthy.hysteresis_rad if case.healthy is not None else None
-    return "" if reference is None else f", a healthy one {np.degrees(reference.value):.2f}"
+def _interval(estimate: Estimate) -> str:
+    return "" if estimate.low is None or estimate.high is None else f" ({estimate.low:.2f} to {estimate.high:.2f})"
 
 
 def _against(case: _Case, quantity: str, digits: str, factor: float = 1.0) -> str:

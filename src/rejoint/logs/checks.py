@@ -12,7 +12,7 @@ import numpy as np
 
 from rejoint.arms import Arm
 from rejoint.logs.runlog import Array
-from rejoint.logs.track import Motion, Track
+from rejoint.logs.track import RecordedMotion, Track
 from rejoint.system.errors import FileError
 
 TWO_TURNS = 4.0 * np.pi
@@ -91,7 +91,7 @@ def _check_rate(track: Track) -> list[str]:
     ]
 
 
-def check_angles(motion: Motion, arm: Arm) -> list[str]:
+def check_angles(motion: RecordedMotion, arm: Arm) -> list[str]:
     """Compare the angles with what they are said to be and with the limits of the arm."""
     for track in (motion.state, motion.command):
         if (np.abs(track.value) > TWO_TURNS).any():

@@ -100,11 +100,11 @@ def table_height(arm: Arm, logs: Sequence[RunLog]) -> float | None:
     heights, held, weights = [], [], []
     for log in logs:
         tip, asked = (tcp_position(arm, q)[:, 2] for q in (log.position, log.command))
-        told = (joint_speed(log.time, log.position) < SLOW) & (joint_speed(log.time, log.command) < SLOW)
-        told &= ~_stale(log)
-        heights.append(tip[told])
-        held.append((tip - asked)[told] > HELD_UP)
-        weights.append(np.full(int(told.sum()), float(np.median(np.diff(log.time)))))
+        counted = (joint_speed(log.time, log.position) < SLOW) & (joint_speed(log.time, log.command) < SLOW)
+        counted &= ~_stale(log)
+        heights.append(tip[counted])
+        held.append((tip - asked)[counted] > HELD_UP)
+        weights.append(np.full(int(counted.sum()), float(np.median(np.diff(log.time)))))
     height, up, seconds = (np.concatenate(parts) for parts in (heights, held, weights))
     if not up.any():
         return None

@@ -15,7 +15,7 @@ from rejoint.logs import lerobot, mcapfile, sage, table
 from rejoint.logs.joining import to_log
 from rejoint.logs.options import ImportOptions
 from rejoint.logs.runlog import RunLog, write_log
-from rejoint.logs.track import Motion
+from rejoint.logs.track import RecordedMotion
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.progress import Progress, no_progress
 
@@ -32,7 +32,7 @@ class Imported:
 class _Reader(Protocol):
     def fits(self, source: Path) -> bool: ...
 
-    def motions(self, source: Path, arm: Arm, options: ImportOptions) -> tuple[int, Iterator[Motion]]: ...
+    def motions(self, source: Path, arm: Arm, options: ImportOptions) -> tuple[int, Iterator[RecordedMotion]]: ...
 
 
 _READERS: dict[str, _Reader] = {"sage": sage, "csv": table, "mcap": mcapfile, "lerobot": lerobot}
@@ -83,11 +83,11 @@ def import_logs(
     if not logs:
         raise FileError(source, "holds no log", "take another one")
     _write_whole(out, logs)
-    return Imported(logs=tuple(logs.values()), notes=_told(notes, len(logs)))
+    return Imported(logs=tuple(logs.values()), notes=_remarks(notes, len(logs)))
 
 
 def _checked(
-    motions: Iterator[Motion], arm: Arm, on_log: Callable[[int, str], object]
+    motions: Iterator[RecordedMotion], arm: Arm, on_log: Callable[[int, str], object]
 ) -> tuple[dict[str, RunLog], dict[str, list[str]]]:
     """Turn motions into logs by file name; returns them and, by note, the logs that it is about."""
     logs: dict[str, RunLog] = {}
@@ -148,10 +148,10 @@ def _write_whole(out: Path, logs: dict[str, RunLog]) -> None:
         shutil.rmtree(temporary, ignore_errors=True)
 
 
-def _told(notes: dict[str, list[str]], total: int) -> tuple[str, ...]:
+def _remarks(notes: dict[str, list[str]], total: int) -> tuple[str, ...]:
     """Put each note's logs in front of it; a note that many share is said once."""
-    told = []
+    remarks = []
     for remark, names in notes.items():
         who = names[0] if len(names) == 1 else f"{len(names)} of {total} logs ({names[0]}, ...)"
-        told.append(f"{who}: {remark}")
-    return tuple(told)
+        remarks.append(f"{who}: {remark}")
+    return tuple(remarks)

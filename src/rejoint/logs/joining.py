@@ -9,14 +9,14 @@ import numpy as np
 from rejoint.arms import Arm
 from rejoint.logs.checks import check_agreement, check_angles, clean
 from rejoint.logs.runlog import Array, RunLog
-from rejoint.logs.track import Motion, Points, Track
+from rejoint.logs.track import Points, RecordedMotion, Track
 from rejoint.system.errors import FileError
 
 _EPOCH = 1e8
 """[s] chosen: three years; a robot's clock that reads more counts from 1970, where a float64 resolves 0.2 us."""
 
 
-def to_log(motion: Motion, arm: Arm) -> tuple[RunLog, list[str]]:
+def to_log(motion: RecordedMotion, arm: Arm) -> tuple[RunLog, list[str]]:
     """Check a motion and put it on the clock of its states.
 
     Row k holds state k and the command in force at that time: the last one stamped no later (zero-order
@@ -46,7 +46,7 @@ def to_log(motion: Motion, arm: Arm) -> tuple[RunLog, list[str]]:
     return log, notes
 
 
-def _near_zero(motion: Motion) -> Motion:
+def _near_zero(motion: RecordedMotion) -> RecordedMotion:
     """Count from the first second of the log where the clock counts from 1970."""
     start = float(motion.state.time[0])
     if start < _EPOCH:

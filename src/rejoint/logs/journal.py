@@ -36,7 +36,7 @@ _MAGIC = "rejoint journal 1"
 _CHECK = 4  # bytes of a row's CRC-32
 
 
-class Row(Protocol):
+class JournalRow(Protocol):
     """What a journal takes of a control cycle; the first arm of a batch. See `rejoint.control.recording.Cycle`."""
 
     @property
@@ -100,7 +100,7 @@ class Journal:
         journal._thread.start()
         return journal
 
-    def see(self, cycle: Row) -> None:
+    def see(self, cycle: JournalRow) -> None:
         """Take the row of a control cycle; to be called by the control loop."""
         self.append(cycle.time[0], cycle.position[0], cycle.command[0], cycle.target[0], cycle.true_tcp[0])
 

@@ -21,7 +21,7 @@ from rejoint.arms import Arm
 from rejoint.logs.joints import Match, match_joints, radians
 from rejoint.logs.options import ImportOptions
 from rejoint.logs.runlog import Array
-from rejoint.logs.track import Motion, Track
+from rejoint.logs.track import RecordedMotion, Track
 from rejoint.system.errors import FileError, first_line
 
 _INFO = "meta/info.json"
@@ -46,7 +46,7 @@ def fits(source: Path) -> bool:
     return (source / _INFO).is_file()
 
 
-def motions(source: Path, arm: Arm, options: ImportOptions) -> tuple[int, Iterator[Motion]]:
+def motions(source: Path, arm: Arm, options: ImportOptions) -> tuple[int, Iterator[RecordedMotion]]:
     """Count the episodes of a dataset and read them one by one."""
     options.refuse_others(source, "lerobot", "angle_unit", "joint_map", "joint_order", "calibration")
     info = _read_info(source / _INFO, options)
@@ -137,7 +137,7 @@ def _check_types(table: pa.Table, file: Path, info: _Info) -> None:
             raise FileError(file, f"row {row + 1}: {lengths[row]} values in {key}, expected {width}", _REMEDY)
 
 
-def _episode(table: pa.Table, number: int, arm: Arm, options: ImportOptions, info: _Info) -> Motion:
+def _episode(table: pa.Table, number: int, arm: Arm, options: ImportOptions, info: _Info) -> RecordedMotion:
     rows = np.flatnonzero(table["episode_index"].to_numpy() == number)
     chosen = table.take(rows)
     order = np.argsort(chosen["frame_index"].to_numpy(), kind="stable")
@@ -157,7 +157,7 @@ def _episode(table: pa.Table, number: int, arm: Arm, options: ImportOptions, inf
         )  # fmt: skip
 
     state, command = track(_STATE, "state"), track(_ACTION, "command")
-    return Motion(
+    return RecordedMotion(
         name=name, state=state, command=command, angle_unit=unit, robot=f"lerobot:{info.path.parents[1].name}",
         extra={"source": info.path.parents[1].name, "format": "lerobot", "episode": str(number)}, notes=tuple(notes),
     )  # fmt: skip

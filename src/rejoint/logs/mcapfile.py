@@ -19,7 +19,7 @@ import numpy as np
 from rejoint.arms import Arm
 from rejoint.logs.joints import Match, match_joints, means_a_joint, radians
 from rejoint.logs.options import OPTIONS, ImportOptions
-from rejoint.logs.track import Motion, Points, Track
+from rejoint.logs.track import Points, RecordedMotion, Track
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.extras import require
 
@@ -51,7 +51,7 @@ def fits(source: Path) -> bool:
     return bool(_files(source))
 
 
-def motions(source: Path, arm: Arm, options: ImportOptions) -> tuple[int, Iterator[Motion]]:
+def motions(source: Path, arm: Arm, options: ImportOptions) -> tuple[int, Iterator[RecordedMotion]]:
     """Count the MCAP files at a path and read them one by one, sorted by name."""
     options.refuse_others(
         source, "mcap", "angle_unit", "joint_map", "joint_order", "state_topic", "command_topic", "stamp", "calibration"
@@ -76,7 +76,7 @@ def _has_magic(file: Path) -> bool:
         return False
 
 
-def _read(file: Path, arm: Arm, options: ImportOptions) -> Motion:
+def _read(file: Path, arm: Arm, options: ImportOptions) -> RecordedMotion:
     with _reporting(file):
         topics, header = _survey(file)
     state_topic = _topic(options.state_topic, STATE_TOPIC, topics, file, OPTIONS["state_topic"])
@@ -101,7 +101,7 @@ def _read(file: Path, arm: Arm, options: ImportOptions) -> Motion:
     state, command = (_on_clock(track, time, origin) for time, track in tracks)
     name, robot = header.get("label", file.stem), header.get("robot", f"mcap:{file.stem}")
     extra = {"source": file.name, "format": "mcap"} | ({"clock_origin_s": f"{origin // NANOSECONDS}"} if origin else {})
-    return Motion(
+    return RecordedMotion(
         name=name, state=state, command=command, angle_unit=options.angle_unit or "rad", robot=robot,
         points={group: _points(messages.get(topic, []), origin, file) for group, topic in points.items()},
         extra=_kept_extra(header, file) if header else extra, notes=tuple(notes),

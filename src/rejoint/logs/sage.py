@@ -19,7 +19,7 @@ from rejoint.arms import Arm
 from rejoint.logs.joints import match_joints, radians
 from rejoint.logs.options import TIME_UNITS, ImportOptions
 from rejoint.logs.runlog import Array
-from rejoint.logs.track import Motion, Track
+from rejoint.logs.track import RecordedMotion, Track
 from rejoint.system.errors import FileError
 
 _CONTROL, _STATE, _JOINTS = "control.csv", "state_motor.csv", "joint_list.txt"
@@ -31,7 +31,7 @@ def fits(source: Path) -> bool:
     return bool(_folders(source))
 
 
-def motions(source: Path, arm: Arm, options: ImportOptions) -> tuple[int, Iterator[Motion]]:
+def motions(source: Path, arm: Arm, options: ImportOptions) -> tuple[int, Iterator[RecordedMotion]]:
     """Count the motions in a folder and read them one by one, sorted by name."""
     options.refuse_others(source, "sage", "angle_unit", "time_unit", "joint_map", "calibration")
     folders = _folders(source)
@@ -54,7 +54,7 @@ def _is_motion(folder: Path) -> bool:
     return (folder / _STATE).is_file() or ((folder / _CONTROL).is_file() and (folder / _JOINTS).is_file())
 
 
-def _read(folder: Path, arm: Arm, options: ImportOptions) -> Motion:
+def _read(folder: Path, arm: Arm, options: ImportOptions) -> RecordedMotion:
     names = _lines(folder / _JOINTS)
     names = [name.strip() for name in names if name.strip()]
     match = match_joints(names, arm, options, folder / _JOINTS, "joint list")
@@ -69,7 +69,7 @@ def _read(folder: Path, arm: Arm, options: ImportOptions) -> Motion:
             place="line", number=number,
         )  # fmt: skip
 
-    return Motion(
+    return RecordedMotion(
         name=folder.resolve().name, state=track(_STATE, "state"), command=track(_CONTROL, "command"), angle_unit=unit,
         robot=f"sage:{folder.resolve().name}", extra={"source": str(folder.name), "format": "sage"},
         notes=(f"columns that are no joints of {arm.name} dropped: {', '.join(match.dropped)}",) * bool(match.dropped),

@@ -19,7 +19,7 @@ from rejoint.arms import Arm
 from rejoint.logs.joints import match_joints, radians
 from rejoint.logs.options import OPTIONS, TIME_UNITS, ImportOptions
 from rejoint.logs.runlog import Array
-from rejoint.logs.track import Motion, Points, Track
+from rejoint.logs.track import Points, RecordedMotion, Track
 from rejoint.system.errors import FileError
 
 AXES = ("x", "y", "z")
@@ -47,7 +47,7 @@ def fits(source: Path) -> bool:
     return bool(_files(source))
 
 
-def motions(source: Path, arm: Arm, options: ImportOptions) -> tuple[int, Iterator[Motion]]:
+def motions(source: Path, arm: Arm, options: ImportOptions) -> tuple[int, Iterator[RecordedMotion]]:
     """Count the CSV logs at a path and read them one by one, sorted by name."""
     options.refuse_others(source, "csv", "angle_unit", "time_unit", "joint_map", "calibration")
     files = [source] if source.is_file() else _files(source)
@@ -71,7 +71,7 @@ def _has_columns(file: Path) -> bool:
     return any(title.startswith(("position.", "command.")) for title in header)
 
 
-def _read(file: Path, arm: Arm, options: ImportOptions) -> Motion:
+def _read(file: Path, arm: Arm, options: ImportOptions) -> RecordedMotion:
     titles, values, number = _cells(file)
     columns, ignored = _columns(titles, options, file)
     notes = [f"columns ignored: {', '.join(ignored)}"] * bool(ignored)
@@ -99,7 +99,7 @@ def _read(file: Path, arm: Arm, options: ImportOptions) -> Motion:
             path=file, what=what, time=time, value=raw, columns=match.names,
             place="line", number=number,
         )  # fmt: skip
-    return Motion(
+    return RecordedMotion(
         name=file.stem, state=tracks["state"], command=tracks["command"], angle_unit="/".join(sorted(set(units))),
         points=_points(time, values, columns, file), robot=f"csv:{file.stem}",
         extra={"source": file.name, "format": "csv"}, notes=tuple(notes),

@@ -56,7 +56,7 @@ class Points:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Motion:
+class RecordedMotion:
     """One recorded motion as a reader found it, before the checks."""
 
     name: str

@@ -79,7 +79,7 @@ class OffPolicySettings:
 
 
 @dataclass(kw_only=True, eq=False)
-class _Window:
+class _ReportWindow:
     """What happened since the last report."""
 
     rewards: list[float] = field(default_factory=list)
@@ -111,7 +111,7 @@ class OffPolicyLearner:
 
     def learn(self) -> CurvePoint:
         """Run the cycles up to the next report."""
-        start, window = time.perf_counter(), _Window()
+        start, window = time.perf_counter(), _ReportWindow()
         for _ in range(min(_REPORT_EVERY, self.settings.cycles - self._cycle)):
             transition = self._interact()
             window.rewards.append(float(transition.reward.mean()))

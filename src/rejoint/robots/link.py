@@ -30,10 +30,10 @@ from rejoint.system.stopping import check, ending
 ATTEMPTS = 6
 """Times that a question is asked before its failure is an error (chosen: where one answer in fifty is lost, three times
 fail once in twenty minutes, six times once in a lifetime)"""
-PATIENCE = 10.0
+TIMEOUT = 10.0
 """[s] for which a link may be dead while an arm is driven, before that is an error (chosen: a server that is started
 again needs less; the arm holds meanwhile)"""
-LAST_PATIENCE = 3.0
+LAST_TIMEOUT = 3.0
 """[s] of the same for the order to stop (chosen: it should still get through a lost answer)"""
 SILENCE = 3.0
 """[s] of silence on a standing connection after which a new one is tried (chosen: twice the pauses that a firmware
@@ -158,7 +158,7 @@ def persist(
             raise
         except _AGAIN as error:
             check()
-            deadline = began + (LAST_PATIENCE if ending() else PATIENCE) if until is None else until
+            deadline = began + (LAST_TIMEOUT if ending() else TIMEOUT) if until is None else until
             if attempt >= ATTEMPTS or clock.now() > deadline:
                 raise
             recover(error, deadline)

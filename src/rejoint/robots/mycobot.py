@@ -43,7 +43,7 @@ SPEED_PERCENT = 100
 """of the firmware's own speed limit (chosen: ours are the guard's)"""
 UNREADABLE_DEG = 180.08
 """[deg] what a joint shows whose servo cannot be read (elephantrobotics/pymycobot, issue 43)"""
-PROBE_PATIENCE = 2.0
+PROBE_TIMEOUT = 2.0
 """[s] for a TCP connection to be accepted; a robot in the same network needs milliseconds (chosen)"""
 LATE = 0.3
 """[s] the client's own TCP timeout: a call that took longer was sent more than once"""
@@ -77,7 +77,7 @@ class MyCobotBus(Bus):
     def open(self) -> None:
         """Make a client."""
         if isinstance(self.address, TcpAddress):
-            with socket.create_connection((self.address.host, self.address.port), PROBE_PATIENCE):
+            with socket.create_connection((self.address.host, self.address.port), PROBE_TIMEOUT):
                 pass  # the client itself would wait for minutes
         self._client = make_client(self.address)
 

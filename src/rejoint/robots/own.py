@@ -54,7 +54,7 @@ def _mycobot(address: TcpAddress | SerialAddress, arm: Arm) -> Bus:
 
 
 EMULATED = Family(
-    scheme="emulated", form="emulated:PROFILE (such as emulated:worn, or a .toml file)", parse=_profile,
+    scheme="emulated", form="emulated:PROFILE", parse=_profile,
     connect=_emulated, default_arm=_profile_arm, default_period=_EMULATED_PERIOD, virtual=True, needs=(SIMULATOR,),
 )  # fmt: skip
 MYCOBOT_TCP = bus_family(

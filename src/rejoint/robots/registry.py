@@ -7,6 +7,7 @@ looked at where a scheme is none of ours, or where all forms are listed: what no
 from __future__ import annotations
 
 from importlib.metadata import EntryPoint, entry_points
+from traceback import walk_tb
 from typing import Any
 
 from rejoint.robots import own
@@ -20,7 +21,7 @@ _OWN: dict[str, Family[Any]] = {family.scheme: family for family in own.FAMILIES
 
 
 def place_of(text: str) -> Place[Any]:
-    """Read a robot's address; AddressError that lists the forms of all families for what none of them reads."""
+    """Read a robot's address; AddressError with its form, or with those of all families for what none of them reads."""
     scheme, colon, _ = text.partition(":")
     family = _family(scheme) if colon else None
     if family is None:
@@ -28,7 +29,8 @@ def place_of(text: str) -> Place[Any]:
     try:
         return Place(text=text, family=family, detail=family.parse(text))
     except ValueError as error:
-        raise AddressError(f"robot address {text!r}: {error}; expected {forms()}") from error
+        expected = "" if family.form in str(error) else f"; expected {family.form}"
+        raise AddressError(f"robot address {text!r}: {error}{expected}") from error
 
 
 def forms() -> str:
@@ -40,6 +42,16 @@ def forms() -> str:
         except AddressError as error:
             refused.append(f"; {error}")
     return ", ".join(family.form for family in found) + "".join(refused)
+
+
+def driver_of(error: BaseException) -> str | None:
+    """Name the package of another's driver that an error passed through; None where there was none."""
+    drivers = {point.module.partition(".")[0]: point for point in entry_points(group=GROUP)}
+    for frame, _ in walk_tb(error.__traceback__):
+        point = drivers.get(str(frame.f_globals.get("__name__")).partition(".")[0])
+        if point is not None:
+            return f"{_package(point)} (driver of {point.name}:)"
+    return None
 
 
 def _family(scheme: str) -> Family[Any] | None:

@@ -190,12 +190,12 @@ def locked(folder: RunFolder) -> Iterator[None]:
     except OSError as error:
         raise FileError(folder.path, f"nothing can be written there ({error.strerror})", UNWRITABLE) from error
     with file:
-        alone = _lock(file.fileno(), folder)
+        has_locks = _lock(file.fileno(), folder)
         try:
             file.truncate(0)
             file.write(str(os.getpid()))
             file.flush()
-            if alone:
+            if has_locks:
                 _put_right(folder)
         except OSError as error:
             raise unwritable(path, error) from error

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, TypeAlias, cast
 import numpy as np
 
 from rejoint.arms import Arm, Array, load_arm
-from rejoint.control.comparison.targets import draw_targets, read_targets
+from rejoint.control.comparison.targets import draw_targets, read_targets, require_reachable
 from rejoint.control.robot import Robot
 from rejoint.logs.runlog import RunLog, read_log
 from rejoint.robots import open_robot, place_of
@@ -235,10 +235,17 @@ def run_of_logs(run: RunLike | None, logs: LogsLike, arm: ArmLike | None) -> tup
 
 
 def as_targets(given: Targets | None, arm: Arm, *, sets: int, seed: int) -> Array:
-    """Return targets (S, K, 3) [m]: those given, those of a file, or drawn ones where none are given."""
+    """Return targets (S, K, 3) [m]: those given, those of a file, or drawn ones where none are given.
+
+    InputError or FileError name those that the arm cannot reach: nothing is to move for them.
+    """
     if given is None:
         return draw_targets(arm, sets=sets, seed=seed)
-    points = read_targets(Path(given), arm) if isinstance(given, Path | str) else np.asarray(given, dtype=float)
+    if isinstance(given, Path | str):
+        return read_targets(Path(given), arm)[None]
+    points = np.asarray(given, dtype=float)
     if points.ndim not in (2, 3) or points.shape[-1] != 3:
         raise InputError(f"targets have shape {points.shape}, expected (targets, 3) or (sets, targets, 3) in metres")
-    return points[None] if points.ndim == 2 else points
+    points = points[None] if points.ndim == 2 else points
+    require_reachable(arm, points)
+    return points

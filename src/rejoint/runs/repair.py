@@ -20,6 +20,7 @@ from rejoint.runs.given import (
     Targets,
     address_of,
     arm_of,
+    as_targets,
     is_batchable,
     run_about,
 )
@@ -33,7 +34,7 @@ from rejoint.runs.stages.report import report
 from rejoint.runs.stages.train import train
 from rejoint.system.errors import FileError
 from rejoint.system.extras import require
-from rejoint.system.progress import Progress, no_progress, part
+from rejoint.system.progress import Progress, no_progress, paced, part
 
 if TYPE_CHECKING:
     from rejoint.control.policy import Policy
@@ -117,6 +118,7 @@ def _there(found: Found | None) -> Found:
     return found
 
 
+@paced
 def repair(
     robot: RobotLike = FIRST_ROBOT,
     *,
@@ -195,19 +197,21 @@ def repair(
     about = run_about(folder, address_of(robot), chosen, seed)
     assert about is not None  # noqa: S101 - for the type checker; a folder was given
     require_same_pace(about, quick=quick)
+    if targets is not None:  # what the arm cannot reach is known now, not after the training
+        as_targets(targets, chosen, sets=1, seed=0)
     emulated = is_batchable(robot)
     chain = _Chain(about.begin(), on_stage, on_progress, measured=emulated or gauge is not None)
     found = chain.run
-    chain.do("diagnose", lambda told: diagnose(robot, run=found, period=period, quick=quick, on_progress=told))
-    chain.do("calibrate", lambda told: calibrate(robot, run=found, gauge=gauge, period=period, on_progress=told))
-    chain.do("identify", lambda told: identify(run=found, quick=quick, on_progress=told))
-    chain.do("train", lambda told: train(run=found, preset=preset, quick=quick, on_progress=told))
+    chain.do("diagnose", lambda update: diagnose(robot, run=found, period=period, quick=quick, on_progress=update))
+    chain.do("calibrate", lambda update: calibrate(robot, run=found, gauge=gauge, period=period, on_progress=update))
+    chain.do("identify", lambda update: identify(run=found, quick=quick, on_progress=update))
+    chain.do("train", lambda update: train(run=found, preset=preset, quick=quick, on_progress=update))
     few = (1, 1) if quick or not emulated else (3, 2)
     if quick and targets is None:
         targets = draw_targets(found.arm, sets=1, count=QUICK_TARGETS, seed=found.seed)
-    chain.do("compare", lambda told: compare(
+    chain.do("compare", lambda update: compare(
         robot, controllers, targets, run=found, sets=sets or few[0], repetitions=repetitions or few[1], period=period,
-        on_progress=told,
+        on_progress=update,
     ))  # fmt: skip
     chain.do("report", lambda _: report(found))
     finish(found)

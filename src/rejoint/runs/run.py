@@ -202,6 +202,8 @@ def finish(run: Run) -> None:
 def remove_if_empty(run: Run) -> None:
     """Remove the folder of a run in which nothing has been done yet, such as one whose robot did not answer."""
     path = run.folder.path
+    with suppress(OSError):  # logs are there
+        (path / "logs").rmdir()
     if _empty(path):
         for entry in path.iterdir():
             entry.unlink()

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, collides, frames, tcp_position
-from rejoint.control.controller import Situation
+from rejoint.control.controller import ControlInput
 from rejoint.control.guard import GuardLimits, guard
 from rejoint.control.observation import ALL, SUCCESS_DISTANCE, Layout, Observation, Observer, Rows
 from rejoint.control.residual import Commander, CommandLaw
@@ -116,7 +116,7 @@ class ReachTask:
             self._step[:] = self._rng.integers(0, self.settings.hold_steps, self.agents)
             self._count[:] = self._rng.integers(0, self.settings.targets, self.agents)
         distance = np.linalg.norm(self._target - self._tcp, axis=-1)
-        return self.observer.observe(self._situation()), self._privileged(distance, np.zeros(self.agents))
+        return self.observer.observe(self._inputs()), self._privileged(distance, np.zeros(self.agents))
 
     def prepare(self, cycles: int) -> None:
         """Draw the targets and arms of all agents whose targets time out within so many cycles.
@@ -149,7 +149,7 @@ class ReachTask:
         self._tcp = tcp
         distance = np.linalg.norm(self._target - tcp, axis=-1)
         self._step += 1
-        final, final_privileged = self.observer.observe(self._situation()), self._privileged(distance, speed)
+        final, final_privileged = self.observer.observe(self._inputs()), self._privileged(distance, speed)
         reached = (distance < SUCCESS_DISTANCE) & self.settings.ends_on_success
         collided = self._collided()
         late = (self._step >= self.settings.hold_steps) & ~reached
@@ -184,17 +184,17 @@ class ReachTask:
             **{f"simulation.{name}": value for name, value in self.simulation.state().items()},
         }
 
-    def _situation(self) -> Situation:
+    def _inputs(self) -> ControlInput:
         now = self.simulation
         state = JointState(time=now.time, position=now.measured, age=np.zeros(self.agents))
-        return Situation(state=state, target=self._target, sent=self._sent, since_target=self._since)
+        return ControlInput(state=state, target=self._target, sent=self._sent, since_target=self._since)
 
     def _command(self, action: Array) -> None:
         """Decide and send, as `PolicyController` and the control loop do."""
-        situation, observer = self._situation(), self.observer
+        inputs, observer = self._inputs(), self.observer
         observer.acted(action)
-        wanted = self.commander.command(situation, observer.view, action)
-        self._sent = guard(self._limits, wanted, self._sent, self._no_speed, situation.state, self._period).command
+        wanted = self.commander.command(inputs, observer.view, action)
+        self._sent = guard(self._limits, wanted, self._sent, self._no_speed, inputs.state, self._period).command
         self.simulation.send(self._sent)
 
     def _advance(self) -> None:
@@ -223,7 +223,7 @@ class ReachTask:
         self._new_targets(ended)
         rows = np.flatnonzero(ended)
         observation, privileged = final.copy(), final_privileged.copy()
-        observation[rows] = self.observer.observe(self._situation(), rows)
+        observation[rows] = self.observer.observe(self._inputs(), rows)
         distance = np.linalg.norm(self._target[rows] - self._tcp[rows], axis=-1)
         privileged[rows] = self._privileged(distance, np.zeros(len(rows)), rows)
         return observation, privileged
@@ -235,8 +235,8 @@ class ReachTask:
         self._foreseen[where] = False
         self._since[where] = 0.0
         self._step[where] = 0
-        self.observer.reset(self._situation(), where)
-        self.commander.reset(self._situation(), where)
+        self.observer.reset(self._inputs(), where)
+        self.commander.reset(self._inputs(), where)
 
     def _new_arms(self, where: Mask) -> None:
         """Exchange arms for others, standing at a posture near rest."""
@@ -262,8 +262,8 @@ class ReachTask:
         self._middle[where] = self._period[where] = draw.period
         self._count[where] = 0
         self._constants[where] = privileged_constants(self.arm, draw)
-        self.observer.forget(where)
-        self.commander.forget(self._situation(), where)
+        self.observer.reset_learned(where)
+        self.commander.reset_learned(self._inputs(), where)
 
     def _privileged(self, distance: Array, speed: Array, rows: Rows = ALL) -> Observation:
         """Return what only the critic sees (N, p) of all agents, or of some ``rows`` only."""

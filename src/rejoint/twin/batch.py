@@ -16,7 +16,7 @@ from rejoint.arms import Arm, Array
 from rejoint.system.errors import InputError
 from rejoint.twin.model import FRICTION_SOFTNESS, TIMESTEP, friction_solref, model_fields, twin_model
 from rejoint.twin.parameters import TwinParameters, nominal_parameters
-from rejoint.twin.table import Table
+from rejoint.twin.table import TablePlane
 from rejoint.twin.tablemodel import TIP, table_fields, table_pose
 
 Ids = NDArray[np.integer] | NDArray[np.bool_] | None
@@ -81,7 +81,7 @@ class TwinBatch:
         self._batch.set_const(chosen.astype(np.int32))
         self._batch.expand("dof_invweight0")[chosen] *= FRICTION_SOFTNESS
 
-    def put_tables(self, tables: Sequence[Table]) -> None:
+    def put_tables(self, tables: Sequence[TablePlane]) -> None:
         """Put each simulation of a batch made with ``table`` on its table; after `write`, whose masses it needs."""
         if len(tables) != self.nsim:
             raise InputError(f"twin batch: {len(tables)} tables, expected {self.nsim}")

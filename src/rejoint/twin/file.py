@@ -24,7 +24,7 @@ from rejoint.system.errors import FileError, InputError, first_line
 from rejoint.system.files import CHANGED, TOML_MOST, digest, read_bounded, write_whole
 from rejoint.twin.parameters import PARAMETERS, STICTION, Layout, TwinParameters
 from rejoint.twin.prediction import PredictionError
-from rejoint.twin.table import Table
+from rejoint.twin.table import TablePlane
 from rejoint.twin.twin import HeldOut, Twin
 
 FORMAT = 1
@@ -113,7 +113,7 @@ def _held_out_table(held_out: HeldOut) -> TomlTable:
     return table
 
 
-def _table_table(table: Table) -> TomlTable:
+def _table_table(table: TablePlane) -> TomlTable:
     found = tomlkit.table()
     found.comment("what the tip leaned on in the logs: m in the base frame, N/m; no part of the arm")
     for field in fields(table):
@@ -178,5 +178,5 @@ def _twin(data: dict[str, Any]) -> Twin:
         notes=tuple(str(note) for note in data["notes"]),
         stiction=float(data.get("stiction", STICTION)),
         acceleration=float(data.get("acceleration", np.inf)),
-        table=Table(**{key: float(value) for key, value in data["table"].items()}) if "table" in data else None,
+        table=TablePlane(**{key: float(value) for key, value in data["table"].items()}) if "table" in data else None,
     )

@@ -38,7 +38,7 @@ from rejoint.twin.structure import (
     rough_fit,
     simplest,
 )
-from rejoint.twin.table import Table
+from rejoint.twin.table import TablePlane
 from rejoint.twin.tablefit import fit_table
 from rejoint.twin.twin import HeldOut, Twin
 from rejoint.twin.uncertainty import CLUSTER, uncertainty
@@ -222,7 +222,7 @@ def fit_motions(
 
 def _fit_table(
     problem: Problem, found: Fit, excluded: Sequence[Exclusions], height: float | None, settings: LogSettings
-) -> Table | None:
+) -> TablePlane | None:
     """Fit the table to motion in contact; None where there is none or too little of it."""
     if height is None or not settings.table:
         return None

@@ -30,7 +30,7 @@ from rejoint.twin.parameters import (
 )
 from rejoint.twin.prediction import PredictionError, prediction_error
 from rejoint.twin.replay import Replay, cut, divide, measured_velocity
-from rejoint.twin.table import Table
+from rejoint.twin.table import TablePlane
 from rejoint.twin.twin import HeldOut, Twin
 from rejoint.twin.uncertainty import Uncertainty, uncertainty
 
@@ -105,7 +105,7 @@ def identify(
 
 
 def fitted_twin(
-    problem: Problem, found: Fit, knowledge: Uncertainty, held_out: HeldOut, table: Table | None = None
+    problem: Problem, found: Fit, knowledge: Uncertainty, held_out: HeldOut, table: TablePlane | None = None
 ) -> Twin:
     """Put together what is known, with bounds that hold what the arm has shown."""
     replay, belief = problem.replay, problem.prior

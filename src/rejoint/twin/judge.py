@@ -20,7 +20,7 @@ from rejoint.twin.parameters import STICTION, TwinParameters
 from rejoint.twin.prediction import prediction_error
 from rejoint.twin.repeatability import repeatability
 from rejoint.twin.replay import Replay, Window
-from rejoint.twin.table import Table
+from rejoint.twin.table import TablePlane
 from rejoint.twin.twin import Twin
 
 TIMESTEP = 0.010
@@ -38,7 +38,7 @@ class Candidate:
     parameters: TwinParameters
     stiction: float = STICTION
     """friction at rest over friction in motion"""
-    table: Table | None = None
+    table: TablePlane | None = None
     """where contacts are to be predicted too"""
     acceleration: float = np.inf
     """[rad/s^2] of the servos' references, while commands keep changing"""

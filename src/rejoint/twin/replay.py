@@ -23,7 +23,7 @@ from rejoint.twin.parameters import STICTION, TwinParameters
 from rejoint.twin.profile import Profile
 from rejoint.twin.reference import Reference
 from rejoint.twin.simulation import Draw, Simulation
-from rejoint.twin.table import Table
+from rejoint.twin.table import TablePlane
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -84,7 +84,7 @@ class Replay:
         self.steps = int(np.ceil(max(spans) / timestep)) + 1
         self._simulations: dict[int, Simulation] = {}
 
-    def predict(self, parameters: TwinParameters, tables: Sequence[Table] = ()) -> list[Array]:
+    def predict(self, parameters: TwinParameters, tables: Sequence[TablePlane] = ()) -> list[Array]:
         """Positions (m, rows, n) [rad] for each window, for twins of leading shape (m,).
 
         A replay that is made ``on_table`` needs m ``tables``.

@@ -11,7 +11,7 @@ from rejoint.system.errors import InputError
 
 
 @dataclass(frozen=True, kw_only=True)
-class Table:
+class TablePlane:
     """A plane under the tip."""
 
     height: float

@@ -14,7 +14,7 @@ from rejoint.arms import Array
 from rejoint.twin.fit import DAMPINGS, influence, loss
 from rejoint.twin.parameters import TwinParameters
 from rejoint.twin.replay import Replay
-from rejoint.twin.table import Table
+from rejoint.twin.table import TablePlane
 
 # height [m], slopes, log stiffness [N/m], log friction
 _SIGMA = np.array([0.02, 0.05, 0.05, 1.0, 0.7])
@@ -33,7 +33,7 @@ ROWS = 50
 """Rows that say as much as one independent one: a second (chosen)"""
 
 
-def fit_table(replay: Replay, parameters: TwinParameters, height: float, iterations: int = 6) -> Table:
+def fit_table(replay: Replay, parameters: TwinParameters, height: float, iterations: int = 6) -> TablePlane:
     """Fit the table to the windows of a replay made ``on_table``, from a level one at ``height`` [m]."""
     measured = np.concatenate(replay.measured())
 
@@ -70,7 +70,7 @@ def _descend(residuals: Callable[[Array], Array], start: Array, iterations: int)
     return x
 
 
-def _table(vector: Array) -> Table:
+def _table(vector: Array) -> TablePlane:
     height, slope_x, slope_y = (float(value) for value in vector[:3])
     stiffness, friction = (float(value) for value in np.exp(vector[3:]))
-    return Table(height=height, slope_x=slope_x, slope_y=slope_y, stiffness=stiffness, friction=friction)
+    return TablePlane(height=height, slope_x=slope_x, slope_y=slope_y, stiffness=stiffness, friction=friction)

@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 
 from rejoint.arms import Array
-from rejoint.twin.table import Table
+from rejoint.twin.table import TablePlane
 
 RADIUS = 0.005
 """[m] of the sphere (chosen; the plane lies that much lower)"""
@@ -37,7 +37,7 @@ def add_table(spec: mujoco.MjSpec, tip: mujoco.MjsBody, position: Array) -> None
                  condim=3, priority=1, mass=0.0, solimp=(IMPEDANCE, IMPEDANCE, 0.001, 0.5, 2.0))  # fmt: skip
 
 
-def table_pose(table: Table) -> tuple[Array, Array]:
+def table_pose(table: TablePlane) -> tuple[Array, Array]:
     """Position (3,) [m] and quaternion (4,) of the plane that holds up the sphere's centre at the table's height."""
     normal = np.array([-table.slope_x, -table.slope_y, 1.0]) / np.sqrt(1 + table.slope_x**2 + table.slope_y**2)
     turn = np.zeros(4)
@@ -45,7 +45,7 @@ def table_pose(table: Table) -> tuple[Array, Array]:
     return np.array([0.0, 0.0, table.height]) - RADIUS * normal, turn
 
 
-def table_fields(table: Table, timestep: float, inverse_mass: Array) -> Iterator[tuple[str, Array]]:
+def table_fields(table: TablePlane, timestep: float, inverse_mass: Array) -> Iterator[tuple[str, Array]]:
     """Yield what a table decides of the tip's geometry in models with `add_table`, as (field, value).
 
     ``inverse_mass`` (...) [1/kg] is the ``body_invweight0`` of the tip's body, one for each model: MuJoCo

@@ -25,7 +25,7 @@ from rejoint.twin.parameters import (
     vector_names,
 )
 from rejoint.twin.prediction import PredictionError
-from rejoint.twin.table import Table
+from rejoint.twin.table import TablePlane
 
 LEAST_SPREAD = 0.05
 """Extra spread of the logarithms when twins are drawn: no twin has the structure of the real arm (chosen)"""
@@ -80,7 +80,7 @@ class Twin:
     """friction at rest over friction in motion"""
     acceleration: float = np.inf
     """[rad/s^2] of the servos' references while commands keep changing (`rejoint.twin.profile`); inf: not limited"""
-    table: Table | None = None
+    table: TablePlane | None = None
     """what the arm leaned on in the logs, if anything; no part of the arm"""
     judgement: Judgement | None = None
     """how it predicts each motion that was kept from the fit, right after a fit to logs of any motion; not on file"""

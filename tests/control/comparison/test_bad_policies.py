@@ -12,8 +12,11 @@ import rejoint
 from rejoint.arms import heights, mycobot280
 from rejoint.cli import main
 from rejoint.control.catalogue import make_controller
-from rejoint.control.comparison import Protocol, Settings, compare, draw_targets, recommend
+from rejoint.control.comparison.compare import Settings, compare
 from rejoint.control.comparison.failure import failure
+from rejoint.control.comparison.recommend import recommend
+from rejoint.control.comparison.result import Protocol
+from rejoint.control.comparison.targets import draw_targets
 from rejoint.control.guard import GuardLimits
 from rejoint.control.policy import load_policy
 from rejoint.robots import open_robot

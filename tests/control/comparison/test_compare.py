@@ -1,5 +1,6 @@
 """Laws of the comparison: what is measured is what happened, batch equals single trials, verdicts are honest."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -7,14 +8,18 @@ import pytest
 
 from rejoint.arms import gravity_torque, mycobot280, tcp_position
 from rejoint.control.catalogue import make_controller
-from rejoint.control.comparison import Comparison, Protocol, Settings, compare, difference, draw_targets, recommend
+from rejoint.control.comparison.compare import Settings, compare
 from rejoint.control.comparison.protocols import encoder_tcp, measure_crossings, measure_holds, schedule
+from rejoint.control.comparison.recommend import difference, recommend
+from rejoint.control.comparison.result import Comparison, Protocol
+from rejoint.control.comparison.targets import draw_targets
 from rejoint.control.integrator import IntegratorController
 from rejoint.control.loop import run
 from rejoint.control.robot import JointState
 from rejoint.logs.runlog import read_log, write_log
 from rejoint.system.errors import GuardTripError, InputError
 from rejoint.system.files import read_json, write_json
+from rejoint.system.statistics import above_zero, bootstrap_mean
 
 ARM = mycobot280()
 PROTOCOL = Protocol(dwell=4.0, hold=5.0)
@@ -241,12 +246,35 @@ def test_the_better_one_is_recommended_and_a_tie_goes_to_the_simpler():
     assert any(line.startswith("integrator: ") and "settled error, against" in line for line in recommend(clear).why)
     tie = alike({"default": 0.02, "policy": 0.00101, "integrator": 0.001})
     assert recommend(tie).controller == "integrator"
-    assert any("No measurable difference from policy; integrator is simpler." in line for line in recommend(tie).why)
+    assert recommend(tie).tied == ("policy",)
+    assert recommend(tie).why[1] == (
+        "A tie of integrator and policy: no measurable difference. integrator is recommended because it is simpler."
+    )
+    assert recommend(clear).tied == ()
     worse = alike({"policy": 0.004, "integrator": 0.001})
     assert recommend(worse).controller == "integrator"
     found = difference(clear, "integrator", "policy")
     assert found.low > 0.0
     assert found.value == pytest.approx(0.0007, rel=0.3)
+
+
+def test_a_tie_tells_who_was_better_in_the_mean_and_how_many_trials_decide():
+    """As many trials as it says do decide, if every one is like those there were."""
+    found = alike({"integrator": 0.00105, "policy": 0.001})
+    noise = np.array([0.0, 3.0, -2.0, 1.0, -1.0, 2.0]) * 1e-4
+    rows = [
+        replace(row, outcomes=replace(row.outcomes, settled=tuple(
+            0.001 + (noise + 2e-5 if row.controller == "integrator" else 0.0 * noise)
+        ))) for row in found.rows
+    ]  # fmt: skip
+    advice = recommend(replace(found, rows=tuple(rows)))
+    assert (advice.controller, advice.tied) == ("integrator", ("policy",))
+    line = next(line for line in advice.why if line.startswith("That may be chance"))
+    assert "policy did better in the mean: 1.00 mm settled error, against 1.07 mm of integrator" in line
+    trials = int(re.search(r"About (\d+) trials of each would decide, instead of 6\.", line)[1])
+    for rounds, decided in ((1, False), (trials // 6 + 1, True)):
+        more = np.tile(noise + 2e-5, rounds)
+        assert above_zero(bootstrap_mean(more, np.arange(len(more)))) is decided
 
 
 def test_reaching_the_targets_counts_before_settling():

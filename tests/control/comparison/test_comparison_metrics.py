@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rejoint.arms import mycobot280
+from rejoint.arms import mycobot280, tcp_position
 from rejoint.control.comparison.metrics import crossing, oscillation, settled, stay_time
 from rejoint.control.comparison.result import Protocol
-from rejoint.control.comparison.targets import draw_targets, read_targets
+from rejoint.control.comparison.targets import beyond_reach, draw_targets, read_targets, require_reachable
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.statistics import (
     FEWEST_CLUSTERS,
@@ -191,6 +191,38 @@ def test_bad_target_files_name_the_line(tmp_path, text, message):
     path.write_text(text)
     with pytest.raises(FileError, match=message):
         read_targets(path, ARM)
+
+
+def test_a_file_names_every_line_out_of_reach_and_how_far(tmp_path):
+    path = tmp_path / "targets.csv"
+    path.write_text("x,y,z\n" + "150,0,200\n900,0,200\n" * 7)
+    with pytest.raises(FileError, match=r"line 3: .* line 5: .* line 11: .* too far; and 2 more; stay inside"):
+        read_targets(path, ARM)
+
+
+@pytest.mark.parametrize("target", [[0.9, 0.0, 0.2], [0.0, 0.0, -0.7], [-0.3, -0.4, 0.5]])
+def test_how_far_the_nearest_reachable_place_is(target):
+    """No posture of many others is nearer by more than a little."""
+    (beyond,) = beyond_reach(ARM, np.array([target]))
+    postures = np.random.default_rng(1).uniform(ARM.lower, ARM.upper, (20_000, ARM.joints))
+    nearest = np.linalg.norm(tcp_position(ARM, postures) - target, axis=1).min()
+    assert beyond == pytest.approx(nearest, abs=0.02)
+
+
+def test_what_a_posture_shows_is_within_reach():
+    postures = np.random.default_rng(2).uniform(ARM.lower, ARM.upper, (200, ARM.joints))
+    assert not beyond_reach(ARM, tcp_position(ARM, postures)).any()
+
+
+def test_targets_out_of_reach_are_named_by_number_and_set():
+    targets = np.tile([0.15, 0.0, 0.2], (2, 3, 1))
+    require_reachable(ARM, targets)
+    targets[1, 2] = [0.9, 0.0, 0.2]
+    with pytest.raises(InputError, match=r"targets: number 3 of set 2: \(900, 0, 200\) mm is out of reach, \d+ mm"):
+        require_reachable(ARM, targets)
+    targets[1, 2] = np.nan
+    with pytest.raises(InputError, match="finite"):
+        require_reachable(ARM, targets)
 
 
 def test_other_bad_target_files(tmp_path):

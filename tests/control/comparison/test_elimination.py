@@ -6,9 +6,12 @@ import numpy as np
 import pytest
 from test_compare import ARM, PROTOCOL, STIFFNESS, SaggingRobot, factories
 
-from rejoint.control.comparison import Comparison, Settings, compare, draw_targets, recommend
+from rejoint.control.comparison.compare import Settings, compare
 from rejoint.control.comparison.elimination import MISSES, Elimination
 from rejoint.control.comparison.failure import failure
+from rejoint.control.comparison.recommend import recommend
+from rejoint.control.comparison.result import Comparison
+from rejoint.control.comparison.targets import draw_targets
 from rejoint.control.integrator import IntegratorController
 from rejoint.control.loop import Schedule, run
 from rejoint.control.recording import recording_of
@@ -26,9 +29,9 @@ class Breaks(IntegratorController):
 
     value, since = np.nan, 1.0
 
-    def command(self, situation):
-        wanted = super().command(situation)
-        return np.where(situation.since_target[:, None] > self.since, self.value, wanted)
+    def command(self, inputs):
+        wanted = super().command(inputs)
+        return np.where(inputs.since_target[:, None] > self.since, self.value, wanted)
 
 
 class LateInfinity(Breaks):
@@ -174,9 +177,9 @@ def test_who_is_out_follows_from_results_alone():
 def test_a_run_can_be_given_up_arm_by_arm():
     asked = []
 
-    def second_after_a_second(situation):
-        asked.append(situation.since_target.copy())
-        return np.array([False, situation.since_target[1] >= 1.0])
+    def second_after_a_second(inputs):
+        asked.append(inputs.since_target.copy())
+        return np.array([False, inputs.since_target[1] >= 1.0])
 
     robot = SaggingRobot(2, 0)
     plan = Schedule(dwell=2.0, give_up=second_after_a_second)

@@ -8,7 +8,7 @@ import pytest
 
 from rejoint.arms import mycobot280
 from rejoint.control.catalogue import BASELINES
-from rejoint.control.comparison import Settings, compare
+from rejoint.control.comparison.compare import Settings, compare
 from rejoint.control.comparison.ledger import Ledger
 from rejoint.control.comparison.result import Protocol
 from rejoint.control.guard import Reason

@@ -12,7 +12,7 @@ from rejoint.research.evaluation.contestants import Contestant, check_names, cla
 from rejoint.research.evaluation.evaluate import evaluate, outcome_path
 from rejoint.research.evaluation.family import (
     VARIANTS,
-    Family,
+    ArmFamily,
     family_payloads,
     family_targets,
     family_wears,
@@ -26,11 +26,11 @@ from rejoint.research.evaluation.trials import TrialSettings, try_controller
 from rejoint.system.errors import InputError
 
 ARM = mycobot280()
-SETTINGS = TrialSettings(family=Family(arms=3, targets=2), protocol=Protocol())
+SETTINGS = TrialSettings(family=ArmFamily(arms=3, targets=2), protocol=Protocol())
 
 
 def test_an_arm_of_a_family_does_not_depend_on_how_many_there_are():
-    few, many = Family(arms=2), Family(arms=5)
+    few, many = ArmFamily(arms=2), ArmFamily(arms=5)
     worn = find_variant("worn")
     for a, b in zip(family_wears(ARM, worn, few), family_wears(ARM, worn, many), strict=False):
         np.testing.assert_array_equal(a.position_gain, b.position_gain)
@@ -42,12 +42,12 @@ def test_an_arm_of_a_family_does_not_depend_on_how_many_there_are():
 
 
 def test_families_share_no_arm():
-    seeds = [{Family(arms=10_000, seed=s).wear_seed(i) for i in range(10_000)} for s in range(3)]
+    seeds = [{ArmFamily(arms=10_000, seed=s).wear_seed(i) for i in range(10_000)} for s in range(3)]
     assert not (seeds[0] & seeds[1]) | (seeds[1] & seeds[2]) | (seeds[0] & seeds[2])
 
 
 def test_variants_differ_in_what_they_say():
-    robots, family = {v.name: open_family(ARM, v, Family(arms=2)) for v in VARIANTS}, Family(arms=2)
+    robots, family = {v.name: open_family(ARM, v, ArmFamily(arms=2)) for v in VARIANTS}, ArmFamily(arms=2)
     seen = {v.name: np.array([wear.play_in_loop for wear in family_wears(ARM, v, family)]) for v in VARIANTS}
     assert seen["play-in-loop"].all()
     assert not seen["worn"].any()
@@ -58,7 +58,7 @@ def test_variants_differ_in_what_they_say():
 
 @pytest.mark.parametrize("variant", VARIANTS, ids=lambda variant: variant.name)
 def test_arms_of_a_variant_are_reached_over_its_wire(variant):
-    robot = open_family(ARM, variant, Family(arms=40))
+    robot = open_family(ARM, variant, ArmFamily(arms=40))
     command = np.tile(ARM.rest + 0.1, (40, 1))
     robot.step(command)
     first = robot.read().time
@@ -77,7 +77,7 @@ def test_arms_of_a_variant_are_reached_over_its_wire(variant):
 )
 def test_impossible_families_are_refused(wrong):
     with pytest.raises(InputError, match="family"):
-        Family(**wrong)
+        ArmFamily(**wrong)
 
 
 def test_the_best_rival_is_the_soonest_and_not_a_policy():
@@ -125,14 +125,14 @@ def test_outcomes_survive_the_disk(tmp_path):
 
 def test_a_batch_of_different_arms_is_each_of_them_alone():
     protocol, none = Protocol(hold=1.5), lambda _: None
-    settings = TrialSettings(family=Family(arms=3, targets=1, crossings=1), protocol=protocol, crossing=False)
+    settings = TrialSettings(family=ArmFamily(arms=3, targets=1, crossings=1), protocol=protocol, crossing=False)
     worn = find_variant("worn")
     whole = try_controller(ARM, worn, IntegratorController, settings, none)
     first = try_controller(
         ARM,
         worn,
         IntegratorController,
-        dataclasses.replace(settings, family=Family(arms=1, targets=1, crossings=1)),
+        dataclasses.replace(settings, family=ArmFamily(arms=1, targets=1, crossings=1)),
         none,
     )
     np.testing.assert_allclose(whole.settled[0], first.settled[0], rtol=1e-9)
@@ -149,7 +149,7 @@ def test_the_same_command_takes_over_what_is_done(tmp_path):
         return IntegratorController(arm)
 
     one = Contestant(name="mine", group="mine", make=make, identity="1")
-    settings = TrialSettings(family=Family(arms=2, targets=1, crossings=1), protocol=Protocol(hold=1.5, dwell=2.0))
+    settings = TrialSettings(family=ArmFamily(arms=2, targets=1, crossings=1), protocol=Protocol(hold=1.5, dwell=2.0))
     variants, seen = [find_variant("worn")], []
     first = evaluate(ARM, [one], variants, settings, tmp_path, lambda *report: seen.append(report))
     assert len(made) == 2  # holds and crossings

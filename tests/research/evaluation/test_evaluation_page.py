@@ -14,7 +14,7 @@ from rejoint.control.integrator import IntegratorController
 from rejoint.research.evaluation import page
 from rejoint.research.evaluation.contestants import Contestant
 from rejoint.research.evaluation.evaluate import conclude
-from rejoint.research.evaluation.family import Family
+from rejoint.research.evaluation.family import ArmFamily
 from rejoint.research.evaluation.result import Evaluation
 from rejoint.research.evaluation.summary import summarise
 from rejoint.research.evaluation.tables import HEADERS, pair_headers, terminal_tables
@@ -23,7 +23,7 @@ from rejoint.system.files import read_json
 from rejoint.system.statistics import Estimate
 
 ARM = mycobot280()
-SETTINGS = TrialSettings(family=Family(arms=8, targets=3), protocol=Protocol())
+SETTINGS = TrialSettings(family=ArmFamily(arms=8, targets=3), protocol=Protocol())
 MEANINGS = {"worn": "worn arms", "payload": "worn arms with a load"}
 NAMES = (("slow", "slow"), ("fast", "fast"), ("p #0", "p"), ("p #1", "p"))
 CONTESTANTS = [

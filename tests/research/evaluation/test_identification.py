@@ -7,7 +7,7 @@ from rejoint.arms import mycobot280
 from rejoint.control.comparison.result import Protocol
 from rejoint.control.guard import Reason
 from rejoint.research.evaluation import identification
-from rejoint.research.evaluation.family import Family
+from rejoint.research.evaluation.family import ArmFamily
 from rejoint.research.evaluation.identification import COPIES, VARIANT, KnownArm, evaluate_identification, know_arm
 from rejoint.research.evaluation.outcome import Outcome
 from rejoint.research.evaluation.trials import TrialSettings
@@ -61,7 +61,7 @@ def test_knowing_an_arm_is_compared_with_not_knowing_it(known, tmp_path, monkeyp
     monkeypatch.setattr(identification, "know_arm", know)
     monkeypatch.setattr(identification, "COPIES", 2)
     settings = TrialSettings(
-        family=Family(arms=2, targets=1, crossings=1), protocol=Protocol(hold=1.2), crossing=False, threads=1
+        family=ArmFamily(arms=2, targets=1, crossings=1), protocol=Protocol(hold=1.2), crossing=False, threads=1
     )
     result = evaluate_identification(ARM, [], settings, tmp_path, None, lambda *_: None)
     assert seen == [(10_000, "10000"), (10_001, "10001")]

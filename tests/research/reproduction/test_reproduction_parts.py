@@ -18,7 +18,7 @@ from rejoint.research.reproduction.experiment import QUICK, Bench, Number
 from rejoint.research.reproduction.figures import Curve, Ways, over_training, postures, ways
 from rejoint.research.reproduction.gains import FIG_10, PAIRS
 from rejoint.research.reproduction.page import table, write_page
-from rejoint.research.reproduction.recipe import Outcome
+from rejoint.research.reproduction.recipe import TrainingOutcome
 from rejoint.research.reproduction.registry import EXPERIMENTS, choose
 from rejoint.research.reproduction.trainings import (
     HEALTHY,
@@ -202,7 +202,7 @@ def test_a_path_that_stops_where_it_was_sent_has_no_overshoot():
 def test_an_outcome_of_a_training_worked_by_hand():
     success = np.array([0.0, 0.0, 0.1, 0.2, 0.3, 0.4, 0.5])
     flat = np.zeros(7)
-    outcome = Outcome(
+    outcome = TrainingOutcome(
         curves=Curves(step=flat, reward=flat, success_rate=success, error_mm=flat, wall_s=flat),
         crossings=Crossings(
             crossed=np.array([[1.0, 1.0], [1.0, 0.0]]), error=np.array([[9e-3, 8e-3], [np.nan, 30e-3]]),

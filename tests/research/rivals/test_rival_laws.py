@@ -7,7 +7,7 @@ import pytest
 
 from rejoint.arms import gravity_torque, mycobot280, solve_position, tcp_position
 from rejoint.control.comparison.protocols import Holds
-from rejoint.control.controller import Situation
+from rejoint.control.controller import ControlInput
 from rejoint.control.feedforward import NOMINAL_STIFFNESS
 from rejoint.control.law import dls_step
 from rejoint.control.robot import JointState
@@ -28,7 +28,7 @@ SILENT = ScheduledGains(
 def at(position, time=0.0, sent=None, target=TARGET):
     state = JointState(time=np.full(2, time), position=position, age=np.zeros(2))
     sent = position if sent is None else sent
-    return Situation(state=state, target=target, sent=sent, since_target=np.full(2, time))
+    return ControlInput(state=state, target=target, sent=sent, since_target=np.full(2, time))
 
 
 def near(distance):

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from rejoint.arms import gravity_torque, mycobot280, solve_position, tcp_position
-from rejoint.control.controller import Situation
+from rejoint.control.controller import ControlInput
 from rejoint.control.integrator import IntegratorController
 from rejoint.control.loop import Schedule, run
 from rejoint.control.robot import JointState, Robot
@@ -25,18 +25,18 @@ PLAIN = ScheduledGains(
 )  # fmt: skip
 
 
-def situation(position: np.ndarray, sent: np.ndarray, time: float = 0.0) -> Situation:
+def inputs(position: np.ndarray, sent: np.ndarray, time: float = 0.0) -> ControlInput:
     state = JointState(time=np.full(len(sent), time), position=position, age=np.zeros(len(sent)))
-    return Situation(state=state, target=TARGET, sent=sent, since_target=np.full(len(sent), time))
+    return ControlInput(state=state, target=TARGET, sent=sent, since_target=np.full(len(sent), time))
 
 
 def test_without_its_extras_the_schedule_is_the_integrator():
     # Inside the distance at which the plain one pulls to rest, and with its fade undone, both are the same law.
     posture = solve_position(ARM, TARGET + 0.004, np.tile(ARM.rest, (2, 1))).q
     mine = ScheduledController(ARM, "mine", PLAIN, anchored=False)
-    mine.reset(situation(posture, posture), np.ones(2, dtype=bool))
-    sent = mine.command(situation(posture, posture))
-    plain = IntegratorController(ARM).command(situation(posture, posture))
+    mine.reset(inputs(posture, posture), np.ones(2, dtype=bool))
+    sent = mine.command(inputs(posture, posture))
+    plain = IntegratorController(ARM).command(inputs(posture, posture))
     error = np.linalg.norm(TARGET - tcp_position(ARM, posture), axis=-1, keepdims=True)
     np.testing.assert_allclose((plain - posture) * (error + 0.004) / error, sent - posture, rtol=1e-9)
 
@@ -45,21 +45,21 @@ def test_gains_of_a_batch_act_arm_by_arm():
     posture = np.tile(ARM.rest, (2, 1))
     both = {**PLAIN.__dict__, "far_rate": np.array([[2.0], [6.0]]), "near_rate": np.array([[2.0], [6.0]])}
     together = ScheduledController(ARM, "both", ScheduledGains(**both), anchored=False)
-    together.reset(situation(posture, posture), np.ones(2, dtype=bool))
-    moved = together.command(situation(posture, posture))
+    together.reset(inputs(posture, posture), np.ones(2, dtype=bool))
+    moved = together.command(inputs(posture, posture))
     for i, rate in enumerate((2.0, 6.0)):
         gains = ScheduledGains(**{**PLAIN.__dict__, "far_rate": rate, "near_rate": rate})
         alone = ScheduledController(ARM, "one", gains, anchored=False)
-        alone.reset(situation(posture, posture), np.ones(2, dtype=bool))
-        np.testing.assert_array_equal(alone.command(situation(posture, posture))[i], moved[i])
+        alone.reset(inputs(posture, posture), np.ones(2, dtype=bool))
+        np.testing.assert_array_equal(alone.command(inputs(posture, posture))[i], moved[i])
 
 
 def test_the_feedforward_starts_with_the_sag_of_the_goal():
     gains = ScheduledGains(**{**PLAIN.__dict__, "far_rate": 0.0, "near_rate": 0.0, "feedforward": 1.5})
     law = ScheduledController(ARM, "ff", gains, anchored=True)
     start = np.tile(ARM.rest, (2, 1))
-    law.reset(situation(start, start), np.ones(2, dtype=bool))
-    command = law.command(situation(start, start, time=1.0))
+    law.reset(inputs(start, start), np.ones(2, dtype=bool))
+    command = law.command(inputs(start, start, time=1.0))
     goal = solve_position(ARM, TARGET, start).q
     np.testing.assert_allclose(command, goal + 1.5 * gravity_torque(ARM, goal) / 6.0, atol=1e-12)
 
@@ -71,16 +71,16 @@ def test_the_adaptive_law_learns_what_its_regressor_spans():
         derivative=0.0, prior=0.5,
     )  # fmt: skip
     law, start = AdaptiveController(ARM, "adaptive", gains), np.tile(ARM.rest, (2, 1))
-    law.reset(situation(start, start), np.ones(2, dtype=bool))
+    law.reset(inputs(start, start), np.ones(2, dtype=bool))
     goal = solve_position(ARM, TARGET, start).q
     load = gravity_torque(ARM, goal)
     truth, position = 1.4 * load / 6.0, start
     for k in range(4000):
-        position = law.command(situation(position, position, time=0.025 * (k + 1))) - truth
+        position = law.command(inputs(position, position, time=0.025 * (k + 1))) - truth
     loaded = np.abs(load) > 0.1
     assert loaded.sum() >= 2
     np.testing.assert_allclose(position[loaded], goal[loaded], atol=1e-4)
-    raised = law.command(situation(position, position, time=0.025 * 4000)) - goal  # no time passes: as at the end
+    raised = law.command(inputs(position, position, time=0.025 * 4000)) - goal  # no time passes: as at the end
     np.testing.assert_allclose(raised[loaded] / (load / 6.0)[loaded], 1.4, atol=0.02)
 
 

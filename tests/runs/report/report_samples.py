@@ -52,7 +52,7 @@ def joint_metrics(sample, stiffness, friction):
     return dataclasses.replace(
         sample, stiffness_nm_per_rad=estimate(stiffness), hysteresis_rad=estimate(2 * friction / stiffness),
         coulomb_nm=estimate(friction), lag_s=estimate(0.04), damping_ratio=estimate(0.7), overshoot=estimate(0.03),
-        hunting_rad=estimate(0.0004), noise_rad=Estimate(0.0006, None, None),
+        hunting_rad=estimate(0.0004), offset_rad=Estimate(0.002, -0.001, 0.005), noise_rad=Estimate(0.0006, None, None),
     )  # fmt: skip
 
 

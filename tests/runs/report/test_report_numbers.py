@@ -56,15 +56,25 @@ def test_the_table_of_controllers_holds_every_number_with_its_interval(whole, co
         assert rounds(places[f"{cell} / oscillation [mm]"], 1e3 * row.hold.oscillation.mean.value)
 
 
-def test_the_table_of_joints_holds_every_measurement_and_the_healthy_range(whole, diagnosis):
-    places, shown_rows = whole[0].places, 0
+def test_one_number_for_one_property_of_a_joint(whole):
+    page, figures = whole
+    same = [quantity for quantity in QUANTITIES if quantity.parameter]
+    assert [quantity.parameter for quantity in same] == ["stiffness", "coulomb", "offset"]
+    for quantity in same:
+        places = [place for place in page.places if re.search(rf" / {quantity.name} \[.*/ J1$", place)]
+        assert len(places) == 1
+        assert places[0].startswith(TWIN)
+        assert f"joint-{quantity.name.replace(' ', '-')}" not in figures
+
+
+def test_the_table_of_joints_holds_every_measurement_and_the_healthy_range(tmp_path, diagnosis):
+    folder = RunFolder(tmp_path)
+    write_json(folder.diagnosis, diagnosis)
+    places, shown_rows = shown(folder.path)[0].places, 0
     for quantity in QUANTITIES:
         name = f"{JOINTS} / {quantity.name} [{quantity.unit}]"
         for i, (row, well) in enumerate(zip(diagnosis.measurement.joints, diagnosis.healthy.joints, strict=True), 1):
             found, healthy = getattr(row, quantity.field), getattr(well, quantity.field)
-            if quantity.field == "offset_rad":
-                assert f"{name} / J{i}" not in places, "an excitation does not measure it"
-                continue
             shown_rows += 1
             assert rounds(places[f"{name} / J{i}"], quantity.factor * found.value)
             if found.low is None:
@@ -75,9 +85,9 @@ def test_the_table_of_joints_holds_every_measurement_and_the_healthy_range(whole
             if healthy.low is None:
                 assert text == "not known"
             else:
-                ends = (max(healthy.low, 0.0), healthy.high)
+                ends = (healthy.low if quantity.signed else max(healthy.low, 0.0), healthy.high)
                 assert all(rounds(t, quantity.factor * end) for t, end in zip(text.split(" to "), ends, strict=True))
-    assert shown_rows == 6 * 8
+    assert shown_rows == 6 * 9
 
 
 def test_the_table_of_the_twin_holds_every_parameter_and_says_which_are_not_identified(whole, twin):

@@ -79,7 +79,7 @@ def test_open_loop_bars_are_the_targets_of_the_diagnosis(figures, diagnosis):
 
 
 @pytest.mark.parametrize(
-    ("key", "field", "factor"), [("joint-stiffness", "stiffness_nm_per_rad", 1.0), ("joint-lag", "lag_s", 1e3)]
+    ("key", "field", "factor"), [("joint-damping-ratio", "damping_ratio", 1.0), ("joint-lag", "lag_s", 1e3)]
 )
 def test_points_of_the_joints_lie_over_their_healthy_ranges(figures, diagnosis, key, field, factor):
     axes = figures[key].axes[0]

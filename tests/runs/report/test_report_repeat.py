@@ -12,9 +12,8 @@ from report_samples import make_comparison
 
 from pages import Page
 from rejoint.cli.options import controller_names, period_seconds
-from rejoint.control.comparison import Comparison, recommend
-from rejoint.control.comparison.recommend import NO_INTERVAL
-from rejoint.control.comparison.result import Ended
+from rejoint.control.comparison.recommend import NO_INTERVAL, recommend
+from rejoint.control.comparison.result import Comparison, Ended
 from rejoint.runs.folder import RunFolder, RunInfo
 from rejoint.runs.report.contents import read_contents
 from rejoint.runs.report.numerals import interval
@@ -121,7 +120,8 @@ def test_one_target_tells_nothing_that_an_owner_would_not_see(arm, monkeypatch):
     advice = recommend(found)
     assert advice.controller == "integrator", "less than 2 mm apart: the simplest"
     assert NO_INTERVAL in advice.why[0]
-    assert "Too few trials to tell integrator from" in advice.why[1]
+    assert advice.why[1].startswith("A tie of integrator and")
+    assert "too few trials to tell them apart" in advice.why[1]
     far = dataclasses.replace(make_comparison(arm, ("default", "policy")), repetitions=1)
     assert recommend(far).controller == "policy"
     headers, rows = comparison_table(far)

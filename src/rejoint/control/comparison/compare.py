@@ -116,7 +116,7 @@ def compare(
     if not controllers:
         raise InputError("comparison: no controllers given")
     shape = (targets.shape[0], settings.repetitions, targets.shape[1])
-    session = _Session(
+    session = _TrialRunner(
         open_robot=open_robot, controllers=dict(controllers), targets=targets, settings=settings, shape=shape,
         tallies={name: Tally(shape, settings.protocol) for name in controllers},
         ledger=ledger or Ledger.nowhere(), limits=limits, stance=stance, correction=correction,
@@ -129,7 +129,7 @@ def compare(
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class _Session:
+class _TrialRunner:
     open_robot: OpenRobot
     controllers: dict[str, ControllerFactory]
     targets: Array
@@ -215,7 +215,7 @@ class _Session:
 class _OneByOne:
     """Trials on one arm, each from the rest posture."""
 
-    def __init__(self, session: _Session, robot: Robot) -> None:
+    def __init__(self, session: _TrialRunner, robot: Robot) -> None:
         self._session, self._robot = session, robot
         self._left = Elimination(session.settings.protocol)
         self._sent: Array | None = None

@@ -16,7 +16,7 @@ import numpy as np
 from rejoint.arms import Arm, Array, tcp_position
 from rejoint.control.comparison.protocols import Kind
 from rejoint.control.comparison.result import Protocol
-from rejoint.control.controller import Controller, Situation
+from rejoint.control.controller import ControlInput, Controller
 from rejoint.control.guard import Reason
 from rejoint.control.recording import Recording
 from rejoint.control.robot import Mask
@@ -41,26 +41,26 @@ class Watched:
         """Name in tables."""
         return self._controller.name
 
-    def reset(self, situation: Situation, where: Mask) -> None:
+    def reset(self, inputs: ControlInput, where: Mask) -> None:
         """Pass a new target on."""
-        self._controller.reset(situation, where)
+        self._controller.reset(inputs, where)
 
-    def command(self, situation: Situation) -> Array:
+    def command(self, inputs: ControlInput) -> Array:
         """Return the controller's command (1, n) [rad]; the last one again where it has failed."""
-        wanted = self._controller.command(situation)
-        told = np.isfinite(situation.state.position).all() and np.isfinite(situation.sent).all()
-        if told and not np.isfinite(wanted).all():
+        wanted = self._controller.command(inputs)
+        known = np.isfinite(inputs.state.position).all() and np.isfinite(inputs.sent).all()
+        if known and not np.isfinite(wanted).all():
             self.failed = True
-            return np.array(situation.sent)
+            return np.array(inputs.sent)
         return wanted
 
-    def give_up(self, situation: Situation) -> Mask:
+    def give_up(self, inputs: ControlInput) -> Mask:
         """Tell (1,) whether the trial is to end here, see `Schedule.give_up`; called once per cycle."""
         if self._kind == "crossing":
-            tcp = tcp_position(self._arm, situation.state.position)
-            if np.linalg.norm(situation.target - tcp, axis=-1)[0] < self._protocol.threshold:
+            tcp = tcp_position(self._arm, inputs.state.position)
+            if np.linalg.norm(inputs.target - tcp, axis=-1)[0] < self._protocol.threshold:
                 self._missed = 0
-            elif situation.since_target[0] >= self._protocol.dwell:
+            elif inputs.since_target[0] >= self._protocol.dwell:
                 self._missed += 1
         return np.array([self.failed or self._missed >= MISSES])
 

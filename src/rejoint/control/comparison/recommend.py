@@ -4,7 +4,8 @@ Controllers are compared result by result on the same targets. The criteria coun
 targets reached, settled encoder error, time to come and stay within the narrowest distance. A
 difference whose 95 % interval contains zero is a tie, and a tie goes to the simpler controller. Where there are too
 few results for an interval, only what an owner would see counts: a target missed, or more than the narrowest
-distance. A controller that was driven no further is out, unless all are.
+distance. A controller that was driven no further is out, unless all are. A tie is called one, with what the others did
+better and how many trials would decide.
 """
 
 from __future__ import annotations
@@ -31,6 +32,8 @@ class Recommendation:
     controller: str
     why: tuple[str, ...]
     """sentences for the owner, the most important first"""
+    tied: tuple[str, ...] = ()
+    """controllers that cannot be told from it measurably, and are less simple"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,24 +52,20 @@ def recommend(comparison: Comparison) -> Recommendation:
     """Recommend a controller of ``comparison``."""
     left = [row for row in comparison.rows if not row.out] or list(comparison.rows)
     decided = [failure(row) for row in comparison.rows if row.out]
-    nobody = ["Every controller was stopped; this one got farthest."] if len(decided) == len(comparison.rows) else []
+    all_stopped = (
+        ["Every controller was stopped; this one got farthest."] if len(decided) == len(comparison.rows) else []
+    )
     for criterion in _criteria(comparison):
         best = min(left, key=lambda row: (_mean(criterion, row), _complexity(row)))
         tied = [row for row in left if _tie(criterion, best, row)]
         decided += [_beaten(criterion, best, row) for row in left if row not in tied]
         left = tied
     chosen = min(left, key=_complexity)
-    others = [row.controller for row in left if row is not chosen]
-    why = [*nobody, _achieves(chosen, comparison)]
-    if others and _uncertain(chosen, comparison):
-        why.append(
-            f"Too few trials to tell {chosen.controller} from {_listed(others)} measurably; {chosen.controller} is "
-            "simpler."
-        )
-    elif others:
-        why.append(f"No measurable difference from {_listed(others)}; {chosen.controller} is simpler.")
+    others = [row for row in left if row is not chosen]
+    why = [*all_stopped, _achieves(chosen, comparison), *_tied(chosen, others, comparison)]
     why += (*reversed(decided), *comparison.left_out)
-    return Recommendation(controller=chosen.controller, why=(*why, *_hidden(chosen)))
+    names = tuple(row.controller for row in others)
+    return Recommendation(controller=chosen.controller, why=(*why, *_hidden(chosen)), tied=names)
 
 
 def difference(comparison: Comparison, first: str, second: str, name: str = "settled") -> Estimate | None:
@@ -124,6 +123,36 @@ def _beaten(criterion: _Criterion, best: ControllerRow, row: ControllerRow) -> s
         against = criterion.show(better) if np.isfinite(better) else "fewer holds"
         short = f"{row.controller}: {criterion.show(worse)} {criterion.name}, against {against} of {best.controller}."
     return f"{short} {failure(row)}" if row.failures else short
+
+
+def _tied(chosen: ControllerRow, others: list[ControllerRow], comparison: Comparison) -> list[str]:
+    """Say that it is a tie, who did better in the mean, and how many trials would decide; nothing without a tie."""
+    if not others:
+        return []
+    name, rivals = chosen.controller, _listed([row.controller for row in others])
+    few = "too few trials to tell them apart" if _uncertain(chosen, comparison) else "no measurable difference"
+    lines = [f"A tie of {name} and {rivals}: {few}. {name} is recommended because it is simpler."]
+    for criterion in _criteria(comparison):
+        best = min(others, key=lambda row: _mean(criterion, row))
+        ours, theirs = _mean(criterion, chosen), _mean(criterion, best)
+        if theirs < ours and criterion.show(theirs) != criterion.show(ours):
+            against = f"{criterion.show(ours)} of {name}" if np.isfinite(ours) else f"holds of {name} cut short"
+            lines.append(
+                f"That may be chance, but {best.controller} did better in the mean: {criterion.show(theirs)} "
+                f"{criterion.name}, against {against}. {_needed(criterion, chosen, best)}"
+            )
+    return lines
+
+
+def _needed(criterion: _Criterion, chosen: ControllerRow, better: ControllerRow) -> str:
+    """Say how many trials would tell a difference in the mean from chance, if it is none: intervals go with 1/sqrt."""
+    sets, repetitions, _ = chosen.outcomes.shape
+    found = paired_difference(criterion.results(chosen), criterion.results(better), cluster(chosen.outcomes.shape)[1])
+    if found is None or found.low is None or found.value <= 0.0:
+        return "More target sets or repetitions would decide."
+    trials = sets * repetitions
+    most = max(int(np.ceil(trials * ((found.value - found.low) / found.value) ** 2)), trials + 1)
+    return f"About {most} trials of each would decide, instead of {trials}."
 
 
 def _achieves(row: ControllerRow, comparison: Comparison) -> str:

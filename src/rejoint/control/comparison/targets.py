@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rejoint.arms import Arm, Array, solve_position
+from rejoint.arms import Arm, Array, solve_position, tcp_position
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import read_bounded
 
@@ -17,6 +17,11 @@ _MOST = 250_000
 """[bytes] largest file that is read (chosen: ten thousand targets, half a day of an arm)"""
 _REACHED = 1e-3
 """[m] a target that the inverse kinematics misses by more is out of reach (chosen)"""
+_POSTURES, _STARTS = 5000, 4
+"""Postures to look among where a target is missed from rest, and the nearest of them from which to go on (measured: so
+each of a thousand places that an arm shows is found, for both arms of the catalogue)"""
+_NAMED = 5
+"""Targets that an error names (chosen: one line)"""
 
 
 def draw_targets(arm: Arm, *, sets: int, count: int = 10, seed: int = 0) -> Array:
@@ -33,7 +38,7 @@ def draw_targets(arm: Arm, *, sets: int, count: int = 10, seed: int = 0) -> Arra
 def read_targets(path: Path, arm: Arm) -> Array:
     """Read a CSV file with the header ``x,y,z`` and one target in millimetres a line; returns (K, 3) [m].
 
-    FileError names the line that cannot be read, or whose target lies outside the target region or
+    FileError names the line that cannot be read, or the lines whose targets lie outside the target region or
     out of the arm's reach.
     """
     try:
@@ -64,19 +69,54 @@ def _parse(path: Path, number: int, line: list[str]) -> list[float]:
     return values
 
 
+def require_reachable(arm: Arm, targets: Array) -> None:
+    """Raise InputError for targets (S, K, 3) [m] that are no numbers or out of the arm's reach, and name them."""
+    sets, count, _ = targets.shape
+    if not np.isfinite(targets).all():
+        raise InputError("targets: some are no finite numbers; give x, y, z in metres")
+    names = [f"number {k + 1}{f' of set {s + 1}' * (sets > 1)}" for s in range(sets) for k in range(count)]
+    points = targets.reshape(-1, 3)
+    far = _out_of_reach(names, points, beyond_reach(arm, points))
+    if far:
+        raise InputError(f"targets: {far}; give places, in metres, that the tool can reach")
+
+
+def beyond_reach(arm: Arm, targets: Array) -> Array:
+    """Distance (K,) [m] of targets (K, 3) [m] from the nearest place that the tool is found to reach; 0 where it does.
+
+    Every target is looked for from the rest posture, one that is missed also from postures near it.
+    """
+    beyond: Array = solve_position(arm, targets, np.broadcast_to(arm.rest, (len(targets), arm.joints))).error
+    missed = np.flatnonzero(beyond > _REACHED)
+    if len(missed):
+        postures = np.random.default_rng(0).uniform(arm.lower, arm.upper, (_POSTURES, arm.joints))
+        apart = np.linalg.norm(tcp_position(arm, postures) - targets[missed, None], axis=-1)
+        starts = postures[np.argsort(apart, axis=1)[:, :_STARTS]]
+        again = solve_position(arm, targets[missed, None], starts, rest_gain=0.0).error.min(axis=1)
+        beyond[missed] = np.minimum.reduce([beyond[missed], apart.min(axis=1), again])
+    return np.where(beyond > _REACHED, beyond, 0.0)
+
+
+def _out_of_reach(names: list[str], targets: Array, beyond: Array) -> str:
+    """Name the targets (K, 3) [m] that are out of reach, and by how much; empty where none is."""
+    far = [f"{names[k]}: {_point(targets[k])} is out of reach, {beyond[k] * 1e3:.0f} mm too far"
+           for k in np.flatnonzero(beyond)]  # fmt: skip
+    more = f"; and {len(far) - _NAMED} more" if len(far) > _NAMED else ""
+    return "; ".join(far[:_NAMED]) + more
+
+
+def _point(target: Array) -> str:
+    return f"({', '.join(f'{value * 1e3:g}' for value in target)}) mm"
+
+
 def _check(path: Path, arm: Arm, targets: Array, numbers: list[int]) -> None:
-    found = solve_position(arm, targets, np.broadcast_to(arm.rest, (len(targets), arm.joints)))
     box = arm.targets
     region = ", ".join(
         f"{low:.0f} <= {axis} <= {high:.0f}"
         for axis, low, high in zip(_HEADER, box.lower * 1e3, box.upper * 1e3, strict=True)
     )
-    for number, target, error, inside in zip(numbers, targets, found.error, box.contains(targets), strict=True):
-        point = ", ".join(f"{value * 1e3:g}" for value in target)
-        if error > _REACHED:
-            problem = f"line {number}: ({point}) mm is out of reach, {error * 1e3:.0f} mm too far"
-            raise FileError(path, problem, f"stay inside {region} mm")
-        if not inside:
-            raise FileError(
-                path, f"line {number}: ({point}) mm is outside the target region", f"stay inside {region} mm"
-            )
+    names = [f"line {number}" for number in numbers]
+    outside = [f"{names[k]}: {_point(targets[k])} is outside the target region"
+               for k in np.flatnonzero(~box.contains(targets))[:1]]  # fmt: skip
+    for problem in filter(None, (_out_of_reach(names, targets, beyond_reach(arm, targets)), *outside)):
+        raise FileError(path, problem, f"stay inside {region} mm")

@@ -14,7 +14,7 @@ import numpy as np
 from rejoint.arms import Arm, Array, tcp_pose
 from rejoint.lab.emulator.ailments import Ailments
 from rejoint.lab.emulator.motion import Motion
-from rejoint.lab.emulator.paths import Path, joint_path, line_path, solve_pose
+from rejoint.lab.emulator.paths import TimedPath, joint_path, line_path, solve_pose
 from rejoint.lab.emulator.plantlike import Mask, PlantLike
 
 TICK_MS = 10
@@ -190,7 +190,7 @@ class Firmware:
             self.error = NO_LINE
             return False
         return self._ready() and self._take(
-            Path(points=path.points[:reach], time=path.time[:reach]), rate, replace=True
+            TimedPath(points=path.points[:reach], time=path.time[:reach]), rate, replace=True
         )
 
     def stop(self, joint: int | None = None) -> None:
@@ -282,10 +282,10 @@ class Firmware:
             self.enable(np.ones(self.arm.joints, dtype=bool))
         return self.powered
 
-    def _within_limits(self, path: Path) -> bool:
+    def _within_limits(self, path: TimedPath) -> bool:
         return bool(np.all((path.points >= self.lower) & (path.points <= self.upper)))
 
-    def _take(self, path: Path, rate: float, *, replace: bool) -> bool:
+    def _take(self, path: TimedPath, rate: float, *, replace: bool) -> bool:
         if replace:
             self._motion.follow(path, rate)
         elif not self._motion.enqueue(path, rate):

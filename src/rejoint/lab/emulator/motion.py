@@ -12,7 +12,7 @@ from collections import deque
 import numpy as np
 
 from rejoint.arms import Array
-from rejoint.lab.emulator.paths import Path
+from rejoint.lab.emulator.paths import TimedPath
 
 MAX_QUEUE = 32
 """Moves kept waiting; further ones are refused (chosen)."""
@@ -31,8 +31,8 @@ class Motion:
         self._acceleration = acceleration / full_speed
         self.ramp_speed = full_speed
         """[rad/s] of every joint in the present ramp"""
-        self._path: Path | None = None
-        self._queue: deque[tuple[Path, float]] = deque()
+        self._path: TimedPath | None = None
+        self._queue: deque[tuple[TimedPath, float]] = deque()
         self._done = 0.0
         self._rate = 0.0
         self._wanted_rate = 1.0
@@ -63,12 +63,12 @@ class Motion:
         self.goal = goal.copy()
         self.ramp_speed = rate * self._full_speed
 
-    def follow(self, path: Path, rate: float) -> None:
+    def follow(self, path: TimedPath, rate: float) -> None:
         """Forget everything else and follow ``path``."""
         self.hold()
         self._begin(path, rate)
 
-    def enqueue(self, path: Path, rate: float) -> bool:
+    def enqueue(self, path: TimedPath, rate: float) -> bool:
         """Follow ``path`` when all earlier moves are done; False if the queue is full."""
         if self._path is None and not self._queue and not self.moving:
             self._begin(path, rate)
@@ -108,11 +108,11 @@ class Motion:
             return
         self._advance_path(self._path, duration)
 
-    def _begin(self, path: Path, rate: float) -> None:
+    def _begin(self, path: TimedPath, rate: float) -> None:
         self._path, self._done, self._rate, self._wanted_rate = path, 0.0, 0.0, rate
         self.goal = path.points[-1].copy()
 
-    def _advance_path(self, path: Path, duration: float) -> None:
+    def _advance_path(self, path: TimedPath, duration: float) -> None:
         left = path.duration - self._done
         half = 0.5 * self._acceleration * duration  # the braking distance of a speed that falls in steps
         braking = np.sqrt(half**2 + 2.0 * self._acceleration * max(left, 0.0)) - half

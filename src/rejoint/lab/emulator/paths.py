@@ -26,7 +26,7 @@ _STARTS = 24
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Path:
+class TimedPath:
     """Waypoints and when they are passed at full speed."""
 
     points: Array
@@ -44,9 +44,9 @@ class Path:
         return float(self.time[-1])
 
 
-def joint_path(start: Array, goal: Array, speed: float) -> Path:
+def joint_path(start: Array, goal: Array, speed: float) -> TimedPath:
     """Straight way in joint space; the joint with the longest way moves at ``speed`` [rad/s]."""
-    return Path(points=np.stack([start, goal]), time=np.array([0.0, np.abs(goal - start).max() / speed]))
+    return TimedPath(points=np.stack([start, goal]), time=np.array([0.0, np.abs(goal - start).max() / speed]))
 
 
 def solve_pose(arm: Arm, pose: Array, start: Array) -> Array | None:
@@ -58,7 +58,7 @@ def solve_pose(arm: Arm, pose: Array, start: Array) -> Array | None:
     return _solve(arm, pose, rng.uniform(arm.lower, arm.upper, (_STARTS, arm.joints)), 150, near=start)
 
 
-def line_path(arm: Arm, start: Array, pose: Array, speed: float) -> tuple[Path, bool]:
+def line_path(arm: Arm, start: Array, pose: Array, speed: float) -> tuple[TimedPath, bool]:
     """Straight line of the tool from posture ``start`` to ``pose``.
 
     Returns the way as far as it goes, and whether it reaches the pose.
@@ -76,10 +76,10 @@ def line_path(arm: Arm, start: Array, pose: Array, speed: float) -> tuple[Path, 
         via[:3, 3] = here[:3, 3] + (pose[:3, 3] - here[:3, 3]) * i / count
         point = _solve(arm, via, points[-1][None], 40)
         if point is None or np.abs(point - points[-1]).max() > _MAX_JUMP:
-            return Path(points=np.array(points), time=np.array(times)), False
+            return TimedPath(points=np.array(points), time=np.array(times)), False
         times.append(times[-1] + max(slowest, np.abs(point - points[-1]).max() / speed))
         points.append(point)
-    return Path(points=np.array(points), time=np.array(times)), True
+    return TimedPath(points=np.array(points), time=np.array(times)), True
 
 
 def _solve(arm: Arm, pose: Array, starts: Array, iterations: int, near: Array | None = None) -> Array | None:

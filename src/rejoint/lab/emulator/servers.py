@@ -28,7 +28,7 @@ from rejoint.system.errors import InputError
 
 BACKLOG = 1
 """Clients that may wait, as in the vendor's server."""
-SEND_PATIENCE = 1.0
+SEND_TIMEOUT = 1.0
 """[s] before a client that takes no answers counts as gone (chosen)"""
 BUFFER = 1 << 16
 """[bytes] that the system may keep for a connection each way: requests ahead, answers that nobody reads (chosen)"""
@@ -99,7 +99,7 @@ class _SocketChannel:
     def __init__(self, connection: socket.socket) -> None:
         self._connection = connection
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        connection.settimeout(SEND_PATIENCE)
+        connection.settimeout(SEND_TIMEOUT)
 
     def fileno(self) -> int:
         return self._connection.fileno()

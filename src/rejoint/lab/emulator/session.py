@@ -25,7 +25,7 @@ from rejoint.lab.emulator.wirefaults import SPLIT_PAUSE, LinkGoneError, WireFaul
 
 MAX_CATCH_UP = 1.0
 """[s] of simulated time made up for at once; a longer suspension of the process is skipped (chosen)"""
-HALF_FRAME_PATIENCE = 0.05
+HALF_FRAME_TIMEOUT = 0.05
 """[s] to wait for the rest of a frame: 50 times the length of the longest at 115200 baud (chosen)"""
 
 
@@ -45,7 +45,7 @@ class Timing:
     """simulated seconds per second of the wall clock; anything but 1 is for experiments without a controller"""
 
 
-class Channel(Protocol):
+class ByteStream(Protocol):
     """A byte stream to one client."""
 
     def fileno(self) -> int:
@@ -127,7 +127,7 @@ class Session:
             else:
                 return
 
-    def converse(self, channel: Channel) -> None:
+    def converse(self, channel: ByteStream) -> None:
         """Answer one client until it is gone or the end was asked for."""
         decoder = Decoder()
         try:
@@ -140,10 +140,10 @@ class Session:
         except OSError:
             return  # a client that breaks the connection is gone, like one that closes it
 
-    def _receive(self, channel: Channel, decoder: Decoder) -> list[Frame] | None:
+    def _receive(self, channel: ByteStream, decoder: Decoder) -> list[Frame] | None:
         """Return the requests that came within a tick; None if the client is gone."""
-        patience = HALF_FRAME_PATIENCE if decoder.pending else self._timing.tick
-        if not self.wait(channel.fileno(), self._clock() + patience):
+        timeout = HALF_FRAME_TIMEOUT if decoder.pending else self._timing.tick
+        if not self.wait(channel.fileno(), self._clock() + timeout):
             return decoder.expire()
         if not self._moves_on():
             return []
@@ -155,7 +155,7 @@ class Session:
             self._arm.advance(0.0)
         return decoder.feed(data)
 
-    def _answer(self, channel: Channel, request: Frame) -> None:
+    def _answer(self, channel: ByteStream, request: Frame) -> None:
         """Answer with the state at the moment of the request: it is as old as its way back takes."""
         reply = answer(self._firmware, request)
         if reply is None:

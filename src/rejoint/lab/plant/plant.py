@@ -15,7 +15,7 @@ from mujoco.batch import Batch
 from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, gravity_torque, tcp_position
-from rejoint.arms.inertia import Lump, lump
+from rejoint.arms.inertia import SpatialInertia, combined
 from rejoint.lab.plant import servo
 from rejoint.lab.plant.model import build_model
 from rejoint.lab.plant.scaling import scale_of
@@ -270,8 +270,8 @@ def _loaded(arm: Arm, payload: Array) -> dict[int, Arm]:
         raise InputError(f"a payload is at least 0 kg, got {payload.tolist()}")
     carried = {}
     for i in np.flatnonzero(payload > 0.0):
-        link = Lump(mass=float(arm.mass[-1]), com=arm.com[-1], inertia=arm.inertia[-1])
-        joined = lump([link, Lump(mass=float(payload[i]), com=arm.tip[:3, 3], inertia=np.zeros((3, 3)))])
+        link = SpatialInertia(mass=float(arm.mass[-1]), com=arm.com[-1], inertia=arm.inertia[-1])
+        joined = combined([link, SpatialInertia(mass=float(payload[i]), com=arm.tip[:3, 3], inertia=np.zeros((3, 3)))])
         carried[int(i)] = replace(
             arm,
             mass=np.append(arm.mass[:-1], joined.mass),

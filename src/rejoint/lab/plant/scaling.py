@@ -47,7 +47,7 @@ _GRID = 5
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Scale:
+class Ratios:
     """Ratios of an arm to the myCobot 280; exactly one for that arm itself."""
 
     row: NDArray[np.intp]
@@ -59,11 +59,11 @@ class Scale:
 
 
 @lru_cache(maxsize=16)
-def scale_of(arm: Arm) -> Scale:
+def scale_of(arm: Arm) -> Ratios:
     """Compare an arm with the myCobot 280."""
     reference = reference_arm()
     row = np.rint(np.linspace(0.0, reference.joints - 1, arm.joints)).astype(np.intp)
-    return Scale(
+    return Ratios(
         row=row,
         torque=effort(arm) / effort(reference)[row],
         time=float(np.sqrt(length_size(arm))),

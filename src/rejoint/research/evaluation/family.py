@@ -53,7 +53,7 @@ VARIANTS = (
 
 
 @dataclass(frozen=True, kw_only=True)
-class Family:
+class ArmFamily:
     """Some arms of one family and the targets that each of them gets."""
 
     arms: int = 100
@@ -84,23 +84,23 @@ def find_variant(name: str) -> Variant:
     raise InputError(f"no variant is called {name!r}; known variants: {', '.join(v.name for v in VARIANTS)}")
 
 
-def family_wears(arm: Arm, variant: Variant, family: Family) -> list[Wear]:
+def family_wears(arm: Arm, variant: Variant, family: ArmFamily) -> list[Wear]:
     """Draw the arms."""
     return [load_wear(f"{variant.profile}?seed={family.wear_seed(i)}", arm) for i in range(family.arms)]
 
 
-def family_payloads(variant: Variant, family: Family) -> Array:
+def family_payloads(variant: Variant, family: ArmFamily) -> Array:
     """Draw the loads (A,) [kg] at the tools; an arm's own does not depend on how many others there are."""
     streams = [np.random.default_rng([family.wear_seed(i), 1]) for i in range(family.arms)]
     return variant.payload * np.array([stream.random() for stream in streams])
 
 
-def family_targets(arm: Arm, family: Family, count: int) -> Array:
+def family_targets(arm: Arm, family: ArmFamily, count: int) -> Array:
     """Targets (A, count, 3) [m], others for every arm."""
     return draw_targets(arm, sets=family.arms, count=count, seed=FAMILY_SIZE * (family.seed + 1))
 
 
-def open_family(arm: Arm, variant: Variant, family: Family, threads: int = 1) -> EmulatedRobot:
+def open_family(arm: Arm, variant: Variant, family: ArmFamily, threads: int = 1) -> EmulatedRobot:
     """All arms as one batch, at rest."""
     return EmulatedRobot(
         arm,

@@ -23,7 +23,7 @@ from rejoint.research.evaluation.evaluate import conclude
 from rejoint.research.evaluation.family import find_variant
 from rejoint.research.evaluation.outcome import Outcome
 from rejoint.research.evaluation.result import Evaluation
-from rejoint.research.evaluation.trials import Bench, TrialSettings, try_on
+from rejoint.research.evaluation.trials import TrialArms, TrialSettings, try_on
 from rejoint.research.rivals.mpc import MpcController
 from rejoint.robots.emulated import EmulatedRobot
 from rejoint.runs.folder import RunFolder
@@ -115,7 +115,7 @@ def _contestants(arm: Arm, known: KnownArm, policies: Sequence[Path]) -> list[Co
     ]  # fmt: skip
 
 
-def _bench(arm: Arm, wear_seed: int, settings: TrialSettings) -> Bench:
+def _bench(arm: Arm, wear_seed: int, settings: TrialSettings) -> TrialArms:
     worn, family = find_variant("worn"), settings.family
 
     def open_copies() -> EmulatedRobot:
@@ -126,7 +126,7 @@ def _bench(arm: Arm, wear_seed: int, settings: TrialSettings) -> Bench:
         )  # fmt: skip
 
     targets = draw_targets(arm, sets=COPIES, count=max(family.targets, family.crossings), seed=wear_seed)
-    return Bench(open=open_copies, targets=targets, wear_seed=np.full(COPIES, float(wear_seed)))
+    return TrialArms(open=open_copies, targets=targets, wear_seed=np.full(COPIES, float(wear_seed)))
 
 
 def one_arm(outcome: Outcome) -> Outcome:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from rejoint.control.comparison.result import Protocol
 from rejoint.research.evaluation.failures import Failure
-from rejoint.research.evaluation.family import Family
+from rejoint.research.evaluation.family import ArmFamily
 from rejoint.system.statistics import Estimate
 
 
@@ -23,7 +23,7 @@ class Within:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Row:
+class VariantRow:
     """One controller, or several seeds of a learner together, on one variant."""
 
     variant: str
@@ -74,18 +74,18 @@ class Evaluation:
 
     arm: str
     software: str
-    family: Family
+    family: ArmFamily
     protocol: Protocol
     variants: tuple[str, ...]
     meanings: dict[str, str]
     """of the variants, in words"""
     controllers: tuple[str, ...]
-    rows: tuple[Row, ...]
+    rows: tuple[VariantRow, ...]
     best: dict[str, str]
     """per variant, the rival that is soonest within the narrowest distance"""
     pairs: tuple[Pair, ...]
     failures: tuple[Failure, ...]
 
-    def row(self, variant: str, controller: str) -> Row:
+    def row(self, variant: str, controller: str) -> VariantRow:
         """Return one row."""
         return next(row for row in self.rows if (row.variant, row.controller) == (variant, controller))

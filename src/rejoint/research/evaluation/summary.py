@@ -12,7 +12,7 @@ from rejoint.research.evaluation.contestants import Contestant
 from rejoint.research.evaluation.failures import FAR, list_failures
 from rejoint.research.evaluation.outcome import Outcome
 from rejoint.research.evaluation.paired import difference, time_ratio
-from rejoint.research.evaluation.result import Evaluation, Pair, Row, Within
+from rejoint.research.evaluation.result import Evaluation, Pair, VariantRow, Within
 from rejoint.research.evaluation.trials import TrialSettings
 from rejoint.system.statistics import Estimate, Labels, bootstrap_mean, clustered_share
 from rejoint.system.version import __version__
@@ -59,7 +59,7 @@ def group(contestants: Sequence[Contestant]) -> dict[str, list[str]]:
     return groups
 
 
-def make_row(variant: str, controller: str, outcomes: Sequence[Outcome], protocol: Protocol) -> Row:
+def make_row(variant: str, controller: str, outcomes: Sequence[Outcome], protocol: Protocol) -> VariantRow:
     """Put the outcomes of some seeds on the same arms together; intervals resample arms."""
     arms = _arms(outcomes)
     settled, true = _joined(outcomes, "settled"), _joined(outcomes, "settled_true")
@@ -68,7 +68,7 @@ def make_row(variant: str, controller: str, outcomes: Sequence[Outcome], protoco
     times = np.concatenate([_ten_targets(outcome) for outcome in outcomes])
     some = bool(np.isfinite(crossed).any())
     crossing_arms = _arms(outcomes, "crossed")
-    return Row(
+    return VariantRow(
         variant=variant, controller=controller, seeds=len(outcomes),
         settled=_mean(settled, arms), settled_p95=_p95(settled),
         settled_true=_mean(true, arms), true_p95=_p95(true),
@@ -113,7 +113,7 @@ def _ten_targets(outcome: Outcome) -> Array:
     return times
 
 
-def _best(rows: Sequence[Row]) -> str:
+def _best(rows: Sequence[VariantRow]) -> str:
     """Rival that is soonest within the narrowest distance; where none ever is, the one that settles nearest."""
     if not rows:
         return ""

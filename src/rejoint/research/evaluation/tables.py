@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from rejoint.research.evaluation.paired import NEVER_RATIO
-from rejoint.research.evaluation.result import Evaluation, Pair, Row
+from rejoint.research.evaluation.result import Evaluation, Pair, VariantRow
 from rejoint.runs.report.numerals import NEVER, UNKNOWN, interval, number
 from rejoint.runs.report.view import Cell
 from rejoint.system.statistics import Estimate
@@ -16,7 +16,7 @@ HEADERS = (
 )  # fmt: skip
 
 
-def row_cells(row: Row, best: bool = False) -> list[Cell]:
+def row_cells(row: VariantRow, best: bool = False) -> list[Cell]:
     """Cells of one controller on one variant; the first is its name."""
     note = [f"{row.seeds} training seeds"] if row.seeds > 1 else []
     stays = " / ".join(NEVER if w.median is None else number(w.median, 2) for w in row.within)
@@ -78,7 +78,7 @@ def _mm(value: float | None, digits: int) -> str:
     return UNKNOWN if value is None else number(value * MM, digits)
 
 
-def _cycle(row: Row) -> Cell:
+def _cycle(row: VariantRow) -> Cell:
     if row.cycle_time is None or row.success is None:
         return Cell(UNKNOWN)
     return Cell(number(row.cycle_time.value, 3), f"{number(row.success.value * PERCENT, 3)} % reached")

@@ -14,7 +14,7 @@ from rejoint.control.comparison.result import Protocol
 from rejoint.control.controller import Controller
 from rejoint.control.loop import run
 from rejoint.control.recording import Cycle, Recording
-from rejoint.research.evaluation.family import Family, Variant, family_targets, open_family
+from rejoint.research.evaluation.family import ArmFamily, Variant, family_targets, open_family
 from rejoint.research.evaluation.outcome import Outcome
 from rejoint.robots.emulated import EmulatedRobot
 
@@ -30,7 +30,7 @@ _PROGRESS_CYCLES = 40
 class TrialSettings:
     """How arms are tried."""
 
-    family: Family
+    family: ArmFamily
     protocol: Protocol
     crossing: bool = True
     """whether the protocol of Park et al. 2024 is run as well"""
@@ -38,7 +38,7 @@ class TrialSettings:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Bench:
+class TrialArms:
     """Arms and their targets."""
 
     open: Callable[[], EmulatedRobot]
@@ -54,7 +54,7 @@ def try_controller(
 ) -> Outcome:
     """Try a controller on all arms of a variant."""
     family = settings.family
-    bench = Bench(
+    bench = TrialArms(
         open=lambda: open_family(arm, variant, family, settings.threads),
         targets=family_targets(arm, family, max(family.targets, family.crossings)),
         wear_seed=np.array([family.wear_seed(i) for i in range(family.arms)], dtype=float),
@@ -63,7 +63,7 @@ def try_controller(
 
 
 def try_on(
-    arm: Arm, bench: Bench, controller: Callable[[Arm], Controller], settings: TrialSettings, on_targets: OnTargets
+    arm: Arm, bench: TrialArms, controller: Callable[[Arm], Controller], settings: TrialSettings, on_targets: OnTargets
 ) -> Outcome:
     """Hold every arm at its targets, then send it through the crossing protocol; the guard's trips end single arms."""
     family, targets, robot = settings.family, bench.targets, bench.open()

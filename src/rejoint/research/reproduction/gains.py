@@ -73,8 +73,8 @@ def trace(bench: Bench, ranges: PaperRanges, targets: Array) -> Array:
     steps, goal, paths = round(DWELL / STEP), arm.rest, []
     for target in targets:
         goal = solve_position(arm, target, goal).q
-        told = np.broadcast_to(goal, (len(PAIRS), steps, arm.joints))
-        paths.append(tcp_position(arm, twins.rollout(told)))
+        commands = np.broadcast_to(goal, (len(PAIRS), steps, arm.joints))
+        paths.append(tcp_position(arm, twins.rollout(commands)))
     return np.concatenate(paths, axis=1)
 
 

@@ -34,7 +34,7 @@ WORKS = 95.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Outcome:
+class TrainingOutcome:
     """One training: its end, and its policy on the worn arm."""
 
     curves: Curves
@@ -84,7 +84,7 @@ def run(bench: Bench) -> Findings:
     )
 
 
-def _try(bench: Bench, name: str) -> Outcome:
+def _try(bench: Bench, name: str) -> TrainingOutcome:
     folder, scale, protocol = bench.training(name), bench.scale, bench.scale.protocol
     targets = draw_targets(bench.arm, sets=scale.sets, count=scale.targets, seed=bench.seed)
     targets = np.repeat(targets, scale.repetitions, axis=0)  # the trials of Table 4
@@ -94,13 +94,13 @@ def _try(bench: Bench, name: str) -> Outcome:
         recording = drive(robot, controller, targets, schedule("crossing", protocol, keep_going=True))
     finally:
         robot.close()
-    return Outcome(
+    return TrainingOutcome(
         curves=read_curves(folder.outputs.curves),
         crossings=measure_crossings(bench.arm, recording, targets, protocol),
     )
 
 
-def _text(outcomes: dict[str, Outcome]) -> tuple[str, ...]:
+def _text(outcomes: dict[str, TrainingOutcome]) -> tuple[str, ...]:
     works = "works" if min(outcomes[name].success for name in WORN) >= WORKS else "does not work"
     text: tuple[str, ...] = (
         "`--preset paper` is Algorithm 1 with equations 16 to 25 and Table 3, on 512 randomised twins; what had to be "
@@ -118,7 +118,7 @@ def _text(outcomes: dict[str, Outcome]) -> tuple[str, ...]:
     return text
 
 
-def _step(name: str, outcome: Outcome) -> str:
+def _step(name: str, outcome: TrainingOutcome) -> str:
     trained, success = outcome.trained, outcome.success
     learned, works = trained >= LEARNED, success >= WORKS
     verdict = "the task is learned" if learned else "the task is not learned"
@@ -155,7 +155,7 @@ def _table_3(bench: Bench) -> Grid:
     return Grid(title="Table 3 and section IV-D", headers=("", "paper", "run"), rows=rows)
 
 
-def _variants(outcomes: dict[str, Outcome]) -> Grid:
+def _variants(outcomes: dict[str, TrainingOutcome]) -> Grid:
     rows = []
     for name, outcome in outcomes.items():
         preset, offset = recipe(name)

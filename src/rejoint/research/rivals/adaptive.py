@@ -19,7 +19,7 @@ import numpy as np
 from rejoint.arms import Arm, Array, gravity_torque, position_kinematics
 from rejoint.arms.kinematics import GRAVITY
 from rejoint.arms.size import torque_size
-from rejoint.control.controller import Situation
+from rejoint.control.controller import ControlInput
 from rejoint.control.feedforward import NOMINAL_STIFFNESS
 from rejoint.control.goal import Goal
 from rejoint.control.law import limit_position
@@ -68,23 +68,23 @@ class AdaptiveController:
         """Name in tables."""
         return self._name
 
-    def reset(self, situation: Situation, where: Mask) -> None:
+    def reset(self, inputs: ControlInput, where: Mask) -> None:
         """Solve for new targets in ``where`` (B,); the estimates stay."""
-        count, n = situation.sent.shape
+        count, n = inputs.sent.shape
         if self._estimate.shape[1] != count:
             self._estimate, self._regressor = np.zeros((2, 3, count, n))
             self._estimate[0] = self._gains.prior
-        self._goal.reset(situation, where)
+        self._goal.reset(inputs, where)
         goal = self._goal.position[where]
         lever = position_kinematics(self._arm, goal)[1][..., 2, :]
         self._regressor[0][where] = gravity_torque(self._arm, goal) / self._stiffness
         self._regressor[1][where] = _UNIT_MASS * -GRAVITY[2] * lever / self._stiffness
         self._regressor[2][where] = 1.0
 
-    def command(self, situation: Situation) -> Array:
+    def command(self, inputs: ControlInput) -> Array:
         """Return the goal posture with its compensation, (B, n) [rad]."""
-        gains, measured = self._gains, situation.state.position
-        elapsed = self._pace.tick(situation.state.time)[:, None]
+        gains, measured = self._gains, inputs.state.position
+        elapsed = self._pace.tick(inputs.state.time)[:, None]
         speed = self._speed.observe(measured, elapsed)
         error = self._goal.position - measured
         outside = np.sign(error) * np.maximum(np.abs(error) - gains.dead_zone, 0.0)

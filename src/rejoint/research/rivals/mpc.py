@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rejoint.arms import Arm, Array, gravity_torque, position_kinematics
-from rejoint.control.controller import Situation
+from rejoint.control.controller import ControlInput
 from rejoint.control.goal import Goal
 from rejoint.control.law import limit_lead, limit_position
 from rejoint.control.pace import Pace
@@ -72,22 +72,22 @@ class MpcController:
         self._count = 0
         self._rng = np.random.default_rng(self._settings.seed)
 
-    def reset(self, situation: Situation, where: Mask) -> None:
+    def reset(self, inputs: ControlInput, where: Mask) -> None:
         """Take over new targets of the arms in ``where`` (B,); offsets and twins carry over."""
-        if self._count != len(situation.sent):
-            self._begin(situation)
-        self._goal.reset(situation, where)
+        if self._count != len(inputs.sent):
+            self._begin(inputs)
+        self._goal.reset(inputs, where)
         goal = self._goal.position[where]
         self._jacobian[where] = position_kinematics(self._arm, goal)[1]
         self._holding[where] = goal + gravity_torque(self._arm, goal) / self._twin.stiffness[where]
         self._holding[where] -= self._twin.offset[where]
         self._plan[where] = (self._holding - self._offset)[where, None]
 
-    def command(self, situation: Situation) -> Array:
+    def command(self, inputs: ControlInput) -> Array:
         """Return the first command of the plan, (B, n) [rad]."""
-        self._follow(situation)
-        candidates = self._candidates(situation)
-        costs = self._costs(situation, candidates)
+        self._follow(inputs)
+        candidates = self._candidates(inputs)
+        costs = self._costs(inputs, candidates)
         best = costs.min(axis=1, keepdims=True)
         spread = np.maximum(costs.std(axis=1, keepdims=True), 1e-9)
         weights = np.exp(-(costs - best) / (self._settings.temperature * spread))
@@ -95,40 +95,40 @@ class MpcController:
         self._plan = (weights[:, :, None, None] * candidates).sum(axis=1)
         return limit_position(self._arm, self._plan[:, 0])
 
-    def _begin(self, situation: Situation) -> None:
-        self._count, n = situation.sent.shape
+    def _begin(self, inputs: ControlInput) -> None:
+        self._count, n = inputs.sent.shape
         settings = self._settings
         self._twin = self._given.repeat(self._count) if self._given.shape == () else self._given
-        arms, start = Draw.of(self._twin), situation.state.position
+        arms, start = Draw.of(self._twin), inputs.state.position
         self.shadow = Simulation(self._arm, self._count, substeps=_SHADOW_STEPS)
-        self.shadow.place(arms, start, situation.sent)
-        self.shadow.time = situation.state.time.copy()
+        self.shadow.place(arms, start, inputs.sent)
+        self.shadow.time = inputs.state.time.copy()
         self._rollouts = Simulation(self._arm, self._count * settings.samples, timestep=settings.timestep)
         each = np.repeat(np.arange(self._count), settings.samples)
-        self._rollouts.place(arms.rows(each), start[each], situation.sent[each])
+        self._rollouts.place(arms.rows(each), start[each], inputs.sent[each])
         self._jacobian = np.zeros((self._count, 3, n))
         self._holding, self._offset = np.zeros((2, self._count, n))
         self._plan = np.zeros((self._count, 2, n))  # first command, and the one after `bend`
 
-    def _follow(self, situation: Situation) -> None:
+    def _follow(self, inputs: ControlInput) -> None:
         """Bring the shadow twins to now, and learn from what they missed."""
-        settings, now = self._settings, situation.state.time
+        settings, now = self._settings, inputs.state.time
         elapsed = self._pace.tick(now)
         shadow = self.shadow
         if (now <= shadow.time).all():
             return
-        shadow.send(situation.sent)
+        shadow.send(inputs.sent)
         shadow.advance(np.maximum(elapsed, 1e-4), self._offset)
         shadow.time = now.copy()
-        missed = situation.state.position - shadow.twins.qpos
+        missed = inputs.state.position - shadow.twins.qpos
         shadow.twins.qpos[:] += settings.correction * missed
         shadow.twins.qvel[:] += 0.5 * settings.correction**2 * missed / np.maximum(elapsed, 1e-3)[:, None]
         learned = self._offset + settings.offset_rate * elapsed[:, None] * missed
         self._offset = np.clip(learned, -settings.offset_limit, settings.offset_limit)
 
-    def _candidates(self, situation: Situation) -> Array:
+    def _candidates(self, inputs: ControlInput) -> Array:
         """Commands (B, K, 2, n) [rad]: first, and after the bend."""
-        settings, measured = self._settings, situation.state.position
+        settings, measured = self._settings, inputs.state.position
         way = self._goal.position - self.shadow.twins.qpos
         holding = self._holding - self._offset
         driven = holding[:, None] + _OVERDRIVE[:, None] * way[:, None]
@@ -140,14 +140,14 @@ class MpcController:
         every = np.concatenate([fixed, self._plan[:, None], random], axis=1)
         return limit_lead(every, measured[:, None, None], settings.lead)
 
-    def _costs(self, situation: Situation, candidates: Array) -> Array:
+    def _costs(self, inputs: ControlInput, candidates: Array) -> Array:
         """Cost (B, K) of candidates in the twins."""
         settings, samples = self._settings, self._settings.samples
-        count, n = situation.sent.shape
+        count, n = inputs.sent.shape
         delay, timestep = self._twin.delay, settings.timestep
         steps = int(np.ceil((float(delay.max()) + settings.horizon) / timestep))
         ahead = np.linspace(0.0, (steps - 1) * timestep, steps)
-        sent = self.shadow.latency.in_force(situation.state.time[:, None] + ahead)  # without new commands
+        sent = self.shadow.latency.in_force(inputs.state.time[:, None] + ahead)  # without new commands
         since = ahead - delay[:, None]
         share = np.clip(since / settings.bend, 0.0, 1.0)[:, None, :, None]
         first, last = candidates[:, :, 0, None], candidates[:, :, 1, None]
@@ -158,9 +158,9 @@ class MpcController:
         control += self._offset[each, None]
         self._rollouts.twins.restart(now.qpos[each], now.qvel[each])
         passed = self._rollouts.rollout(control).reshape(count, samples, steps, n)
-        return self._judge(situation, candidates, passed)
+        return self._judge(inputs, candidates, passed)
 
-    def _judge(self, situation: Situation, candidates: Array, passed: Array) -> Array:
+    def _judge(self, inputs: ControlInput, candidates: Array, passed: Array) -> Array:
         """Mean over the horizon of the distance's cost, and the effort; distances by the goal's Jacobian."""
         settings = self._settings
         miss = passed - self._goal.position[:, None, None]
@@ -168,6 +168,6 @@ class MpcController:
         distance = np.sqrt((error**2).sum(axis=-1))
         ahead = distance / (distance + settings.near) + 10.0 * distance
         rest = np.abs(passed[:, :, -1] - passed[:, :, -3]).sum(axis=-1)  # still moving at the end
-        change = np.abs(candidates[:, :, 0] - situation.sent[:, None]).mean(axis=-1)
+        change = np.abs(candidates[:, :, 0] - inputs.sent[:, None]).mean(axis=-1)
         posture = (miss[:, :, -1] ** 2).sum(axis=-1)  # the null space, which the distance does not see
         return ahead.mean(axis=-1) + 2.0 * rest + settings.effort * change + posture

@@ -18,7 +18,7 @@ import numpy as np
 
 from rejoint.arms import Arm, Array, clip_norm, gravity_torque, position_kinematics
 from rejoint.arms.size import torque_size
-from rejoint.control.controller import Situation
+from rejoint.control.controller import ControlInput
 from rejoint.control.feedforward import NOMINAL_STIFFNESS
 from rejoint.control.goal import Goal
 from rejoint.control.law import dls_step, limit_position, null_space
@@ -74,15 +74,15 @@ class ScheduledController:
         """Name in tables."""
         return self._name
 
-    def reset(self, situation: Situation, where: Mask) -> None:
+    def reset(self, inputs: ControlInput, where: Mask) -> None:
         """Take over new targets of the arms in ``where`` (B,)."""
-        gains, sent = self._gains, situation.sent
+        gains, sent = self._gains, inputs.sent
         if len(self._integral) != len(sent):
             self._integral = np.zeros_like(sent) if self._anchored else sent.copy()
             self._start, self._raised = sent.copy(), sent.copy()
         if not self._anchored:
             return
-        self._goal.reset(situation, where)
+        self._goal.reset(inputs, where)
         goal = self._goal.position[where]
         # What was learned in the null space moves no tool, but adds up from target to target until the arm folds.
         idle = null_space(position_kinematics(self._arm, goal)[1], self._integral[where])
@@ -92,12 +92,12 @@ class ScheduledController:
         self._start[where] = sent[where] - self._integral[where]
         self._raised[where] = goal + share * gravity_torque(self._arm, goal) / self._stiffness
 
-    def command(self, situation: Situation) -> Array:
+    def command(self, inputs: ControlInput) -> Array:
         """Return the integrated command with its passing terms, (B, n) [rad]."""
-        arm, gains, measured = self._arm, self._gains, situation.state.position
-        elapsed = self._pace.tick(situation.state.time)[:, None]
+        arm, gains, measured = self._arm, self._gains, inputs.state.position
+        elapsed = self._pace.tick(inputs.state.time)[:, None]
         speed = self._speed.observe(measured, elapsed)
-        seen = dls_step(arm, measured + gains.prediction * speed, situation.target)
+        seen = dls_step(arm, measured + gains.prediction * speed, inputs.target)
         distance = np.linalg.norm(seen.error, axis=-1, keepdims=True)
         rate = gains.near_rate + (gains.far_rate - gains.near_rate) * distance / (distance + gains.schedule)
         step = seen.step * np.maximum(distance - gains.deadband, 0.0) / np.maximum(distance, 1e-9)
@@ -108,7 +108,7 @@ class ScheduledController:
         if self._anchored:
             self._integral = np.clip(integral, -gains.lead, gains.lead)
             way = self._raised - self._start
-            reach = gains.ramp * situation.since_target[:, None]
+            reach = gains.ramp * inputs.since_target[:, None]
             return limit_position(arm, self._start + np.clip(way, -reach, reach) + self._integral + passing)
         pull = clip_norm(null_space(seen.jacobian, 0.01 * (arm.rest - integral)), np.radians(0.1))
         integral = integral + (distance > 0.01) * pull  # keeps the arm from folding, see `IntegratorGains`

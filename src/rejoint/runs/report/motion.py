@@ -14,7 +14,7 @@ from rejoint.logs.runlog import RunLog
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Visit:
+class TargetSpan:
     """The time in which one target was in force."""
 
     target: Array
@@ -32,7 +32,7 @@ def encoder_path(arm: Arm, log: RunLog) -> Array:
     return tcp_position(arm, log.position)
 
 
-def visits(arm: Arm, log: RunLog) -> tuple[Visit, ...]:
+def visits(arm: Arm, log: RunLog) -> tuple[TargetSpan, ...]:
     """Split a log wherever its target changes; rows without a target are left out."""
     tcp = encoder_path(arm, log)
     found = []
@@ -41,7 +41,7 @@ def visits(arm: Arm, log: RunLog) -> tuple[Visit, ...]:
         rows = np.arange(max(start - 1, 0), stop)
         target = log.target[start]
         found.append(
-            Visit(
+            TargetSpan(
                 target=target,
                 time=log.time[rows] - log.time[rows[0]],
                 encoder_error=np.linalg.norm(tcp[rows] - target, axis=1),
@@ -60,18 +60,18 @@ def _spans(log: RunLog) -> list[tuple[int, int]]:
     return [(a, b) for a, b in pairwise(edges) if np.isfinite(log.target[a]).all()]
 
 
-def error_at(visit: Visit, time: Array) -> Array:
+def error_at(visit: TargetSpan, time: Array) -> Array:
     """Return the encoder error (K,) [m] as read last at each ``time`` (K,) [s]; NaN after the visit's end."""
     rows = np.searchsorted(visit.time, time + 1e-9, side="right") - 1
     error: NDArray[np.float64] = visit.encoder_error[np.clip(rows, 0, None)]
     return np.where(time > visit.time[-1] + _grain(visit), np.nan, error)
 
 
-def _grain(visit: Visit) -> float:
+def _grain(visit: TargetSpan) -> float:
     return float(np.diff(visit.time).max(initial=0.0))
 
 
-def spread_over_time(all_visits: Sequence[Visit], time: Array) -> tuple[Array, Array, Array]:
+def spread_over_time(all_visits: Sequence[TargetSpan], time: Array) -> tuple[Array, Array, Array]:
     """Median, 10th and 90th percentile (K,) [m] of the encoder error over all visits.
 
     From the moment when fewer than half of the visits are still going on, the values are NaN: the

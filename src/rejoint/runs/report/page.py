@@ -77,7 +77,7 @@ def _motion(contents: Contents, gallery: Gallery) -> Section:
 def _diagnosis(contents: Contents, gallery: Gallery) -> Section:
     if contents.diagnosis is None:
         return _missing(diagnosed, "The arm has not been diagnosed yet", contents, "diagnose")
-    return diagnosed.diagnosis_section(contents.diagnosis, gallery)
+    return diagnosed.diagnosis_section(contents.diagnosis, gallery, twin=contents.twin is not None)
 
 
 def _missing(section: ModuleType, what: str, contents: Contents, stage: str) -> Section:

@@ -94,7 +94,7 @@ class KeyNumber(NamedTuple):
     note: str = ""
 
 
-class Told(NamedTuple):
+class Summary(NamedTuple):
     """A list under a heading, beside the verdict."""
 
     heading: str
@@ -109,6 +109,6 @@ class Page:
     subtitle: str
     verdict: tuple[str, ...]
     keys: tuple[KeyNumber, ...] = ()
-    told: tuple[Told, ...] = ()
+    summaries: tuple[Summary, ...] = ()
     sections: tuple[Section, ...] = ()
     footer: str = ""

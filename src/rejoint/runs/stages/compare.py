@@ -36,7 +36,7 @@ from rejoint.runs.given import (
 from rejoint.runs.run import Run, exclusive
 from rejoint.runs.stages.driving import Controllers, Factory, correction_of, guard_limits, make_factories, stance_of
 from rejoint.system.files import digest, require_space, saving, set_aside, write_json
-from rejoint.system.progress import Progress, no_progress
+from rejoint.system.progress import Progress, no_progress, paced
 from rejoint.system.stopping import noted
 from rejoint.system.version import __version__
 
@@ -60,6 +60,7 @@ class Compared:
     """one run log of each controller and protocol that was driven, by its label, such as ``hold/policy/0/0``"""
 
 
+@paced
 def compare(
     robot: RobotLike,
     controllers: Controllers = (),

@@ -40,7 +40,7 @@ from rejoint.runs.stages.driving import (
 )
 from rejoint.system.errors import InputError
 from rejoint.system.files import require_space, saving
-from rejoint.system.progress import Progress, no_progress
+from rejoint.system.progress import Progress, no_progress, paced
 from rejoint.system.stopping import noted
 
 if TYPE_CHECKING:
@@ -48,6 +48,7 @@ if TYPE_CHECKING:
     from rejoint.twin.twin import Twin
 
 
+@paced
 def deploy(
     robot: RobotLike,
     controller: ControllerLike = POLICY,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
@@ -31,7 +30,7 @@ from rejoint.runs.run import Run, exclusive, mark_quick, remove_if_empty
 from rejoint.runs.stages.driving import start_journal
 from rejoint.system.errors import InputError
 from rejoint.system.files import read_json, require_space, saving, set_aside, write_json
-from rejoint.system.progress import Progress, no_progress
+from rejoint.system.progress import Progress, no_progress, paced
 from rejoint.system.stopping import noted
 
 if TYPE_CHECKING:  # these need the simulator, which a Raspberry Pi does not have
@@ -63,6 +62,7 @@ class Diagnosed:
         return self.diagnosis.findings
 
 
+@paced
 def diagnose(
     source: RobotLike | LogsLike = FIRST_ROBOT,
     *,
@@ -131,15 +131,14 @@ def diagnose(
     about = None if about is None else about.begin()
     seed = seed or 0 if about is None else about.seed
     with exclusive(about):
-        reference = _reference(chosen, healthy)
-        with noted(), ExitStack() as stack:
-            try:
-                connection = stack.enter_context(opened(robot, chosen, seed, period))
-            except InputError:
-                if about is not None:  # one that does not answer leaves no folder behind
-                    remove_if_empty(about)
-                raise
-            return _drive(connection, about, reference, seed, quick=quick, on_progress=on_progress)
+        try:
+            reference = _reference(chosen, healthy)
+            with noted(), opened(robot, chosen, seed, period) as connection:
+                return _drive(connection, about, reference, seed, quick=quick, on_progress=on_progress)
+        except BaseException:
+            if about is not None:  # a robot that does not answer, or is not ready, leaves no folder behind
+                remove_if_empty(about)
+            raise
 
 
 def _drive(

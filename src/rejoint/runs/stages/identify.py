@@ -14,13 +14,14 @@ from rejoint.runs.given import ArmLike, LogsLike, RunLike, as_logs, as_run, run_
 from rejoint.runs.run import Run, exclusive, mark_quick
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import write_json
-from rejoint.system.progress import Progress, no_progress
+from rejoint.system.progress import Progress, no_progress, paced
 
 if TYPE_CHECKING:
     from rejoint.twin.judge import Candidate
     from rejoint.twin.twin import Twin
 
 
+@paced
 def identify(
     logs: LogsLike | None = None,
     *,

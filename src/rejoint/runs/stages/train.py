@@ -12,7 +12,7 @@ from rejoint.control.policy import Policy
 from rejoint.runs.given import ArmLike, RunLike, TwinLike, as_arm, as_run, as_twin
 from rejoint.runs.run import exclusive, mark_quick
 from rejoint.system.errors import InputError
-from rejoint.system.progress import Progress, no_progress
+from rejoint.system.progress import Progress, no_progress, paced
 
 if TYPE_CHECKING:
     from rejoint.training.presets import Preset
@@ -31,6 +31,7 @@ class TrainedPolicy(Policy):
     """targets reached, errors and time; its files exist if the policy was trained in a run"""
 
 
+@paced
 def train(
     twin: TwinLike | None = None,
     *,

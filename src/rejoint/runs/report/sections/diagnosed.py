@@ -11,9 +11,10 @@ from rejoint.runs.report.figures import Series, error_per_target
 from rejoint.runs.report.gallery import Gallery
 from rejoint.runs.report.numerals import interval, number
 from rejoint.runs.report.palette import BROWN, GREEN, GREY
-from rejoint.runs.report.sections.joints import joint_pictures, joint_table
+from rejoint.runs.report.sections.joints import QUANTITIES, joint_pictures, joint_table, quantities
 from rejoint.runs.report.tables import PAPER_ARM
 from rejoint.runs.report.view import Cell, Part, Picture, Row, Section, Table
+from rejoint.runs.report.words import listed
 from rejoint.system.statistics import Estimate
 
 KEY, SHORT, HEADING = "diagnosis", "Diagnosis", "What is wrong, joint by joint"
@@ -26,25 +27,30 @@ KINDS = {
     "torque_limit": "out of torque",
     "low_damping": "rings",
     "lag": "late",
+    "offset": "offset",
     "noise": "restless readings",
 }
 """Short name of every kind of finding"""
 
 
-def diagnosis_section(diagnosis: Diagnosis, gallery: Gallery) -> Section:
-    """Build the section."""
+def diagnosis_section(diagnosis: Diagnosis, gallery: Gallery, *, twin: bool) -> Section:
+    """Build the section; what a ``twin`` knows as well is left to the section of that."""
     healthy = None if diagnosis.healthy is None else diagnosis.healthy.joints
     joints = diagnosis.measurement.joints
     source = (
         "" if diagnosis.healthy is None else f" Blue: this arm. Green: mean and range of {diagnosis.healthy.source}."
     )
+    shown = quantities(twin=twin)
+    elsewhere = listed([quantity.name for quantity in QUANTITIES if quantity not in shown], "and")
+    elsewhere = f" {elsewhere.capitalize()} are those of the digital twin, further down." if elsewhere else ""
     parts = (
         _seen(diagnosis, gallery),
         _findings(diagnosis),
         Part(
             heading="Every joint in numbers",
-            texts=(f"{_how(diagnosis)}; with 95 % intervals.{source}",),
-            figures=joint_pictures(joints, healthy, gallery), columns=3, tables=(joint_table(joints, healthy),),
+            texts=(f"{_how(diagnosis)}; with 95 % intervals.{source}{elsewhere}",),
+            figures=joint_pictures(shown, joints, healthy, gallery), columns=3,
+            tables=(joint_table(shown, joints, healthy),),
         ),
         Part(heading="What the encoders cannot tell", lines=diagnosis.unseen),
     )  # fmt: skip

@@ -35,14 +35,17 @@ class Quantity:
     log: bool = False
     signed: bool = False
     """whether it may be below zero"""
+    parameter: str = ""
+    """of a twin, where that is the same property: shown there alone"""
 
 
 QUANTITIES = (
     Quantity(field="stiffness_nm_per_rad", name="stiffness", unit="N m/rad", factor=1.0, log=True,
+             parameter="stiffness",
              meaning="how strongly the servo holds its position; soft joints sag"),
     Quantity(field="hysteresis_rad", name="hysteresis", unit="deg", factor=DEG,
              meaning="how far apart the joint stops when it comes from below and from above"),
-    Quantity(field="coulomb_nm", name="dry friction", unit="N m", factor=1.0,
+    Quantity(field="coulomb_nm", name="dry friction", unit="N m", factor=1.0, parameter="coulomb",
              meaning="torque that is lost before anything moves"),
     Quantity(field="lag_s", name="lag", unit="ms", factor=1e3,
              meaning="how far the joint trails behind its command in motion"),
@@ -50,7 +53,7 @@ QUANTITIES = (
              meaning="1 comes to rest at once, 0.3 rings"),
     Quantity(field="overshoot", name="overshoot", unit="%", factor=1e2,
              meaning="how far it shoots beyond after a step"),
-    Quantity(field="offset_rad", name="offset", unit="deg", factor=DEG,
+    Quantity(field="offset_rad", name="offset", unit="deg", factor=DEG, parameter="offset",
              meaning="how far the joint rests from its command where nothing loads it", signed=True),
     Quantity(field="hunting_rad", name="unrest", unit="deg", factor=DEG,
              meaning="motion while nothing is asked of the joint"),
@@ -59,13 +62,18 @@ QUANTITIES = (
 )  # fmt: skip
 
 
+def quantities(*, twin: bool) -> tuple[Quantity, ...]:
+    """List what is shown of a diagnosis: where there is a ``twin``, nothing that it knows as well."""
+    return tuple(quantity for quantity in QUANTITIES if not (twin and quantity.parameter))
+
+
 def joint_pictures(
-    joints: Sequence[JointMetrics], healthy: Sequence[JointMetrics] | None, gallery: Gallery
+    shown: Sequence[Quantity], joints: Sequence[JointMetrics], healthy: Sequence[JointMetrics] | None, gallery: Gallery
 ) -> tuple[Picture, ...]:
     """Draw every quantity that was measured for at least one joint."""
     labels = [joint_label(row.joint) for row in joints]
     pictures = []
-    for quantity in QUANTITIES:
+    for quantity in shown:
         measured = _series(quantity, joints, "this arm", palette.BLUE)
         if not np.isfinite(measured.value).any():
             continue
@@ -84,14 +92,14 @@ def joint_pictures(
     return tuple(pictures)
 
 
-def joint_table(joints: Sequence[JointMetrics], healthy: Sequence[JointMetrics] | None) -> Table:
+def joint_table(
+    shown: Sequence[Quantity], joints: Sequence[JointMetrics], healthy: Sequence[JointMetrics] | None
+) -> Table:
     """List every quantity with its interval and, below, the healthy range."""
     rows = []
-    for quantity in QUANTITIES:
+    for quantity in shown:
         name = f"{quantity.name} [{quantity.unit}]"
         found = [_estimate(quantity, row) for row in joints]
-        if all(one is None for one in found) and quantity.field == "offset_rad":
-            continue  # an excitation does not measure it
         cells = [_cell(quantity, one) for one in found]
         rows.append(Row(cells=(Cell(name, "measured"), *cells)))
         if healthy is not None:
@@ -129,4 +137,4 @@ def _cell(quantity: Quantity, estimate: Estimate | None) -> Cell:
 
 def _range(quantity: Quantity, estimate: Estimate | None) -> str:
     _, low, high = (end * quantity.factor for end in _ends(estimate))
-    return interval(max(low, 0.0), high, 2) or UNKNOWN
+    return interval(low if quantity.signed else max(low, 0.0), high, 2) or UNKNOWN

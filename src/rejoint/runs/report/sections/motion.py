@@ -10,7 +10,7 @@ from rejoint.arms import Arm, Array
 from rejoint.logs.runlog import RunLog
 from rejoint.runs.report.figures import Path3, Series, error_over_time, trajectory
 from rejoint.runs.report.gallery import Gallery
-from rejoint.runs.report.motion import Visit, bounds, encoder_path, spread_over_time, visits
+from rejoint.runs.report.motion import TargetSpan, bounds, encoder_path, spread_over_time, visits
 from rejoint.runs.report.numerals import number
 from rejoint.runs.report.palette import look_of
 from rejoint.runs.report.view import Part, Picture, Section
@@ -79,7 +79,7 @@ def _errors(arm: Arm, logs: Mapping[str, RunLog], gallery: Gallery) -> Part:
     return Part(heading="Error over time", figures=(picture,))
 
 
-def _curve(name: str, group: Sequence[Visit], time: Array) -> Series:
+def _curve(name: str, group: Sequence[TargetSpan], time: Array) -> Series:
     middle, low, high = spread_over_time(group, time)
     return Series(label=short(name), look=look_of(name), value=middle * MM, low=low * MM, high=high * MM)
 

@@ -13,7 +13,7 @@ from rejoint.runs.report.contents import Contents
 from rejoint.runs.report.numerals import UNKNOWN, interval, number
 from rejoint.runs.report.sections.diagnosed import error_range, mean_error
 from rejoint.runs.report.trust import answer
-from rejoint.runs.report.view import KeyNumber, Page, Section, Told
+from rejoint.runs.report.view import KeyNumber, Page, Section, Summary
 from rejoint.runs.report.words import listed, plural, sentence
 from rejoint.system.statistics import Spread, above_zero
 
@@ -36,7 +36,7 @@ def page_of(contents: Contents, advice: Recommendation | None, sections: tuple[S
         subtitle=f"{_source(robot)}{begun}",
         verdict=(*((QUICK,) if contents.folder.quick.exists() else ()), *_verdict(contents, advice)),
         keys=_keys(contents, advice),
-        told=_told(contents, advice, sections),
+        summaries=_summaries(contents, advice, sections),
         sections=sections,
         footer=footer,
     )
@@ -69,7 +69,14 @@ def _headline(advice: Recommendation, contents: Contents, comparison: Comparison
     if before is None and here and contents.diagnosis is not None and contents.diagnosis.open_loop is not None:
         found = number(contents.diagnosis.open_loop.error_mm.value, 3, "mm")
         gain = f"; its own controller left {found} at the targets of the diagnosis"
-    return f"Use the controller “{name}”: it brings {arm} to {after} of its targets by its encoders{gain}."
+    return (
+        f"Use the controller “{name}”: it brings {arm} to {after} of its targets by its encoders{gain}.{_tie(advice)}"
+    )
+
+
+def _tie(advice: Recommendation) -> str:
+    names = listed([f"“{name}”" for name in advice.tied], "and")
+    return f" It is a tie with {names}, and the simplest of them." if advice.tied else ""
 
 
 def _gain(before: Spread, best: ControllerRow) -> str:
@@ -139,14 +146,14 @@ def _outcomes(best: ControllerRow, before: ControllerRow | None, comparison: Com
     return keys
 
 
-def _told(contents: Contents, advice: Recommendation | None, sections: Sequence[Section]) -> tuple[Told, ...]:
-    blocks = [Told("What was wrong", _wrong(contents)), Told("What was done", _done(contents))]
+def _summaries(contents: Contents, advice: Recommendation | None, sections: Sequence[Section]) -> tuple[Summary, ...]:
+    blocks = [Summary("What was wrong", _wrong(contents)), Summary("What was done", _done(contents))]
     if advice is not None:
-        blocks.append(Told(f"Why “{advice.controller}”", advice.why))
-    blocks.append(Told("What is not known", _unknown(contents)))
+        blocks.append(Summary(f"Why “{advice.controller}”", advice.why))
+    blocks.append(Summary("What is not known", _unknown(contents)))
     missing = tuple(sorted((section.missing for section in sections if section.missing), key=_turn))
     if missing:
-        blocks.append(Told("What is still to be done", missing))
+        blocks.append(Summary("What is still to be done", missing))
     return tuple(block for block in blocks if block.lines)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Array
-from rejoint.control.controller import Situation
+from rejoint.control.controller import ControlInput
 from rejoint.control.correction import Correction
 from rejoint.control.following import Following
 from rejoint.control.limits import GuardLimits, Reasons
@@ -34,7 +34,7 @@ EASE_SHARE = 0.2
 
 
 @dataclass(kw_only=True, eq=False)
-class Progress:
+class RunState:
     """Where every arm is in its sequence of targets."""
 
     state: JointState
@@ -72,7 +72,7 @@ class Progress:
     def begin(
         cls, state: JointState, targets: Array, sent: Array | None, limits: GuardLimits,
         correction: Correction | None = None,
-    ) -> Progress:  # fmt: skip
+    ) -> RunState:  # fmt: skip
         """Begin with ``targets`` (B, K, 3) [m] and the command in force, ``sent`` (B, n) [rad]; None: the position."""
         count = len(targets)
         if sent is not None and np.shape(sent) != state.position.shape:
@@ -90,10 +90,10 @@ class Progress:
         """(B, 3) [m] in force."""
         return self.targets[np.arange(len(self.index)), self.index]
 
-    def situation(self) -> Situation:
+    def inputs(self) -> ControlInput:
         """Return what a controller knows."""
         since = self.state.time - self.set_at
-        return Situation(state=self.state, target=self.aim, sent=self.sent, since_target=since)
+        return ControlInput(state=self.state, target=self.aim, sent=self.sent, since_target=since)
 
     def advance(self, finished: Mask) -> Mask:
         """Set the next target where the present one is finished; returns the arms that got one."""
@@ -108,7 +108,7 @@ class Progress:
 
     def aim_again(self) -> Mask | None:
         """Let the correction change aims on the way; returns the arms (B,) whose aim changed, None where none did."""
-        fresh = None if self.correction is None else self.correction.again(self.target, self.situation())
+        fresh = None if self.correction is None else self.correction.again(self.target, self.inputs())
         if fresh is None:
             return None
         changed = self.active & (fresh != self.aim).any(axis=-1)
@@ -156,6 +156,6 @@ def own(state: JointState) -> JointState:
     return replace(state, time=state.time.copy(), position=state.position.copy(), load=load)
 
 
-def told_load(state: JointState) -> Array:
+def reported_load(state: JointState) -> Array:
     """Return the loads (B, n) that a state tells; NaN where it tells none."""
     return np.full(state.position.shape, np.nan) if state.load is None else state.load
