@@ -1,8 +1,8 @@
 """Joints that do not follow: how soon frozen and blind encoders are noticed, and whether others are taken for them.
 
 Every arm is driven twice with the same noise, once with a fault. Four monitors look on and stop nothing, so that all
-of them see the same motion: one that knows what a run folder tells of its arm, the lines of load over error and how far
-joints stick by its own diagnosis; one that knows the same of an arm whose servos tell no load; one that is told the
+of them see the same motion: one that knows what a run folder tells of its arm, the lines of load over error and at
+which pushes joints stand by its own diagnosis; one that knows the same of an arm whose servos tell no load; one that is told the
 load, but knows nothing; one that is told nothing but positions.
 """
 
@@ -15,9 +15,10 @@ from pathlib import Path
 import numpy as np
 
 from rejoint.arms import Array, mycobot280
+from rejoint.control.bands import standing_bands
 from rejoint.control.catalogue import make_controller
 from rejoint.control.controller import Situation
-from rejoint.control.following import Following, Knowledge, sticking
+from rejoint.control.following import Bands, Following, Knowledge
 from rejoint.control.guard import GuardLimits, guard, warm_up
 from rejoint.control.lines import servo_lines
 from rejoint.control.robot import Mask
@@ -78,8 +79,7 @@ class Diagnosed:
     """What run folders hold of B arms."""
 
     servos: Knowledge
-    sticks: Array
-    """(B, n) [rad]"""
+    bands: Bands
 
 
 def recorded(wears: list[Wear]) -> list[DiagnosisLogs | None]:
@@ -100,17 +100,18 @@ def _recorded_alone(wear: Wear, place: int) -> DiagnosisLogs | None:
 
 def diagnosed(wears: list[Wear]) -> Diagnosed:
     """See what the logs of each arm's diagnosis tell; of one that was ended nothing is known."""
-    unknown, found, sticks = Knowledge(gain=np.ones(ARM.joints), within=np.inf), [], []
+    unknown, found, bands = Knowledge(gain=np.ones(ARM.joints), within=np.inf), [], []
     for logs in recorded(wears):
         pair = () if logs is None else (logs.excitation, logs.targets)
         found.append(servo_lines(ARM, pair) or unknown)
-        sticks.append(np.max([sticking(ARM, log) for log in pair], axis=0) if pair else np.full(ARM.joints, np.inf))
+        bands.append(standing_bands(ARM, pair))
 
     def stacked(name: str) -> Array:
         return np.array([np.broadcast_to(getattr(servos, name), ARM.joints) for servos in found])
 
     servos = Knowledge(gain=stacked("gain"), offset=stacked("offset"), within=stacked("within"), noise=stacked("noise"))
-    return Diagnosed(servos, np.array(sticks))
+    fields = ("slope", "offset", "reach", "width")
+    return Diagnosed(servos, Bands(**{name: np.array([getattr(one, name) for one in bands]) for name in fields}))
 
 
 @dataclass(frozen=True)
@@ -147,8 +148,8 @@ def drive(
     )
     state, sent = robot.read(), robot.read().position
     watchers = [
-        Following(ARM, state, sent, known.servos, sticks=known.sticks),
-        Following(ARM, state, sent, sticks=known.sticks),
+        Following(ARM, state, sent, known.servos, bands=known.bands),
+        Following(ARM, state, sent, bands=known.bands),
         Following(ARM, state, sent),
         Following(ARM, state, sent),
     ]
