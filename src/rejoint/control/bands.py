@@ -4,8 +4,8 @@ A servo turns its joint by the lead: command minus reading. Part of it, the bala
 is left is the push. Dry friction holds a joint up to some push, and that makes a band about the balance: inside it a
 joint may stand, outside it has to move. Where the balance lies is fitted to the slow motion of the joint, in both
 directions, since friction then takes as much one way as it does the other; how wide the band is, is the largest push
-at which the joint ever stood for `HELD` readings. A weak servo gives no more beyond some lead, and its joint may stand at
-any: the reach is put where the band is narrowest for what the servo can push.
+at which the joint ever stood for `HELD`. A weak servo gives no more beyond some lead, and its joint may stand
+at any: the reach is put where the band is narrowest for what the servo can push.
 """
 
 from __future__ import annotations
@@ -24,8 +24,9 @@ from rejoint.system.late import Late
 
 watching = Late("rejoint.control.watching")
 
-HELD = 3
-"""readings in a row for which a push must have lasted (chosen: more than one that crosses the band on its way has)"""
+HELD = 0.05
+"""[s] for which a push must have lasted, at least from one reading to the next (chosen: longer than one that crosses
+the band on its way, shorter than a joint stands before it breaks loose in a sweep)"""
 FEWEST = 100
 """rows in motion from which a balance is fitted (chosen: two and a half seconds at 25 ms)"""
 SLOWEST, FASTEST = 0.04, 0.4
@@ -137,11 +138,12 @@ def _narrowest(arm: Arm, logs: Sequence[RunLog], leads: Sequence[Leads]) -> tupl
 
 
 def _held(log: RunLog, push: Array) -> Array:
-    """Largest push (n,) [rad] at which joints stood for `HELD` readings."""
-    if len(log) <= HELD:
+    """Largest push (n,) [rad] at which joints stood for `HELD`."""
+    readings = 1 + max(1, round(HELD / float(np.median(np.diff(log.time))))) if len(log) > 1 else 1
+    if len(log) <= readings:
         return np.zeros(push.shape[1])
     stands = np.vstack([np.zeros((1, push.shape[1]), dtype=bool), np.diff(log.position, axis=0) == 0.0])
-    windows = np.lib.stride_tricks.sliding_window_view(np.where(stands, push, 0.0), HELD, axis=0)
+    windows = np.lib.stride_tricks.sliding_window_view(np.where(stands, push, 0.0), readings, axis=0)
     return np.asarray(np.maximum(windows.min(axis=-1), -windows.max(axis=-1)).max(axis=0))
 
 

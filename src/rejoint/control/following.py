@@ -15,10 +15,10 @@ else (blind) and runs away as soon as it is moved. Three rules tell them apart, 
   which pushes it stood when it was well is read from the arm's own diagnosis (`Bands`, `rejoint.control.bands`). One
   that is pushed harder must move, the sooner the harder; a reading that still stands then is a dead encoder, or a
   joint that got stuck since.
-* **Travel.** Where there is no diagnosis, a command may leave the place where the reading last changed by so much and no
-  more: as far as moves the tool by `TRAVEL`, and as far on top as joints stick. One whose reading has gone nowhere in
-  this run is not judged but held within `TRAVEL`: a frozen encoder carries the tool no farther, and a stuck joint is
-  let be.
+* **Travel.** Where there is no diagnosis, a command may leave the place where the reading last changed by so much and
+  no more: as far as moves the tool by `TRAVEL`, and as far on top as joints stick. One whose reading has gone nowhere
+  in this run is not judged but held within `TRAVEL`: a frozen encoder carries the tool no farther, and a stuck joint
+  is let be.
 
 After a trip the joint is led back to the command under which its reading last changed: there it was in balance, and a
 blind servo gives the torque of then.
@@ -155,6 +155,7 @@ class Following:
         self._tracks["held"] = sent
         self._tracks["reach"] = np.inf if bands is None else bands.reach
         self._tracks["width"] = np.inf if bands is None else bands.width
+        self._tracks["stuck"] = 0.0 if bands is None else 2.0 * bands.width  # from one end of the band to the other
         self._tracks["since"] = state.time[:, None]
         self._know(knowledge or Knowledge(gain=np.full(shape, GAIN), within=np.inf))
         self._sent_at = np.repeat(state.time[:, None], watching.HISTORY, axis=1)
