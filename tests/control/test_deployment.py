@@ -128,15 +128,15 @@ def test_nothing_is_reached_within_no_distance():
         job(NEAR, within=0.0)
 
 
-def test_a_stage_that_drives_knows_how_far_the_joints_of_this_arm_stick(tmp_path):
+def test_a_stage_that_drives_knows_at_which_pushes_the_joints_of_this_arm_stand(tmp_path):
     run = Run.create(tmp_path / "run", "emulated:worn", ARM, 0)
-    assert guard_limits(run, ARM, "emulated:worn").sticks is None, "no diagnosis, nothing known"
+    assert guard_limits(run, ARM, "emulated:worn").bands is None, "no diagnosis, nothing known"
     recording, _ = drive(NEAR)
     for name in ("excitation", "targets"):
         write_log(run.folder.log(name), recording.log(0, name))
-    sticks = guard_limits(run, ARM, "emulated:worn").sticks
-    assert sticks.shape == (6,)
-    assert sticks.max() > np.radians(1.0), "worn joints stick"
+    bands = guard_limits(run, ARM, "emulated:worn").bands
+    assert bands.width.shape == (6,)
+    assert (bands.width > np.radians(0.1)).all()
     assert guard_limits(run, ARM, "emulated:worn").servos is not None, "servos that tell loads"
 
 
@@ -156,7 +156,7 @@ def test_what_a_run_knows_of_its_joints_is_used_for_its_own_arm_only(tmp_path, o
     for name in ("excitation", "targets"):
         write_log(run.folder.log(name), recording.log(0, name))
     limits = guard_limits(run, ARM, driven)
-    assert (limits.sticks is not None) == used
+    assert (limits.bands is not None) == used
     assert (limits.servos is not None) == used
 
 

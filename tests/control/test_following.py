@@ -8,14 +8,13 @@ import pytest
 from rejoint.arms import mycobot280, position_kinematics
 from rejoint.control import watching
 from rejoint.control.catalogue import make_controller
-from rejoint.control.following import TRAVEL, Following, Knowledge, sticking
+from rejoint.control.following import TRAVEL, Bands, Following, Knowledge
 from rejoint.control.guard import GuardLimits, Reason
 from rejoint.control.integrator import IntegratorController
 from rejoint.control.loop import RELEASE_CYCLES, Schedule, play, run
 from rejoint.control.recording import recording_of
 from rejoint.control.robot import JointState
 from rejoint.lab.plant.wear import load_wear
-from rejoint.logs.runlog import RunLog
 from rejoint.robots.emulated import EmulatedRobot
 from rejoint.system.errors import GuardTripError, InputError
 
@@ -234,45 +233,79 @@ def test_gains_that_make_no_sense_are_refused():
         Knowledge(gain=np.array([1.0, 0.0]))
 
 
-def sticky_log(lead, rate=0.1, period=0.025, seconds=8.0):
-    """A log in which joint 1 follows a triangle once its command is ``lead`` [rad] ahead, and all others at once."""
-    time = np.arange(0.0, seconds, period)
-    wave = np.interp(time % 4.0, [0.0, 2.0, 4.0], [0.0, 2.0 * rate, 0.0])
-    command = np.tile(ARM.rest, (len(time), 1)) + wave[:, None]
-    position = command.copy()
-    for k in range(1, len(time)):
-        slack = command[k, 0] - position[k - 1, 0]
-        position[k, 0] = position[k - 1, 0] + np.sign(slack) * max(abs(slack) - lead, 0.0)
-    step = ARM.encoder_step
-    return RunLog(
-        arm=ARM.name, joint_names=ARM.joint_names, robot="test:", label="sticky", time=time, command=command,
-        position=np.round(position / step) * step, target=np.full((len(time), 3), np.nan),
-        true_tcp=np.full((len(time), 3), np.nan),
-    )  # fmt: skip
+def bands_of(width_deg, **changes):
+    flat = {"slope": np.zeros(6), "offset": np.zeros(6), "reach": np.full(6, np.inf)}
+    return Bands(**{**flat, **changes}, width=np.full(6, np.radians(width_deg)))
 
 
-@pytest.mark.parametrize("lead_deg", [1.0, 2.0, 4.0])
-def test_how_far_a_joint_sticks_is_read_from_a_log(lead_deg):
-    """At a turn of the command it crosses the lead twice, from one flank to the other, less what is on its way."""
-    found = np.degrees(sticking(ARM, sticky_log(np.radians(lead_deg))))
-    assert found[0] == pytest.approx(2.0 * lead_deg, abs=1.5)
-    assert (found[1:] < 1.5).all()
+def pushed(lead_deg, bands, *, before_deg=0.0, period=0.025, cycles=200, moves=()):
+    """When [s] a joint is overdue that leads by so much from 0.5 s on, and stands but for the cycles ``moves``."""
+    state = JointState(time=np.zeros(1), position=REST[None], age=np.zeros(1))
+    third, position = np.arange(6) == 2, REST.copy()
+    watch = Following(ARM, state, (REST + np.radians(before_deg) * third)[None], bands=bands)
+    for k in range(1, cycles):
+        position = position + ARM.encoder_step * (k in moves) * third
+        sent = position + np.radians(lead_deg if (k - 1) * period >= 0.5 else before_deg) * third
+        now = JointState(time=np.full(1, k * period), position=position[None], age=np.zeros(1))
+        bad = watch.check(now, sent[None], np.zeros(1, dtype=bool))
+        if bad is not None:
+            assert bad.tolist() == [[False, False, True, False, False, False]]
+            return k * period - 0.5, watch.describe(0, bad[0])
+    return np.inf, ""
 
 
-def trip_of_a_frozen_arm(sticks):
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("period", [0.02, 0.05])
+def test_a_joint_that_stands_is_overdue_the_sooner_the_harder_it_is_pushed(sign, period):
+    allowed = np.degrees(watching.MOST * np.radians(1.0) + watching.AND)
+    assert pushed(sign * (allowed - 0.01), bands_of(1.0), period=period)[0] == np.inf
+    times = [pushed(sign * (allowed + more), bands_of(1.0), period=period)[0] for more in (0.1, 0.5, 2.0, 10.0)]
+    assert np.isfinite(times).all()
+    assert (np.diff(times) <= 0.0).all()
+    assert times[0] > times[-1]
+    # Twice the integral of an excess of 0.5 over a band of 1 is 0.05^2 after 0.1 s, and the command has to arrive.
+    late = np.sqrt(2.0 * watching.PATIENCE**2 / 0.5)
+    assert watching.SETTLE + late <= times[1] + 1e-9
+    assert times[1] <= watching.SETTLE + late + 2.0 * period + 1e-9
+
+
+def test_readings_that_change_and_joints_of_which_nothing_is_known_are_never_overdue():
+    assert pushed(10.0, bands_of(1.0), moves=range(0, 200, 2))[0] == np.inf
+    assert pushed(10.0, bands_of(np.inf))[0] == np.inf
+    assert pushed(10.0, bands_of(1.0, reach=np.full(6, np.radians(1.5))))[0] == np.inf, (
+        "no servo pushes beyond its reach"
+    )
+
+
+def test_the_balance_counts_and_the_message_tells_the_push():
+    held = bands_of(1.0, offset=np.full(6, np.radians(4.0)) * (np.arange(6) == 2))
+    assert pushed(5.5, held, before_deg=4.0)[0] == np.inf
+    time, said = pushed(-0.5, held, before_deg=4.0)
+    assert np.isfinite(time)
+    assert "at a push of 4.5 deg, and in its diagnosis it stood up to 1.0" in said
+    assert "no load tells" in said
+
+
+def test_bands_that_make_no_sense_are_refused():
+    with pytest.raises(InputError, match="must be numbers, reach and width positive"):
+        bands_of(-1.0)
+
+
+def trip_of_a_frozen_arm(bands):
     """When [s] a frozen second joint ends a run in which no load is told, infinite if it does not; and the message."""
     robot = EmulatedRobot(ARM, [load_wear("worn", ARM)], seed=3, tells_load=False)
     robot.plant.freeze(np.arange(6)[None] == 1)
     targets = np.array([[[0.2, 0.06, 0.16], [0.15, -0.06, 0.24]]])
     try:
-        run(robot, IntegratorController(ARM), targets, Schedule(dwell=4.0), limits=replace(LIMITS, sticks=sticks))
+        run(robot, IntegratorController(ARM), targets, Schedule(dwell=4.0), limits=replace(LIMITS, bands=bands))
     except GuardTripError as error:
         return recording_of(error).time[-1, 0], str(error)
     return np.inf, ""
 
 
 def test_what_is_known_of_an_arm_makes_a_dead_encoder_known_sooner():
-    sooner, said = trip_of_a_frozen_arm(np.full(6, np.radians(2.0)))
+    slope = 1.0 / load_wear("worn", ARM).position_gain
+    sooner, said = trip_of_a_frozen_arm(bands_of(2.0, slope=slope))
     later, _ = trip_of_a_frozen_arm(None)
     assert "joint2" in said
     assert sooner < 1.5

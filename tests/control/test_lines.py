@@ -7,7 +7,7 @@ import pytest
 
 from rejoint.arms import mycobot280
 from rejoint.control import watching
-from rejoint.control.following import Following, Knowledge
+from rejoint.control.following import Bands, Following, Knowledge
 from rejoint.control.lines import FEWEST, servo_lines
 from rejoint.control.loop import play
 from rejoint.control.robot import JointState
@@ -109,12 +109,18 @@ def test_a_recording_keeps_what_servos_told(tells_load):
         assert np.ptp(log.servo_load[:, 1]) > 0.0
 
 
-def watch(load_of, cycles=40, lead=0.02, within=0.02, sticks=0.0):
+def bands_of(sticks):
+    """Bands of joints whose commands go ``sticks`` [rad] from one end of theirs to the other."""
+    return Bands(slope=np.zeros(6), offset=np.zeros(6), reach=np.full(6, np.inf), width=np.full(6, 0.5 * sticks))
+
+
+def watch(load_of, cycles=40, lead=0.02, within=0.02, sticks=None):
     """First cycle in which joint 1, at a ``lead`` [rad] over a reading that stands, is not believed; None: never."""
     position, told = np.tile(ARM.rest, (1, 1)), np.zeros((1, 6))
     begin = JointState(time=np.zeros(1), position=position, age=np.zeros(1), load=told)
     knowledge = Knowledge(gain=np.full(6, 10.0), within=within, noise=0.001)
-    monitor = Following(ARM, begin, position, knowledge, sticks=np.full(6, sticks))
+    bands = None if sticks is None else bands_of(sticks)
+    monitor = Following(ARM, begin, position, knowledge, bands=bands)
     for k in range(1, cycles):
         sent = position.copy()
         sent[0, 0] += lead if k > 1 else 0.0
@@ -145,15 +151,15 @@ def test_a_joint_without_a_line_is_not_judged_by_its_load():
 def learned(off_for, breaks_loose=False):
     """Joints that are not believed, where a line was learned, a command goes far, and loads are off for some cycles."""
     position, one = np.tile(ARM.rest, (1, 1)), np.arange(6) == 1
-    begin = JointState(time=np.zeros(1), position=position, age=np.zeros(1), load=np.zeros((1, 6)))
-    monitor, found, lead = Following(ARM, begin, position, sticks=np.full(6, 0.02)), [], 0.0
+    begin = JointState(time=np.zeros(1), position=position - 0.05 * one, age=np.zeros(1), load=np.zeros((1, 6)))
+    monitor, found, lead = Following(ARM, begin, position), [], 0.0  # its joint has moved before
     for k in range(1, 160):
-        load = 14.0 * lead - 0.3 * (150 <= k < 150 + off_for)
+        load = 3.4 * lead - 0.4 * (150 <= k < 150 + off_for)
         read = position + 0.01 * one * (breaks_loose and k >= 150 + off_for)
         now = JointState(time=np.array([0.025 * k]), position=read, age=np.zeros(1), load=(load * one)[None])
         bad = monitor.check(now, position + lead * one, np.ones(1, dtype=bool))
         found += [] if bad is None else [bad[0].tolist()]
-        lead = 0.001 * (k // 8) + 0.04 * (k > 140)  # [rad] stands at every lead for a while
+        lead = 0.001 * (k // 8) + 0.23 * (k > 140)  # [rad] stands at every lead for a while
     return found
 
 

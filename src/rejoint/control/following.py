@@ -2,7 +2,7 @@
 
 A reading that stands still while its command moves belongs to one of three: a joint that is stuck, one whose
 encoder tells the same for ever while the servo goes where it is sent (frozen), or one whose servo itself sees nothing
-else (blind) and runs away as soon as it is moved. Two rules tell them apart, once per cycle:
+else (blind) and runs away as soon as it is moved. Three rules tell them apart, once per cycle:
 
 * **Turning.** A servo gives a torque in proportion to the error that it sees. While a joint stands, its load is a line
   over command minus reading. A load off that line says that the joint turns although its reading does not: by its own
@@ -10,12 +10,15 @@ else (blind) and runs away as soon as it is moved. Two rules tell them apart, on
   for two cycles, or off by little for twelve. The line has to be known beforehand (`Knowledge`; `rejoint.control.lines`
   reads it from the arm's own diagnosis) and is made more precise from the joint itself while it stands; learned from
   nothing it only tells that a joint is stuck.
-* **Travel.** Where no load tells, a command may leave the place where the reading last changed by so much and no more.
-  How much depends on what is known. Where it is known how far the joint sticks (``sticks``, from the arm's own
-  diagnosis by `sticking`), `STICKING` times as far and `SLACK` more; joints that stick by more than `STICKY` are not
-  judged. Where it is not known, as far as moves the tool by `TRAVEL`, and as far on top as joints stick; one whose
-  reading has gone nowhere in this run is then not judged but held within `TRAVEL`: a frozen encoder carries the tool no
-  farther, and a stuck joint is let be.
+* **Push.** Where no such line is known, what stands is judged by how hard it is pushed. A servo pushes its joint by the
+  command minus the reading, less what gravity takes of it; friction holds the joint up to some push and not beyond. At
+  which pushes it stood when it was well is read from the arm's own diagnosis (`Bands`, `rejoint.control.bands`). One
+  that is pushed harder must move, the sooner the harder; a reading that still stands then is a dead encoder, or a
+  joint that got stuck since.
+* **Travel.** Where there is no diagnosis, a command may leave the place where the reading last changed by so much and
+  no more: as far as moves the tool by `TRAVEL`, and as far on top as joints stick. One whose reading has gone nowhere
+  in this run is not judged but held within `TRAVEL`: a frozen encoder carries the tool no farther, and a stuck joint
+  is let be.
 
 After a trip the joint is led back to the command under which its reading last changed: there it was in balance, and a
 blind servo gives the torque of then.
@@ -28,7 +31,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rejoint.arms import Arm, Array, position_kinematics
+from rejoint.arms import Arm, Array, gravity_torque, position_kinematics
 from rejoint.control.law import plain
 from rejoint.control.robot import JointState, Mask
 from rejoint.logs.runlog import RunLog
@@ -41,10 +44,6 @@ TRAVEL = 0.020
 """[m] of the tool that a command may go beyond a reading that stands (chosen: 30 less what the arm coasts)."""
 STICKING = 1.5
 """times as far as a joint was seen to stick may it stick again (chosen)"""
-SLACK = np.radians(1.5)
-"""[rad] beyond that, where it is known from the arm's own diagnosis (chosen)"""
-STICKY = np.radians(6.0)
-"""[rad] from which a joint stands at any lead, so that its standing says nothing (chosen)"""
 STICKS = np.radians(4.0)
 """[rad] that a joint is taken to stick where little is known of it (chosen: worn ones stick up to twice that)"""
 SHORT_LEVER = 0.13
@@ -67,7 +66,7 @@ OFFSET_SPREAD, UNKNOWN_OFFSET = 0.02, 0.15
 """standard deviations of the load at no lead, shares of the largest torque: where the offset of a servo is known, and
 where it is not (chosen: a real SO-101 has 0.8 deg, which are 0.1)"""
 _EARLIEST = np.radians(2.0)  # [rad] travel from which levers are computed (chosen: 10 mm at 0.28 m)
-_TURNING, _UNKNOWN = 3, 2  # as in `watching`, which is imported late
+_UNKNOWN, _TURNING, _OVERDUE = 2, 3, 4  # as in `watching`, which is imported late
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -105,14 +104,34 @@ def states_of(log: RunLog) -> Iterator[JointState]:
         yield JointState(time=log.time[rows], position=log.position[rows], age=np.zeros(1), load=load)
 
 
-def sticking(arm: Arm, log: RunLog) -> Array:
-    """How far (n,) [rad] commands went in a log, at most, before the readings of their joints changed."""
-    states, aimed = states_of(log), np.zeros(1, dtype=bool)
-    following = Following(arm, next(states), log.command[:1])
-    for row, state in enumerate(states):
-        following.check(state, log.command[row : row + 1], aimed)
-    found: Array = following._tracks["stuck"][0].copy()
-    return found
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Bands:
+    """At which pushes the joints of an arm stand; all (n,) or (B, n). `rejoint.control.bands` reads them from logs.
+
+    The lead is the command minus the reading, the push what is left of it beyond the balance.
+    """
+
+    slope: Array
+    """[rad/(N m)] lead that holds a newton metre of gravity"""
+    offset: Array
+    """[rad] lead that a joint without load is held by"""
+    reach: Array
+    """[rad] lead beyond which a servo gives no more torque"""
+    width: Array
+    """[rad] largest push at which a joint stood; infinite where nothing is known, and such joints are not judged"""
+
+    def __post_init__(self) -> None:
+        known = [np.isfinite(self.slope).all(), np.isfinite(self.offset).all()]
+        if not (all(known) and np.all(self.reach > 0.0) and np.all(self.width > 0.0)):
+            raise InputError(
+                f"following: slopes and offsets of bands must be numbers, reach and width positive, got {self.slope}, "
+                f"{self.offset}, {self.reach} and {self.width}"
+            )
+
+    def balance(self, arm: Arm, position: Array) -> Array:
+        """Leads (..., n) [rad] that hold the ``arm`` against gravity at ``position`` (..., n) [rad]."""
+        balance: Array = self.slope * gravity_torque(arm, position) + self.offset
+        return balance
 
 
 class Following:
@@ -125,19 +144,18 @@ class Following:
         sent: Array,
         knowledge: Knowledge | None = None,
         *,
-        sticks: Array | None = None,
+        bands: Bands | None = None,
     ) -> None:
-        """Begin with the ``state`` in which ``sent`` (B, n) [rad] is in force.
-
-        ``sticks`` (n,) or (B, n) [rad] is how far commands went before readings followed when the arm was measured.
-        """
-        self._sticks = None if sticks is None else np.broadcast_to(sticks, state.position.shape)
+        """Begin with the ``state`` in which ``sent`` (B, n) [rad] is in force."""
+        self._bands = bands
         shape = state.position.shape
         self._arm, self._last = arm, state.time.copy()
         self._tracks = np.zeros(shape, watching.TRACK)
         self._tracks["position"] = self._tracks["home"] = state.position
         self._tracks["held"] = sent
-        self._tracks["stuck"] = 0.0 if sticks is None else sticks
+        self._tracks["reach"] = np.inf if bands is None else bands.reach
+        self._tracks["width"] = np.inf if bands is None else bands.width
+        self._tracks["stuck"] = 0.0 if bands is None else 2.0 * bands.width  # from one end of the band to the other
         self._tracks["since"] = state.time[:, None]
         self._know(knowledge or Knowledge(gain=np.full(shape, GAIN), within=np.inf))
         self._sent_at = np.repeat(state.time[:, None], watching.HISTORY, axis=1)
@@ -167,15 +185,18 @@ class Following:
         """
         self._loaded = state.load is not None
         load = self._nothing if state.load is None else state.load
+        balance = self._nothing if self._bands is None else self._bands.balance(self._arm, state.position)
         watching.watch(
             self._tracks, self._sent_at, self._sent, plain(state.time), self._last, plain(state.position),
-            plain(sent), plain(load), self._loaded, self._arm.encoder_step, self._verdict,
+            plain(sent), plain(load), self._loaded, plain(balance), self._arm.encoder_step, self._verdict,
         )  # fmt: skip
         self._last = state.time.copy()
         worst = self._verdict.max()
         if worst < _UNKNOWN:
             return None
-        bad: Mask = (self._verdict == _TURNING) | (self._travelled(state.position) & aimed[:, None])
+        bad: Mask = self._verdict >= _TURNING
+        if self._bands is None:
+            bad = bad | (self._travelled(state.position) & aimed[:, None])
         return bad if bad.any() else None
 
     def bound(self, wanted: Array, position: Array, aimed: Mask) -> Array:
@@ -205,9 +226,6 @@ class Following:
         asked = (self._verdict == _UNKNOWN) & (travel > _EARLIEST) & stands
         if not asked.any():
             return asked
-        if self._sticks is not None:
-            known = self._sticks < STICKY
-            return asked & known & (travel > STICKING * np.maximum(self._sticks, tracks["stuck"]) + SLACK)
         lever = self._levers(position)
         stuck = np.where(tracks["moves"] >= SETTLED, tracks["stuck"], np.maximum(tracks["stuck"], STICKS))
         judged = asked & (lever > SHORT_LEVER) & (tracks["moved"] >= MOVED)
@@ -229,6 +247,9 @@ class Following:
                 f"{100 * track['expected']:.0f} %: the joint turns and its encoder is dead; do not drive the arm "
                 f"before servo and cable of {name} are replaced"
             )
+        if self._verdict[b, j] == _OVERDUE:
+            push, width = np.degrees(abs(track["push"])), np.degrees(track["width"])
+            seen += f", at a push of {push:.1f} deg, and in its diagnosis it stood up to {width:.1f}"
         return (
             f"{seen}; no load tells whether it is stuck or its encoder is dead; support the arm, switch it off, turn "
             f"{name} by hand and see whether its reading changes"

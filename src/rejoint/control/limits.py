@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array
 from rejoint.arms.size import length_size
-from rejoint.control.following import Knowledge
+from rejoint.control.following import Bands, Knowledge
 from rejoint.system.errors import InputError
 
 Reasons = NDArray[np.uint16]
@@ -99,9 +99,8 @@ class GuardLimits:
     """[rad] a measured position further than this outside the arm's limits is not believed (chosen)"""
     servos: Knowledge | None = None
     """what is known of the servos beforehand; it makes the monitor of joints that do not follow quicker"""
-    sticks: Array | None = None
-    """(n,) [rad] how far commands went before readings followed when the arm was measured (`following.sticking`); it
-    makes that monitor quicker where no load is told"""
+    bands: Bands | None = None
+    """at which pushes its joints stood when the arm was measured; that monitor needs it where no load is told"""
 
     def __post_init__(self) -> None:
         for name in ("lower", "upper", "max_speed", "max_acceleration"):

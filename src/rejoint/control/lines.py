@@ -72,7 +72,7 @@ def _knowledge(gain: Array, offset: Array, within: Array, noise: Array) -> Knowl
 
 def _standing(arm: Arm, log: RunLog, load: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
     """Leads (T, n) [rad] and the loads (T, n) of a log, and where (T, n) they say something of the line."""
-    low, high = _commands(log)
+    low, high = commands_in_force(log)
     lead = 0.5 * (low + high) - log.position
     moved = np.vstack([np.ones((1, arm.joints), dtype=bool), np.diff(log.position, axis=0) != 0.0])
     last = np.maximum.accumulate(np.where(moved, np.arange(len(log))[:, None], 0), axis=0)
@@ -82,7 +82,7 @@ def _standing(arm: Arm, log: RunLog, load: Array) -> tuple[Array, Array, NDArray
     return lead, load, stands & told & (high - low < AT_REST) & (np.abs(lead) > dead)
 
 
-def _commands(log: RunLog) -> tuple[Array, Array]:
+def commands_in_force(log: RunLog) -> tuple[Array, Array]:
     """Lowest and highest command (T, n) [rad] of those that may be in force at each row."""
     rows = np.arange(len(log))
     oldest = np.searchsorted(log.time, log.time - watching.SETTLE, side="right") - 1

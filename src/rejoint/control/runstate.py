@@ -82,7 +82,7 @@ class RunState:
             state=state, targets=targets, sent=sent, speed=np.zeros_like(sent), index=np.zeros(count, dtype=np.intp),
             set_at=state.time.copy(), active=np.ones(count, dtype=bool), tripped=np.zeros(count, dtype=np.uint16),
             period=np.full(count, FIRST_PERIOD),
-            following=Following(limits.arm, state, sent, limits.servos, sticks=limits.sticks), correction=correction,
+            following=Following(limits.arm, state, sent, limits.servos, bands=limits.bands), correction=correction,
         )  # fmt: skip
 
     @property

@@ -42,6 +42,16 @@ FULL = 0.9
 """Share of the largest torque from which a servo gives all it has (chosen)."""
 FULL_CYCLES = 8
 """Cycles of that which show that a joint is stuck: one that turns has no full torque for long (chosen)"""
+MOST, AND = 1.4, np.radians(0.2)
+"""Times the push at which a joint stood in its own diagnosis, and [rad] on top (or as much again, if that is less), up
+to which it may stand (chosen: of 448 runs with nothing broken, at 25 and 50 ms, none was overdue at 1.3, one at 1.2)"""
+LATE = 2
+"""Readings in a row that must be the same beyond that (chosen, as `STILL`)"""
+PATIENCE = 0.05
+"""[s] The excess, summed over time twice, may reach the band times the square of this: 0.07 s at an excess as large as
+the band (chosen: in those runs none did; one did with 0.04)"""
+LONGEST = 0.1
+"""[s] that count for one cycle at most: in a gap nobody knows what was in force (chosen: two slow periods)"""
 LEARN_SPREAD = np.radians(0.5)
 """[rad] commands in `SETTLE` may differ by this where a load is learned from (chosen)."""
 LEARN_STILL = 4
@@ -54,8 +64,9 @@ TRACK = np.dtype(
         ("home", "f8"), ("moved", "f8"),
         ("gain", "f8"), ("least", "f8"), ("offset", "f8"), ("p00", "f8"), ("p01", "f8"), ("p11", "f8"),
         ("load", "f8"), ("load1", "f8"), ("load2", "f8"), ("expected", "f8"),
-        ("noise", "f8"),
-        ("still", "i8"), ("strikes", "i8"), ("steady", "i8"), ("moves", "i8"), ("full", "i8"), ("given", "?"),
+        ("noise", "f8"), ("reach", "f8"), ("width", "f8"), ("push", "f8"), ("pushed", "f8"), ("due", "f8"),
+        ("still", "i8"), ("strikes", "i8"), ("steady", "i8"), ("moves", "i8"), ("full", "i8"), ("late", "i8"),
+        ("given", "?"),
     ]
 )  # fmt: skip
 """What is remembered of a joint. ``held`` [rad] is the command in force when its reading last changed (at ``since``
@@ -64,11 +75,13 @@ changed, at most, ``moves`` how often it did, and ``moved`` [rad] how far from `
 tell the load ``gain`` * (command - position) + ``offset``, known with the covariance ``p``, and ``noise`` [share of the
 largest torque] about it; a gain below ``least`` is
 not learned, or a joint that turns slowly would teach its own. Only a gain that was ``given`` beforehand tells of joints
-that turn: one learned from nothing says too little."""
+that turn: one learned from nothing says too little. Leads beyond ``reach`` [rad] push no harder; ``width`` [rad] is the
+push at which the joint stood in its diagnosis (infinite: not known), ``push`` the present one. For ``late`` readings it
+has been beyond what is allowed, the excess summed over time once is ``pushed`` [rad s] and twice ``due`` [rad s^2]."""
 
-FINE, STANDING, UNKNOWN, TURNING = range(4)
+FINE, STANDING, UNKNOWN, TURNING, OVERDUE = range(5)
 """Verdicts: the reading changes; it stands, and by its load the joint does; it stands, and no load tells; it stands,
-and by its load the joint does not."""
+and by its load the joint does not; it stands, and by its push the joint cannot."""
 
 _TRACKS = types.Array(from_dtype(TRACK), 2, "C")
 _IN1, _IN2 = (types.Array(float64, dimensions, "C", readonly=True) for dimensions in (1, 2))
@@ -147,15 +160,61 @@ def _turns(track, off, step):  # noqa: ANN001, ANN202
     return track.strikes >= UNPUSHED_STRIKES or track.steady >= STEADY
 
 
-@njit(void(_TRACKS, float64[:, ::1], float64[:, :, ::1], _IN1, _IN1, _IN2, _IN2, _IN2, bool_, float64, int64[:, ::1]),
-      **_OPTIONS)  # fmt: skip
-def watch(tracks, sent_at, sent, now, last, position, command, load, loaded, step, verdict):  # noqa: ANN001, ANN201
+@njit(cache=True)
+def _push(low, high, balance, reach):  # noqa: ANN001, ANN202
+    """By how much [rad] leads anywhere from ``low`` to ``high`` certainly push a joint from its ``balance``."""
+    least = min(max(low, -reach), reach) - balance
+    most = min(max(high, -reach), reach) - balance
+    return max(least, 0.0) + min(most, 0.0)
+
+
+@njit(cache=True)
+def _overdue(track, elapsed):  # noqa: ANN001, ANN202
+    """Whether a joint that stands must long have moved under its push, now and for some time.
+
+    A push beyond what it stands accelerates a joint, so that the excess, summed twice, is how far it would have gone.
+    """
+    beyond = abs(track.push) - MOST * track.width - min(AND, track.width)
+    if track.still == 0 or not beyond > 0.0:
+        track.late, track.pushed, track.due = 0, 0.0, 0.0
+        return False
+    elapsed = min(elapsed, LONGEST) if track.late > 0 else 0.0  # it may have begun at this very reading
+    track.late += 1
+    track.due += (track.pushed + 0.5 * beyond * elapsed) * elapsed
+    track.pushed += beyond * elapsed
+    return track.late >= LATE and track.due > track.width * PATIENCE * PATIENCE
+
+
+@njit(void(_IN2, _IN2, _IN2, _IN1, float64[:, ::1]), **_OPTIONS)
+def fill_pushes(low, high, balance, reach, out):  # noqa: ANN001, ANN201
+    """Fill ``out`` (T, n) [rad] with the pushes at leads from ``low`` to ``high`` (T, n) [rad]; ``reach`` is (n,)."""
+    for k in range(out.shape[0]):
+        for j in range(out.shape[1]):
+            out[k, j] = _push(low[k, j], high[k, j], balance[k, j], reach[j])
+
+
+@njit(void(from_dtype(TRACK)[::1], _IN1, _IN2, _IN2, bool_[::1]), **_OPTIONS)
+def fill_overdue(tracks, time, position, push, out):  # noqa: ANN001, ANN201
+    """Tell in ``out`` (n,) which joints are overdue somewhere in a log of ``time`` (T,) and ``position`` (T, n)."""
+    for j in range(len(tracks)):
+        track = tracks[j]
+        for k in range(1, len(time)):
+            track.still = track.still + 1 if position[k, j] == position[k - 1, j] else 0
+            track.push = push[k, j]
+            if _overdue(track, time[k] - time[k - 1]):
+                out[j] = True
+
+
+@njit(void(_TRACKS, float64[:, ::1], float64[:, :, ::1], _IN1, _IN1, _IN2, _IN2, _IN2, bool_, _IN2, float64,
+           int64[:, ::1]), **_OPTIONS)  # fmt: skip
+def watch(tracks, sent_at, sent, now, last, position, command, load, loaded, balance, step, verdict):  # noqa: ANN001, ANN201
     """Take over a reading and give a ``verdict`` (B, n) on every joint.
 
     ``sent_at`` (B, HISTORY) [s] and ``sent`` (B, HISTORY, n) [rad], newest first, take over ``command`` (B, n), which
     was sent at the clock ``last`` (B,); ``now`` (B,) is that of the reading ``position`` (B, n), ``load`` (B, n) what
-    its servos told if ``loaded`` (NaN where they did not), and ``step`` [rad] that of the encoders. A repeated answer
-    says nothing new.
+    its servos told if ``loaded`` (NaN where they did not), ``balance`` (B, n) [rad] the leads that hold the arm against
+    gravity, and ``step`` [rad] that of the encoders. A repeated answer says nothing new. Where a line was given, the
+    load alone decides.
     """
     arms, joints = position.shape
     for i in range(arms):
@@ -187,3 +246,8 @@ def watch(tracks, sent_at, sent, now, last, position, command, load, loaded, ste
                 track.load2, track.load1, track.load = track.load1, told, median
                 if track.still >= STILL:
                     verdict[i, j] = _judge(track, told, low - position[i, j], high - position[i, j], step)
+            if unsettled or (loaded and track.given and not np.isnan(load[i, j])):
+                continue
+            track.push = _push(low - position[i, j], high - position[i, j], balance[i, j], track.reach)
+            if _overdue(track, now[i] - last[i]):
+                verdict[i, j] = OVERDUE

@@ -11,7 +11,8 @@ _MARGIN = np.radians(10.0)
 
 def suggest(arm: Arm, count: int, *, seed: int = 0) -> Array:
     """Suggest ``count`` postures (count, n) [rad]."""
-    rng, found = np.random.default_rng(seed), []
+    rng = np.random.default_rng(seed)
+    found: list[Array] = []
     while len(found) < count:
         solution = solve_position(arm, arm.targets.sample(rng), arm.rest)
         inside = ((solution.q > arm.lower + _MARGIN) & (solution.q < arm.upper - _MARGIN)).all()

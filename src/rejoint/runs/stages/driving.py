@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, TypeAlias, cast
 import numpy as np
 
 from rejoint.arms import Arm
+from rejoint.control.bands import standing_bands
 from rejoint.control.catalogue import BASELINES, make_controller
 from rejoint.control.contract import check_controller_period
 from rejoint.control.controller import Controller
 from rejoint.control.correction import Modelled
-from rejoint.control.following import sticking
 from rejoint.control.guard import GuardLimits
 from rejoint.control.lines import servo_lines
 from rejoint.control.robot import Robot
@@ -55,15 +55,14 @@ def start_journal(run: Run, name: str, robot: Robot, label: str, rows: int = 0) 
 def guard_limits(run: Run | None, arm: Arm, robot: str) -> GuardLimits:
     """Return what the guard allows, and, if ``robot`` is the run's own, what its diagnosis tells of its joints.
 
-    That is how far they stick, and the lines of load over error of servos that tell loads.
+    That is at which pushes they stand, and the lines of load over error of servos that tell loads.
     """
     limits = GuardLimits.of(arm)
     paths = [] if run is None else [run.folder.log(name) for name in ("excitation", "targets")]
     if run is None or not _is_own(run, robot) or not all(path.exists() for path in paths):
         return limits
     logs = [read_log(path) for path in paths]
-    sticks = np.max([sticking(arm, log) for log in logs], axis=0)
-    return replace(limits, sticks=sticks, servos=servo_lines(arm, logs))
+    return replace(limits, bands=standing_bands(arm, logs), servos=servo_lines(arm, logs))
 
 
 def _is_own(run: Run, robot: str) -> bool:

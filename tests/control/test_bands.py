@@ -1,0 +1,131 @@
+"""The pushes at which joints stand, read from the logs of an arm's own motion."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from rejoint.arms import gravity_torque, mycobot280
+from rejoint.control.bands import standing_bands
+from rejoint.control.catalogue import make_controller
+from rejoint.control.following import Bands, Following, states_of
+from rejoint.control.guard import GuardLimits, Reason
+from rejoint.control.loop import Schedule, run
+from rejoint.diagnosis.excitation import SHORT
+from rejoint.diagnosis.record import record
+from rejoint.lab.plant.wear import load_wear
+from rejoint.logs.runlog import RunLog
+from rejoint.robots.emulated import EmulatedRobot
+
+ARM = mycobot280()
+DWELL = Schedule(dwell=2.0, keep_going=True)
+
+
+def sticky_log(lead, slope=0.1, offset=0.0, period=0.025, seconds=60.0):
+    """A log in which every joint follows a slow wave once its lead is ``lead`` [rad] beyond what gravity takes."""
+    time = np.arange(0.0, seconds, period)
+    phase = 2.0 * np.pi * time / 10.0
+    command = ARM.rest + 0.3 * np.sin(phase)[:, None] * np.array([1.0, -1.0, 1.0, -1.0, 1.0, -1.0])
+    position = command.copy()
+    for k in range(1, len(time)):
+        balance = slope * gravity_torque(ARM, position[k - 1]) + offset
+        push = command[k - 1] - position[k - 1] - balance
+        position[k] = position[k - 1] + np.sign(push) * np.maximum(np.abs(push) - lead, 0.0)
+    nowhere, step = np.full((len(time), 3), np.nan), ARM.encoder_step
+    return RunLog(
+        arm=ARM.name, joint_names=ARM.joint_names, robot="test:", label="sticky", time=time, command=command,
+        position=np.round(position / step) * step, target=nowhere, true_tcp=nowhere,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("lead_deg", [1.0, 3.0])
+@pytest.mark.parametrize("period", [0.025, 0.05])
+def test_width_and_balance_are_read_from_a_log(lead_deg, period):
+    found = standing_bands(ARM, [sticky_log(np.radians(lead_deg), offset=0.02, period=period)])
+    np.testing.assert_allclose(np.degrees(found.width), lead_deg, atol=0.5)
+    np.testing.assert_allclose(found.offset[[0, 4]], 0.02, atol=np.radians(0.2))
+    np.testing.assert_allclose(found.slope[1], 0.1, rtol=0.1)
+
+
+def test_a_joint_that_hardly_moved_is_left_unknown():
+    stuck = standing_bands(ARM, [sticky_log(np.radians(30.0))])
+    assert np.isinf(stuck.width).all()
+    assert np.isinf(standing_bands(ARM, []).width).all()
+
+
+def test_a_servo_that_gives_no_more_has_a_short_reach():
+    """A joint that stood at a lead of 19 deg against gravity stands inside a narrow band if its servo gives no more."""
+    moving = sticky_log(np.radians(1.0))
+    position = np.tile(moving.position[:1], (80, 1))
+    command = position + np.radians(19.0) * np.sign(gravity_torque(ARM, position))
+    nowhere = np.full((80, 3), np.nan)
+    stood = replace(moving, time=moving.time[:80], position=position, command=command, target=nowhere, true_tcp=nowhere)
+    weak, strong = standing_bands(ARM, [moving, stood]), standing_bands(ARM, [moving])
+    assert np.degrees(weak.reach[1]) < 10.0
+    assert np.degrees(weak.width[1]) < 5.0
+    assert np.degrees(strong.reach).min() > 15.0
+
+
+@pytest.fixture(scope="module", params=["healthy", "play-in-loop"])
+def diagnosed(request):
+    wears = [load_wear(f"{request.param}?seed={70 + i}", ARM) for i in range(1)]
+    logs = record(EmulatedRobot(ARM, wears, seed=6, tells_load=False), seed=0, plan=SHORT)
+    return wears, [(log.excitation, log.targets) for log in logs]
+
+
+def test_bands_of_emulated_arms_hold_their_friction_and_none_is_overdue_in_its_own_diagnosis(diagnosed):
+    for wear, pair in zip(*diagnosed, strict=True):
+        bands = standing_bands(ARM, pair)
+        friction = wear.stiction[:3] / wear.position_gain[:3]
+        assert (bands.width[:3] > 0.5 * friction).all()
+        assert (bands.width[:3] < 2.5 * friction + np.radians(0.5)).all()
+        assert not any(overdue(log, bands).any() for log in pair)
+
+
+def overdue(log, bands):
+    """Joints (n,) that the monitor does not believe somewhere in a log."""
+    states, found = states_of(log), np.zeros(ARM.joints, dtype=bool)
+    following = Following(ARM, next(states), log.command[:1], bands=bands)
+    for row, state in enumerate(states):
+        bad = following.check(state, log.command[row : row + 1], np.ones(1, dtype=bool))
+        if bad is not None:
+            found |= bad[0]
+    return found
+
+
+@pytest.fixture(scope="module")
+def worn():
+    """Six worn arms and their bands."""
+    wears = [load_wear(f"worn?seed={500 + i}", ARM) for i in range(6)]
+    logs = record(EmulatedRobot(ARM, wears, seed=4, tells_load=False), seed=0, plan=SHORT)
+    bands = [standing_bands(ARM, (log.excitation, log.targets)) for log in logs]
+    return wears, Bands(**{f: np.array([getattr(b, f) for b in bands]) for f in ("slope", "offset", "reach", "width")})
+
+
+@pytest.mark.parametrize("blind", [False, True])
+def test_dead_encoders_of_worn_arms_that_tell_no_load_are_noticed(worn, blind):
+    wears, bands = worn
+    joint, limits = np.arange(6) % 3, replace(GuardLimits.of(ARM), bands=bands)
+    whole, broken = (drive(wears, limits, joint, when, blind) for when in (np.inf, 0.7))
+    assert (whole.tripped == 0).all(), "nothing is broken"
+    near = 0
+    for b in range(6):
+        mine = [np.flatnonzero(one.active[:, b]) for one in (broken, whole)]
+        trip = np.flatnonzero(broken.reasons[mine[0], b] & Reason.NOT_FOLLOWING)
+        last = trip[0] + 1 if len(trip) else len(mine[0])
+        off = broken.true_tcp[mine[0][:last], b] - whole.true_tcp[mine[1][:last], b]
+        near += np.linalg.norm(off, axis=-1).max() < 0.030
+    assert near >= (4 if blind else 6), "docs/safety.md has the figures of many"
+    assert np.count_nonzero(broken.tripped) >= 5
+
+
+def drive(wears, limits, joint, at, blind):
+    robot = EmulatedRobot(ARM, wears, seed=9, tells_load=False)
+    dead = np.arange(ARM.joints) == joint[:, None]
+
+    def break_it(cycle):
+        if cycle.time[0] >= at:
+            (robot.plant.blind if blind else robot.plant.freeze)(dead)
+
+    targets = ARM.targets.sample(np.random.default_rng(1), (len(wears), 2))
+    return run(robot, make_controller("integrator", ARM), targets, DWELL, limits=limits, on_cycle=break_it)
