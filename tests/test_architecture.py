@@ -2,8 +2,10 @@
 
 import ast
 import configparser
+import re
 import subprocess
 import sys
+from collections import Counter
 from pathlib import Path
 
 ROOT = Path(__file__).parent.parent
@@ -63,3 +65,21 @@ def test_help_does_not_wait_for_what_is_slow_to_import() -> None:
     code = "import sys, rejoint.cli\nprint(sorted({'torch', 'mujoco', 'numba', 'matplotlib'} & set(sys.modules)))"
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert result.stdout.strip() == "[]", result.stdout + result.stderr
+
+
+def named(kind: type[ast.AST]) -> list[tuple[str, str]]:
+    """Names of all functions or classes of the package, each with its file."""
+    files = sorted((ROOT / "src" / "rejoint").rglob("*.py"))
+    return [(node.name, str(file)) for file in files for node in ast.walk(ast.parse(file.read_text(encoding="utf-8")))
+            if isinstance(node, kind)]  # fmt: skip
+
+
+def test_no_two_classes_have_one_name() -> None:
+    found = Counter(name.lstrip("_") for name, _ in named(ast.ClassDef))
+    assert [name for name, count in found.items() if count > 1] == []
+
+
+def test_functions_and_classes_are_named_by_the_fields_words() -> None:
+    private = re.compile(r"(?i)(^|_)(told|nobody|crew|seat|burden|patience|calm|lump|weightless|situation|forget)(_|$)")
+    names = [*named(ast.ClassDef), *named(ast.FunctionDef)]
+    assert [name for name in names if private.search(name[0])] == []

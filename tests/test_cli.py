@@ -278,6 +278,10 @@ def test_a_start_that_fails_leaves_nothing_and_takes_nothing(
 ) -> None:
     words = ("diagnose", "tcp://127.0.0.1:1", "--run", str(tmp_path / "runs" / "one"))
     assert run_cli(*words, capsys=capsys, monkeypatch=monkeypatch)[0] == 2
+    far = tmp_path / "far.csv"
+    far.write_text("x,y,z\n900,0,200\n")
+    repair = ("repair", "emulated:worn", "--run", words[-1], "--targets", str(far))
+    assert run_cli(*repair, capsys=capsys, monkeypatch=monkeypatch)[0] == 2
     assert not (tmp_path / "runs" / "one").exists()
     folder = Run.create(tmp_path / "runs" / "one", "tcp://127.0.0.1:1", mycobot280(), 0).folder
     write_json(folder.diagnosis, {"kept": True})

@@ -23,7 +23,7 @@ from rejoint.arms.inertia import SpatialInertia, combined, inertia_matrix
 from rejoint.arms.rotations import pose_of, rotation_of
 
 
-class _Body(NamedTuple):
+class _MjcfBody(NamedTuple):
     """A body as the MJCF lists it: in the frame of the part before it."""
 
     joint: str
@@ -42,34 +42,34 @@ class _Body(NamedTuple):
 
 
 _PARTS = (
-    _Body(
+    _MjcfBody(
         "shoulder_pan", (0.0388353, -8.97657e-09, 0.0624), (3.56167e-16, 1.22818e-15, -1.0, -4.14635e-16),
         (-1.9198621771937616, 1.9198621771937634), 0.100006, (-0.0307604, -1.66727e-05, -0.0252713),
         (8.3759e-05, 8.10403e-05, 2.39783e-05, 7.55525e-08, -1.16342e-06, 1.54663e-07),
     ),
-    _Body(
+    _MjcfBody(
         "shoulder_lift", (-0.0303992, -0.0182778, -0.0542), (0.5, -0.5, -0.5, -0.5),
         (-1.7453292519943224, 1.7453292519943366), 0.103, (-0.0898471, -0.00838224, 0.0184089),
         (4.08002e-05, 0.000147318, 0.000142487, -1.97819e-05, -4.03016e-08, 8.97326e-09),
     ),
-    _Body(
+    _MjcfBody(
         "elbow_flex", (-0.11257, -0.028, 1.73763e-16), (0.707107, -5.98613e-17, -2.58051e-17, 0.707107),
         (-1.69, 1.69), 0.104, (-0.0980701, 0.00324376, 0.0182831),
         (2.87438e-05, 0.000159844, 0.00014529, 7.41152e-06, 1.26409e-06, -4.90188e-08),
     ),
-    _Body(
+    _MjcfBody(
         "wrist_flex", (-0.1349, 0.0052, 3.62355e-17), (0.707107, 9.58722e-16, -7.51313e-16, -0.707107),
         (-1.6580628494556928, 1.6580627293335335), 0.079, (-0.000103312, -0.0386143, 0.0281156),
         (3.68263e-05, 2.5391e-05, 2.1e-05, 1.7893e-08, -5.28128e-08, 3.6412e-06),
     ),
-    _Body(
+    _MjcfBody(
         "wrist_roll", (5.55112e-17, -0.0611, 0.0181), (0.0172091, -0.0172091, 0.706897, 0.706897),
         (-2.7438472969992493, 2.841206309382605), 0.087, (0.000213627, 0.000245138, -0.025187),
         (2.75087e-05, 4.33657e-05, 3.45059e-05, -3.35241e-07, -5.7352e-06, -5.17847e-08),
     ),
 )  # fmt: skip
 
-_JAW = _Body(
+_JAW = _MjcfBody(
     "gripper", (0.0202, 0.0188, -0.0234), (0.707107, 0.707107, -1.85362e-08, 1.85362e-08),
     (-0.17453297762778586, 1.7453291995659765), 0.012, (-0.00157495, -0.0300244, 0.0192755),
     (6.61427e-06, 1.89032e-06, 5.28738e-06, -3.19807e-07, -5.90717e-09, -1.09945e-07),
@@ -112,9 +112,9 @@ def so101() -> Arm:
     )
 
 
-def _content(part: _Body) -> SpatialInertia:
+def _content(part: _MjcfBody) -> SpatialInertia:
     return SpatialInertia(mass=part.mass, com=np.array(part.com), inertia=inertia_matrix(part.inertia))
 
 
-def _frame(part: _Body) -> Array:
+def _frame(part: _MjcfBody) -> Array:
     return pose_of(rotation_of(np.array(part.quaternion)), np.array(part.position))

@@ -55,7 +55,7 @@ def repair(
     terminal = Terminal(json=json)
     chosen = opt.choose_arm(terminal, arm, base, tip, robot)
     path, resumed = (run, run.exists()) if run else newest_or_new(robot, chosen, seed)
-    job = Run.create(path, robot, chosen, seed)
+    job = Run.plan(path, robot, chosen, seed)
     terminal.say(f"{'Going on with' if resumed else 'Starting'} the repair of {robot} in {path}")
     with _Narrator(terminal) as narrator:
         found = rejoint.repair(

@@ -56,7 +56,7 @@ def diagnose(
     robot = robot or "emulated:worn"
     chosen = opt.choose_arm(terminal, arm, base, tip, robot)
     path = run or newest_or_new(robot, chosen, seed)[0]
-    job = Run.create(path, robot, chosen, seed)
+    job = Run.plan(path, robot, chosen, seed)
     with terminal.unsaved(partial(show.stage, terminal, "diagnose")), terminal.progress("diagnosing") as update:
         found = rejoint.diagnose(
             robot, run=job, period=opt.period_seconds(period), healthy=healthy, quick=quick, on_progress=update

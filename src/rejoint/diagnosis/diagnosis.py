@@ -170,7 +170,7 @@ def _unseen(
     )
     free = [row.joint for row in measurement.joints if row.torque_limit_nm is None]
     if free:
-        lines.append(f"The torque limit of {', '.join(free)} was not reached, so it is not known.")
+        lines.append(f"The torque limit of {', '.join(free)} was not reached.")
     return tuple(lines)
 
 

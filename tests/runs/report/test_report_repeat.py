@@ -120,7 +120,7 @@ def test_one_target_tells_nothing_that_an_owner_would_not_see(arm, monkeypatch):
     advice = recommend(found)
     assert advice.controller == "integrator", "less than 2 mm apart: the simplest"
     assert NO_INTERVAL in advice.why[0]
-    assert advice.why[1].startswith("A tie of integrator and")
+    assert advice.why[1].startswith("A tie of integrator, ")
     assert "too few trials to tell them apart" in advice.why[1]
     far = dataclasses.replace(make_comparison(arm, ("default", "policy")), repetitions=1)
     assert recommend(far).controller == "policy"

@@ -129,19 +129,19 @@ def _tied(chosen: ControllerRow, others: list[ControllerRow], comparison: Compar
     """Say that it is a tie, who did better in the mean, and how many trials would decide; nothing without a tie."""
     if not others:
         return []
-    name, rivals = chosen.controller, _listed([row.controller for row in others])
+    name, names = chosen.controller, _listed([chosen.controller, *(row.controller for row in others)])
     few = "too few trials to tell them apart" if _uncertain(chosen, comparison) else "no measurable difference"
-    lines = [f"A tie of {name} and {rivals}: {few}. {name} is recommended because it is simpler."]
+    lines, better = [f"A tie of {names}: {few}. {name} is recommended because it is simpler."], []
     for criterion in _criteria(comparison):
         best = min(others, key=lambda row: _mean(criterion, row))
         ours, theirs = _mean(criterion, chosen), _mean(criterion, best)
         if theirs < ours and criterion.show(theirs) != criterion.show(ours):
-            against = f"{criterion.show(ours)} of {name}" if np.isfinite(ours) else f"holds of {name} cut short"
-            lines.append(
-                f"That may be chance, but {best.controller} did better in the mean: {criterion.show(theirs)} "
-                f"{criterion.name}, against {against}. {_needed(criterion, chosen, best)}"
+            against = criterion.show(ours) if np.isfinite(ours) else "holds cut short"
+            better.append(
+                f"{best.controller} {criterion.show(theirs)} {criterion.name}, against {against} "
+                f"({_needed(criterion, chosen, best)} would decide)"
             )
-    return lines
+    return [*lines, f"Better in the mean, which may be chance: {'; '.join(better)}."] if better else lines
 
 
 def _needed(criterion: _Criterion, chosen: ControllerRow, better: ControllerRow) -> str:
@@ -149,10 +149,10 @@ def _needed(criterion: _Criterion, chosen: ControllerRow, better: ControllerRow)
     sets, repetitions, _ = chosen.outcomes.shape
     found = paired_difference(criterion.results(chosen), criterion.results(better), cluster(chosen.outcomes.shape)[1])
     if found is None or found.low is None or found.value <= 0.0:
-        return "More target sets or repetitions would decide."
+        return "more target sets or repetitions"
     trials = sets * repetitions
-    most = max(int(np.ceil(trials * ((found.value - found.low) / found.value) ** 2)), trials + 1)
-    return f"About {most} trials of each would decide, instead of {trials}."
+    needed = max(int(np.ceil(trials * ((found.value - found.low) / found.value) ** 2)), trials + 1)
+    return f"about {needed} trials of each instead of {trials}"
 
 
 def _achieves(row: ControllerRow, comparison: Comparison) -> str:
