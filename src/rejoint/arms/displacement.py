@@ -20,7 +20,7 @@ from rejoint.arms.arm import Arm, Array, _freeze
 from rejoint.arms.kinematics import GRAVITY, gravity_torque, tcp_pose, tcp_position
 from rejoint.arms.rotations import rotation_about
 
-FLOATING = 0.004
+FLOATING = 0.001
 """[N m] torque within which a joint is not sure to lie on one side of its play (chosen on emulated worn arms)"""
 
 CARRIED = np.radians(1.0)

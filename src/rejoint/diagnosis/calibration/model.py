@@ -16,10 +16,10 @@ from rejoint.arms.displacement import FLOATING, direction
 from rejoint.arms.size import length_size
 from rejoint.diagnosis.calibration.parameters import Layout, displacement_of, gravity_of
 
-FLOOR = 1e-3
+FLOOR = 0.5e-3
 """[m] standard deviation, over the reach of a myCobot 280, of what no displacement explains (chosen: runout of gears,
 ripple and a simplified law of play leave 0.5 to 1 mm on emulated worn arms)"""
-SCATTER = 0.45
+SCATTER = 1.0 / 3.0
 """Variance of where a floating joint lies in its play, by the square of half of it: a third where every place is as
 likely, one where it always lies at a flank (chosen on emulated worn arms)"""
 _STEP = 1e-6  # [rad] for the derivative of the direction of gravity

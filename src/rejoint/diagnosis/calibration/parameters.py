@@ -22,7 +22,7 @@ COMPLIANCE = 0.015
 what healthy and worn arms of that size have)"""
 PLAY, PLAY_SIGMA = np.radians(0.9), np.radians(0.7)
 """[rad] mean and standard deviation of the play of a joint (SO-ARM100 issue 134: about 1 deg on healthy servos)"""
-LEVEL, ASKEW = np.radians(0.3), np.radians(6.0)
+LEVEL, ASKEW = np.radians(0.1), np.radians(6.0)
 """[rad] standard deviations of how far a base on a table, and one that stands askew, is turned about each horizontal
 axis (chosen: a spirit level, and a wedge)"""
 MASS = 0.12
