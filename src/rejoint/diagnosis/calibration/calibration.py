@@ -89,7 +89,9 @@ class Calibration:
         total = known + scatter(self.arm, self.displacement, flat) + self.floor**2 * np.eye(3)
         return np.asarray(total.reshape(*np.shape(position)[:-1], 3, 3))
 
-    def interval(self, position: Array, target: Array | None = None) -> tuple[Array, Array]:
+    def interval(
+        self, position: Array, target: Array | None = None, approach: Array | None = None
+    ) -> tuple[Array, Array]:
         """95 % interval (...), (...) [m] of the distance of the tool from ``target`` (..., 3) [m] at ``position``.
 
         Without a target: from where the encoders say that the tool is.
@@ -97,7 +99,7 @@ class Calibration:
         target = tcp_position(self.arm, position) if target is None else target
         root = np.linalg.cholesky(self.spread(position))
         draws = np.random.default_rng(0).standard_normal((_DRAWS, 3))
-        away = (self.tool(position) - target)[..., None, :] + draws @ np.swapaxes(root, -1, -2)
+        away = (self.tool(position, approach) - target)[..., None, :] + draws @ np.swapaxes(root, -1, -2)
         low, high = np.quantile(np.linalg.norm(away, axis=-1), [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2], axis=-1)
         return low, high
 
