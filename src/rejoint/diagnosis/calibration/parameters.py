@@ -113,6 +113,8 @@ def belief(arm: Arm, layout: Layout, case: Case, gravity: Array = GRAVITY) -> Be
     """Return what is believed of an arm of some case; ``gravity`` (3,): where it is believed to pull, in the base."""
     n, sigma, mean = arm.joints, np.zeros(layout.size), np.zeros(layout.size)
     lower, upper = np.full(layout.size, -np.inf), np.full(layout.size, np.inf)
+    if case.twist == 0.0:
+        lower[layout.at("twist")] = upper[layout.at("twist")] = 0.0
     soft = case.compliance / torque_size(arm)
     mean[layout.at("compliance")], mean[layout.at("play")] = soft, case.play
     mean[layout.at("tilt")] = tilt_of(gravity)

@@ -2,8 +2,9 @@
 
 Chosen one by one among candidates in the region of targets, each for the largest gain of information on all parameters
 together with those before it (D-optimal design; Atkinson and Donev, Optimum Experimental Designs, 1992, chapter 11).
-Every posture is come to from a posture some degrees away, so that each joint's last motion is known; the joints of one
-visit come from sides of their own, and the next visit of the posture comes from the others.
+They are those that a controller takes at its targets: a model of one arm holds best where it was fitted. Each is come to
+from a posture some degrees away, with all joints upwards and downwards by turns, so that each joint's last motion is
+known and joints that float in their play do not all lie on one side.
 """
 
 from __future__ import annotations
@@ -25,8 +26,6 @@ from rejoint.system.errors import InputError
 
 CANDIDATES = 300
 """Postures to choose from (chosen: twice as many gain 1 % of information)"""
-AROUND = np.radians(30.0)
-"""[rad] how far candidates start from the rest posture, so that one point is met in several postures (chosen)"""
 BEFORE = np.radians(6.0)
 """[rad] distance of the posture that each is come to from, joint by joint (chosen: three times the play)"""
 MARGIN = 0.05
@@ -68,44 +67,40 @@ def suggest(
     """
     layout = Layout(joints=arm.joints)
     known = earlier(arm, layout, prior) if prior is not None else belief(arm, layout, Case(twist=1.0), gravity)
-    postures, sides = _candidates(arm, seed)
+    postures = _candidates(arm, seed)
     if len(postures) * visits < count:
         raise InputError(
             f"arm {arm.name}: only {len(postures)} of {CANDIDATES} postures in the region of targets are free of limits, "
             f"floor and collisions, {count} are to be measured; ask for fewer, or give the arm another region of targets"
         )
-    signs = [sides] if visits == 1 else [sides, -sides]
-    slopes, noises = zip(*(_seen(arm, known, postures, side, sigma) for side in signs), strict=True)
+    seen = [_seen(arm, known, postures, side, sigma) for side in (1.0, -1.0)]
     covariance, region = np.linalg.inv(known.precision), _region(arm, known)
-    chosen: list[tuple[int, int]] = []
+    chosen: list[int] = []
     expected = [_expected(region, covariance)]
     while len(chosen) < count:
-        best = chosen[-1][0] if len(chosen) % visits else _most_telling(slopes[0], noises[0], covariance, chosen)
-        visit = len(chosen) % visits
-        slope, noise = slopes[visit][best], noises[visit][best]
+        slopes, noises = seen[len(chosen) % 2]
+        again = len(chosen) % visits > 0
+        best = chosen[-1] if again else _most_telling(slopes, noises, covariance, chosen)
+        slope, noise = slopes[best], noises[best]
         gain = covariance @ slope.T @ np.linalg.inv(slope @ covariance @ slope.T + noise)
         covariance = covariance - gain @ slope @ covariance
-        chosen.append((best, visit))
+        chosen.append(best)
         expected.append(_expected(region, covariance))
-    places = np.array([place for place, _ in chosen])
-    came = np.array([signs[visit][place] for place, visit in chosen])
+    came = np.where(np.arange(count) % 2, -1.0, 1.0)[:, None]
     return Suggestion(
-        postures=postures[places], approach=postures[places] - BEFORE * came,
-        posture=np.unique(places, return_inverse=True)[1], expected=np.array(expected),
+        postures=postures[chosen], approach=postures[chosen] - BEFORE * came, expected=np.array(expected),
+        posture=np.unique(chosen, return_inverse=True)[1],
     )  # fmt: skip
 
 
-def _candidates(arm: Arm, seed: int) -> tuple[Array, Array]:
-    """Free postures (C, n) [rad] with the tool in the region of targets, and the sides (C, n) they are come to from."""
-    rng = np.random.default_rng(seed)
-    points = arm.targets.sample(rng, (CANDIDATES,))
-    starts = np.clip(arm.rest + rng.uniform(-AROUND, AROUND, (CANDIDATES, arm.joints)), arm.lower, arm.upper)
-    solution = solve_position(arm, points, starts, rest_gain=0.0)
-    sides = rng.choice([-1.0, 1.0], solution.q.shape)
+def _candidates(arm: Arm, seed: int) -> Array:
+    """Free postures (C, n) [rad] with the tool in the region of targets, which can be come to from both sides."""
+    points = arm.targets.sample(np.random.default_rng(seed), (CANDIDATES,))
+    solution = solve_position(arm, points, arm.rest)
     good = solution.converged
     for away in (0.0, BEFORE, -BEFORE):
-        good = good & _free(arm, solution.q - away * sides)
-    return solution.q[good], sides[good]
+        good = good & _free(arm, solution.q - away)
+    return solution.q[good]
 
 
 def _free(arm: Arm, q: Array) -> NDArray[np.bool_]:
@@ -117,10 +112,10 @@ def _free(arm: Arm, q: Array) -> NDArray[np.bool_]:
     return np.asarray(inside & above & ~collides(arm, frames(arm, q)))
 
 
-def _seen(arm: Arm, known: Belief, postures: Array, sides: Array, sigma: float) -> tuple[Array, Array]:
+def _seen(arm: Arm, known: Belief, postures: Array, side: float, sigma: float) -> tuple[Array, Array]:
     """What measurements tell: derivatives (C, 3, k) and covariances (C, 3, 3) of the tool."""
     layout = Layout(joints=arm.joints)
-    _, slope = linearised(arm, layout, known.mean, postures, postures - BEFORE * sides)
+    _, slope = linearised(arm, layout, known.mean, postures, postures - BEFORE * side)
     noise = scatter(arm, displacement_of(layout, known.mean), postures)
     return slope, noise + (sigma**2 + floor_of(arm) ** 2) * np.eye(3)
 
@@ -128,14 +123,14 @@ def _seen(arm: Arm, known: Belief, postures: Array, sides: Array, sigma: float) 
 def _region(arm: Arm, known: Belief) -> tuple[Array, Array]:
     """Derivatives (R, 3, k) of the tool in the region of targets, and the covariances (R, 3, 3) that stay."""
     points = arm.targets.sample(np.random.default_rng(0), (_REGION,))
-    slope, noise = _seen(arm, known, solve_position(arm, points, arm.rest).q, np.zeros(arm.joints), 0.0)
+    slope, noise = _seen(arm, known, solve_position(arm, points, arm.rest).q, 0.0, 0.0)
     return slope, noise
 
 
-def _most_telling(slope: Array, noise: Array, covariance: Array, chosen: list[tuple[int, int]]) -> int:
+def _most_telling(slope: Array, noise: Array, covariance: Array, chosen: list[int]) -> int:
     """Return the candidate that adds most to the determinant of the information."""
     gain = np.linalg.slogdet(np.eye(3) + np.linalg.solve(noise, slope @ covariance @ np.swapaxes(slope, -1, -2)))[1]
-    gain[[place for place, _ in chosen]] = -np.inf
+    gain[chosen] = -np.inf
     return int(np.argmax(gain))
 
 

@@ -27,7 +27,7 @@ from rejoint.research.evaluation.family import FAMILY_SIZE, Family, Variant, fam
 from rejoint.robots.emulated import EmulatedRobot
 from rejoint.system.progress import Progress
 
-POINTS = (1, 2, 3, 5, 10, 20)
+POINTS = (1, 3, 5, 10, 20)
 """Numbers of measurements from which arms are calibrated"""
 SIGMA = 5e-4
 """[m] noise of each measured coordinate (chosen: a ruler with a vernier, or a touched dimple)"""
@@ -37,7 +37,7 @@ WRONG_AMONG = 10
 """Measurements among which one is wrong"""
 SPEED, WAIT = 0.5, 1.5
 """[rad/s] and [s]: how fast arms go to a posture, and how long they wait before they are measured (chosen)"""
-HOLD, LAST = 6.0, 1.0
+HOLD, LAST = 8.0, 1.0
 """[s] at each fresh target, and of that at the end over which errors are averaged"""
 
 
