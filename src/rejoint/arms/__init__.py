@@ -21,8 +21,8 @@ from rejoint.arms.so101 import so101
 from rejoint.arms.tomlfile import write_arm_toml
 
 __all__ = [
-    "CATALOGUE", "Arm", "Array", "Box", "Displacement", "Loaded", "Solution", "clearances", "clip_norm", "collides", "dls",
-    "frames", "gravity_torque", "heights", "jacobian", "link_inertia", "load_arm", "mycobot280",
+    "CATALOGUE", "Arm", "Array", "Box", "Displacement", "Loaded", "Solution", "clearances", "clip_norm", "collides",
+    "dls", "frames", "gravity_torque", "heights", "jacobian", "link_inertia", "load_arm", "mycobot280",
     "position_kinematics", "read_arm", "segment_distance", "so101", "solve_position", "tcp_pose", "tcp_position",
     "write_arm_toml",
 ]  # fmt: skip

@@ -143,4 +143,3 @@ def check_arm(name: str, digests: dict[str, str], arm: Arm) -> None:
         return
     differs = f"; they differ in {', '.join(other)}" if name == arm.name else ""
     raise ContractError(f"calibration of arm {name!r}, expected one of {arm.name!r}{differs}; calibrate this arm")
-

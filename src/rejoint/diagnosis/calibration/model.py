@@ -59,7 +59,7 @@ def linearised(
 
 
 def link_loads(arm: Arm, position: Array) -> Array:
-    """What each link weighs on each joint: (M, n joints, n links, 3) [N m / (m/s^2)], torque by acceleration."""
+    """Return what each link weighs on each joint: (M, n joints, n links, 3) [N m / (m/s^2)], torque by acceleration."""
     f = frames(arm, position)
     com = f.position + np.einsum("mnij,nj->mni", f.rotation, arm.com)
     away = com[:, None] - f.position[:, :, None]
@@ -68,7 +68,7 @@ def link_loads(arm: Arm, position: Array) -> Array:
 
 
 def _by_twist(arm: Arm, joints: Array, tool: Array) -> Array:
-    """Derivative (M, 3, 6 n + 6) of the tool by small errors of the transforms to joint frames and TCP."""
+    """Return the derivative (M, 3, 6 n + 6) of the tool by small errors of the transforms to joint frames and TCP."""
     f, count = frames(arm, joints), len(joints)
     first = np.broadcast_to(np.eye(3), (count, 1, 3, 3))
     turned = np.concatenate([first, f.rotation], axis=1)  # frame before each transform

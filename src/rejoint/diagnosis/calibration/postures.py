@@ -2,9 +2,9 @@
 
 Chosen one by one among candidates in the region of targets, each for the largest gain of information on all parameters
 together with those before it (D-optimal design; Atkinson and Donev, Optimum Experimental Designs, 1992, chapter 11).
-They are those that a controller takes at its targets: a model of one arm holds best where it was fitted. Each is come to
-from a posture some degrees away, with all joints upwards and downwards by turns, so that each joint's last motion is
-known and joints that float in their play do not all lie on one side.
+They are those that a controller takes at its targets: a model of one arm holds best where it was fitted. Each is come
+to from a posture some degrees away, with all joints upwards and downwards by turns, so that each joint's last motion
+is known and joints that float in their play do not all lie on one side.
 """
 
 from __future__ import annotations
@@ -70,11 +70,12 @@ def suggest(
     postures = _candidates(arm, seed)
     if len(postures) * visits < count:
         raise InputError(
-            f"arm {arm.name}: only {len(postures)} of {CANDIDATES} postures in the region of targets are free of limits, "
-            f"floor and collisions, {count} are to be measured; ask for fewer, or give the arm another region of targets"
+            f"arm {arm.name}: only {len(postures)} of {CANDIDATES} postures in the region of targets are free of "
+            f"limits, floor and collisions, {count} are to be measured; ask for fewer, or give the arm another region"
         )
     seen = [_seen(arm, known, postures, side, sigma) for side in (1.0, -1.0)]
-    covariance, region = np.linalg.inv(known.precision), _region(arm, known)
+    covariance: Array = np.asarray(np.linalg.inv(known.precision), dtype=float)
+    region = _region(arm, known)
     chosen: list[int] = []
     expected = [_expected(region, covariance)]
     while len(chosen) < count:
@@ -113,7 +114,7 @@ def _free(arm: Arm, q: Array) -> NDArray[np.bool_]:
 
 
 def _seen(arm: Arm, known: Belief, postures: Array, side: float, sigma: float) -> tuple[Array, Array]:
-    """What measurements tell: derivatives (C, 3, k) and covariances (C, 3, 3) of the tool."""
+    """Return what measurements tell: derivatives (C, 3, k) and covariances (C, 3, 3) of the tool."""
     layout = Layout(joints=arm.joints)
     _, slope = linearised(arm, layout, known.mean, postures, postures - BEFORE * side)
     noise = scatter(arm, displacement_of(layout, known.mean), postures)
@@ -121,7 +122,7 @@ def _seen(arm: Arm, known: Belief, postures: Array, side: float, sigma: float) -
 
 
 def _region(arm: Arm, known: Belief) -> tuple[Array, Array]:
-    """Derivatives (R, 3, k) of the tool in the region of targets, and the covariances (R, 3, 3) that stay."""
+    """Return derivatives (R, 3, k) of the tool in the region of targets, and covariances (R, 3, 3) that stay."""
     points = arm.targets.sample(np.random.default_rng(0), (_REGION,))
     slope, noise = _seen(arm, known, solve_position(arm, points, arm.rest).q, 0.0, 0.0)
     return slope, noise

@@ -15,16 +15,17 @@ from numpy.typing import NDArray
 from rejoint.arms import Arm, Array, Displacement, solve_position
 from rejoint.arms.kinematics import GRAVITY
 from rejoint.arms.rotations import rotation_about
+from rejoint.control.comparison.targets import draw_targets
 from rejoint.control.controller import Controller
 from rejoint.control.loop import Schedule, play, run
 from rejoint.control.recording import Recording
-from rejoint.control.comparison.targets import draw_targets
 from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.diagnosis.calibration.fit import fit
 from rejoint.diagnosis.calibration.measurements import Measurements
 from rejoint.diagnosis.calibration.postures import Suggestion, suggest
 from rejoint.research.evaluation.family import FAMILY_SIZE, Family, Variant, family_wears
 from rejoint.robots.emulated import EmulatedRobot
+from rejoint.system.errors import InputError
 from rejoint.system.progress import Progress
 
 POINTS = (1, 3, 5, 10, 20)
@@ -67,6 +68,14 @@ CONDITIONS = (
     Condition(name="play-in-loop", meaning="worn arms whose encoders sit behind the gears' play",
               profile="play-in-loop"),
 )  # fmt: skip
+
+
+def find_condition(name: str) -> Condition:
+    """Look up a condition; InputError names the alternatives."""
+    for condition in CONDITIONS:
+        if condition.name == name:
+            return condition
+    raise InputError(f"no condition is called {name!r}; known conditions: {', '.join(c.name for c in CONDITIONS)}")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -165,9 +174,7 @@ def try_condition(
         tried.append(_try(robot, found, controller, targets, points))
     named, accused = find_wrong(arm, measured, family)
     seeds = np.array([family.wear_seed(i) for i in range(family.arms)], dtype=float)
-    return Trials(
-        condition=condition, wear_seed=seeds, before=before, tried=tuple(tried), named=named, accused=accused
-    )
+    return Trials(condition=condition, wear_seed=seeds, before=before, tried=tuple(tried), named=named, accused=accused)
 
 
 def measure(robot: EmulatedRobot, suggestion: Suggestion, seed: int) -> Measured:
@@ -225,9 +232,7 @@ def _go(robot: EmulatedRobot, sent: Array, goal: Array) -> Array:
     """Bring all arms to ``goal`` (n,) [rad] and wait; returns what was sent last (B, n)."""
     way = goal - sent
     duration = float(np.abs(way).max()) / SPEED
-    recording = play(
-        robot, lambda time: sent + np.minimum(time / duration, 1.0)[:, None] * way, duration + WAIT
-    )
+    recording = play(robot, lambda time: sent + np.minimum(time / duration, 1.0)[:, None] * way, duration + WAIT)
     return recording.command[-1]
 
 
@@ -236,20 +241,18 @@ def _hold(robot: EmulatedRobot, controller: Callable[[Arm], Controller], aims: A
 
 
 def _errors(recording: Recording, targets: Array) -> Array:
-    """True errors (A, K) [m] over the last second at each target; NaN where the guard stopped the arm before."""
+    """Return true errors (A, K) [m] over the last second at each target; NaN where the guard stopped the arm before."""
     return _over_last(recording, targets.shape[1], lambda rows, i, k: float(
         np.linalg.norm(recording.true_tcp[rows, i] - targets[i, k], axis=-1).mean()
     ))[..., 0]  # fmt: skip
 
 
 def _settled(recording: Recording, count: int) -> Array:
-    """Encoder positions (A, K, n) [rad] over the same time."""
+    """Return encoder positions (A, K, n) [rad] over the same time."""
     return _over_last(recording, count, lambda rows, i, _: recording.position[rows, i].mean(axis=0))
 
 
-def _over_last(
-    recording: Recording, count: int, value: Callable[[NDArray[np.intp], int, int], Array | float]
-) -> Array:
+def _over_last(recording: Recording, count: int, value: Callable[[NDArray[np.intp], int, int], Array | float]) -> Array:
     found = []
     for i in range(recording.position.shape[1]):
         for k in range(count):
