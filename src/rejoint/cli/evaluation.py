@@ -17,12 +17,14 @@ from rejoint.system.extras import require
 from rejoint.system.files import read_json, write_json
 
 if TYPE_CHECKING:
+    from rejoint.arms import Arm
+    from rejoint.research.evaluation.family import ArmFamily
     from rejoint.research.evaluation.result import Evaluation
 
 OUT = Path("runs") / "family"
 
 
-FAMILY_ONLY = ("controllers", "variants", "arms", "gains")
+FAMILY_ONLY = ("controllers", "variants", "arms", "gains", "calibrate")
 """Options of `evaluate` that go with --family"""
 
 
@@ -34,6 +36,9 @@ def evaluate(
     identification: Annotated[
         int | None, typer.Option(help="On so many arms, each diagnosed, identified and trained for.", min=1)
     ] = None,
+    calibrate: Annotated[
+        bool, typer.Option("--calibrate", help="With --family: true errors before and after outside measurements.")
+    ] = False,
     iterations: Annotated[int | None, typer.Option(help="Updates of those trainings instead of the preset's.")] = None,
     policy: Annotated[list[Path] | None, typer.Option(help="Policy file; repeatable, such as one per seed.")] = None,
     controllers: Annotated[
@@ -79,6 +84,10 @@ def evaluate(
         with terminal.progress("evaluating") as update:
             found = evaluate_identification(arm, policy or [], settings, out, iterations, update)
         _show(terminal, found, out)
+        return
+    if calibrate:
+        few = ArmFamily(arms=arms, targets=targets, seed=seed)
+        _calibrate(terminal, arm, context, policy or [], controllers, variants, few, out, threads)
         return
     names = {"all": known_names(), "none": ()}.get(controllers, controller_names(controllers))
     tuned = {} if gains is None else read_json(gains, dict[str, dict[str, float]])
@@ -131,6 +140,42 @@ def tune(
     terminal.table(rival, ["gain", "value"], [[name, f"{value:.3g}"] for name, value in found.items()])
     terminal.result(f"Next: rejoint evaluate --family --controllers {rival} --gains {out}")
     terminal.finish({"rival": rival, "gains": found, "out": str(out)})
+
+
+def _calibrate(
+    terminal: Terminal, arm: Arm, context: typer.Context, policy: list[Path], controllers: str, variants: str,
+    family: ArmFamily, out: Path, threads: int,
+) -> None:  # fmt: skip
+    from rejoint.research.evaluation.calibrated import conclude, tables
+    from rejoint.research.evaluation.calibrating import CONDITIONS, find_condition, try_condition
+    from rejoint.research.evaluation.contestants import classical, learned
+    from rejoint.system.progress import part
+    from rejoint.system.version import __version__
+
+    source = context.get_parameter_source("controllers")
+    chosen = source is not None and source.name != "DEFAULT" and controllers != "none"
+    contestants = [learned(path, arm) for path in policy]
+    contestants += [classical(name) for name in controller_names(controllers)] if chosen else []
+    contestants = contestants or [classical("feedforward")]
+    if len(contestants) > 1:
+        raise InputError(
+            "evaluate --calibrate drives one controller: name one with --controllers, or give one --policy"
+        )
+    conditions = CONDITIONS if variants == "all" else [find_condition(name) for name in controller_names(variants)]
+    with terminal.progress("evaluating") as update:
+        trials = [
+            try_condition(
+                arm, one, contestants[0].make, family, threads,
+                part(update, i / len(conditions), (i + 1) / len(conditions)),
+            )
+            for i, one in enumerate(conditions)
+        ]  # fmt: skip
+    result = conclude(arm.name, __version__, contestants[0].name, family, trials)
+    write_json(out / "calibrated.json", result)
+    for title, headers, rows in tables(result):
+        terminal.table(title, headers, rows)
+    terminal.result(f"All of it: {(out / 'calibrated.json').resolve()}")
+    terminal.finish({"out": str(out), "rows": result.rows, "named": result.named, "accused": result.accused})
 
 
 def _show(terminal: Terminal, result: Evaluation, out: Path) -> None:

@@ -51,26 +51,33 @@ class Modelled:
     arm: Arm
     displacement: Displacement
     _moved: Arm = field(init=False)
+    _came: Array = field(init=False)  # (B, n) [rad] where the arms came from
     _posture: Array = field(init=False)  # (B, n) where the arms were when they last moved
     _since: Array = field(init=False)  # (B,) [s] when that was
     _done: Mask = field(init=False)  # (B,) whether the target was aimed at again
 
     def __post_init__(self) -> None:
         self._moved = self.displacement.moved(self.arm)
-        self._posture, self._since = np.zeros((0, self.arm.joints)), np.zeros(0)
+        self._came = self._posture = np.zeros((0, self.arm.joints))
+        self._since = np.zeros(0)
         self._done = np.zeros(0, dtype=bool)
 
-    def shift(self, position: Array) -> Array:
-        """Return how far (..., 3) [m] the tool is from where the encoders see it, at ``position`` (..., n) [rad]."""
-        links = self.displacement.joints(self.arm, position)
+    def shift(self, position: Array, approach: Array | None = None) -> Array:
+        """Return how far (..., 3) [m] the tool is from where the encoders see it, at ``position`` (..., n) [rad].
+
+        ``approach`` (..., n) [rad] is where the arm came from: joints that float lie as their last motion left them.
+        """
+        links = self.displacement.joints(self.arm, position, approach)
         return tcp_position(self._moved, links) - tcp_position(self.arm, position)
 
     def aim(self, target: Array, start: Array, where: Mask) -> Array:
         """Return the aims (B, 3) [m], at the postures that the inverse kinematics finds from ``start`` (B, n) [rad]."""
         if len(self._since) != len(where):
-            self._posture, self._since = start.copy(), np.full(len(where), -np.inf)
+            self._came = self._posture = start.copy()
+            self._since = np.full(len(where), -np.inf)
             self._done = np.zeros(len(where), dtype=bool)
         self._done, self._since = self._done & ~where, np.where(where, np.nan, self._since)
+        self._came = np.where(where[:, None], start, self._came)
         aims = np.array(target, dtype=float)
         aimed = where & np.isfinite(target).all(axis=-1)
         if not aimed.any():
@@ -79,7 +86,7 @@ class Modelled:
         place = goal.copy()
         for _ in range(ROUNDS):
             posture = solve_position(self.arm, place, posture).q
-            place = goal - self.shift(posture)
+            place = goal - self.shift(posture, start[aimed])
         aims[aimed] = checked(goal, place)
         return aims
 
@@ -90,7 +97,7 @@ class Modelled:
             return None
         self._done = self._done | settled
         position = inputs.state.position
-        fresh = np.where(settled[:, None], target - self.shift(position), inputs.target)
+        fresh = np.where(settled[:, None], target - self.shift(position, self._came), inputs.target)
         changed = np.linalg.norm(fresh - inputs.target, axis=-1) > CHANGE
         if not changed.any():
             return None

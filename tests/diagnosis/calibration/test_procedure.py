@@ -8,12 +8,13 @@ from rejoint.arms import mycobot280, tcp_position
 from rejoint.diagnosis.calibration.gauges import EmulatedGauge
 from rejoint.diagnosis.calibration.measurementfile import read_measurements
 from rejoint.diagnosis.calibration.measurements import Measurements
-from rejoint.diagnosis.calibration.procedure import DETOUR, SPEED, measure, reversals
+from rejoint.diagnosis.calibration.postures import BEFORE, suggest
+from rejoint.diagnosis.calibration.procedure import SPEED, measure, reversals
 from rejoint.runs.run import Run
 from rejoint.system.errors import ContractError, InputError
 
 ARM = mycobot280()
-POSTURES = ARM.rest + np.array([[0.3, -0.2, 0.1, 0.1, -0.1, 0.2], [-0.2, 0.1, -0.2, -0.2, 0.2, -0.3]])
+PLAN = suggest(ARM, 4, visits=2)
 
 
 class Silent(EmulatedGauge):
@@ -22,6 +23,13 @@ class Silent(EmulatedGauge):
     def measure(self, robot, stop):
         point = super().measure(robot, stop)
         return point if stop.number % 2 else np.full(3, np.nan)
+
+
+class Mute(EmulatedGauge):
+    """Measures nothing."""
+
+    def measure(self, robot, stop):
+        return np.full(3, np.nan)
 
 
 def test_postures_are_come_to_from_both_sides_and_measured_standing_still():
@@ -36,13 +44,13 @@ def test_postures_are_come_to_from_both_sides_and_measured_standing_still():
         return after
 
     robot.step = watched
-    found = measure(robot, EmulatedGauge(seed=1), POSTURES)
-    assert list(found.posture) == [0, 0, 1, 1]
-    assert np.abs(found.position - POSTURES[[0, 0, 1, 1]]).max() < np.radians(3.0)
+    found = measure(robot, EmulatedGauge(seed=1), PLAN)
+    assert list(found.posture) == list(PLAN.posture)
+    assert np.abs(found.position - PLAN.postures).max() < np.radians(3.0)
     side = np.sign(found.approach - found.position)
     assert (side[0] == -side[1]).all()
     assert (side[2] == -side[3]).all()
-    assert np.abs(np.abs(found.approach - found.position) - DETOUR).max() < np.radians(4.0)
+    assert np.abs(np.abs(found.approach - found.position) - BEFORE).max() < np.radians(4.0)
     period, sent = np.array([c[0] for c in commands]), np.array([c[1] for c in commands])
     speed = np.abs(np.diff(sent, axis=0)).max(axis=1) / period[1:]
     assert np.median(speed[speed > 0]) < 1.2 * SPEED
@@ -52,11 +60,11 @@ def test_postures_are_come_to_from_both_sides_and_measured_standing_still():
 def test_what_was_left_out_is_left_out_and_nothing_at_all_is_an_error():
     robot = rejoint.connect("emulated:healthy")
     kept = []
-    found = measure(robot, Silent(), POSTURES, on_measured=kept.append)
-    assert list(found.posture) == [0, 1]
+    found = measure(robot, Silent(), PLAN, on_measured=kept.append)
+    assert list(found.posture) == list(PLAN.posture[::2])
     assert [len(one) for one in kept] == [1, 2]
     with pytest.raises(InputError, match="nothing was measured"):
-        measure(robot, Silent(), POSTURES[:0])
+        measure(robot, Mute(), PLAN)
 
 
 def test_reversal_is_the_difference_of_two_sides_that_the_encoders_do_not_see():

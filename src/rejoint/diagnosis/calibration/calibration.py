@@ -70,13 +70,16 @@ class Calibration:
         """Refuse with a ContractError if this calibration is of another arm."""
         check_arm(self.arm.name, geometry_of(self.arm), arm)
 
-    def tool(self, position: Array) -> Array:
-        """Where the tool (..., 3) [m] is by this calibration while the encoders say ``position`` (..., n) [rad]."""
-        return self.displacement.tool(self.arm, position)
+    def tool(self, position: Array, approach: Array | None = None) -> Array:
+        """Where the tool (..., 3) [m] is by this calibration while the encoders say ``position`` (..., n) [rad].
 
-    def shift(self, position: Array) -> Array:
+        ``approach`` (..., n) [rad] is where they were before the last motion, as far as that is known.
+        """
+        return self.displacement.tool(self.arm, position, approach)
+
+    def shift(self, position: Array, approach: Array | None = None) -> Array:
         """Return how far (..., 3) [m] the tool is from where the encoders at ``position`` (..., n) [rad] say it is."""
-        return self.tool(position) - tcp_position(self.arm, position)
+        return self.tool(position, approach) - tcp_position(self.arm, position)
 
     def spread(self, position: Array) -> Array:
         """Covariance (..., 3, 3) [m^2] of the tool around `tool`: parameters, floating joints, and what remains."""
@@ -86,7 +89,9 @@ class Calibration:
         total = known + scatter(self.arm, self.displacement, flat) + self.floor**2 * np.eye(3)
         return np.asarray(total.reshape(*np.shape(position)[:-1], 3, 3))
 
-    def interval(self, position: Array, target: Array | None = None) -> tuple[Array, Array]:
+    def interval(
+        self, position: Array, target: Array | None = None, approach: Array | None = None
+    ) -> tuple[Array, Array]:
         """95 % interval (...), (...) [m] of the distance of the tool from ``target`` (..., 3) [m] at ``position``.
 
         Without a target: from where the encoders say that the tool is.
@@ -94,7 +99,7 @@ class Calibration:
         target = tcp_position(self.arm, position) if target is None else target
         root = np.linalg.cholesky(self.spread(position))
         draws = np.random.default_rng(0).standard_normal((_DRAWS, 3))
-        away = (self.tool(position) - target)[..., None, :] + draws @ np.swapaxes(root, -1, -2)
+        away = (self.tool(position, approach) - target)[..., None, :] + draws @ np.swapaxes(root, -1, -2)
         low, high = np.quantile(np.linalg.norm(away, axis=-1), [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2], axis=-1)
         return low, high
 
@@ -105,21 +110,23 @@ class Calibration:
     def aim(self, target: Array, start: Array) -> Array:
         """Where the encoders are to say that the tool is (..., 3) [m], for it to be at ``target`` (..., 3) [m].
 
-        ``start`` (..., n) [rad] is the posture from which that of the target is looked for. A target comes back as
-        it is where the correction is not used.
+        ``start`` (..., n) [rad] is the posture that the arm comes from: that of the target is looked for from there,
+        and joints that float lie as they do after this motion. A target comes back as it is where the correction is
+        not used.
         """
         target = np.asarray(target, dtype=float)
         if not self.used:
             return target.copy()
-        command, posture = target, np.asarray(start, dtype=float)
+        start = np.asarray(start, dtype=float)
+        command, posture = target, start
         for _ in range(AIMING):
             posture = solve_position(self.arm, command, posture).q
-            command = target - self.shift(posture)
+            command = target - self.shift(posture, start)
         return command
 
-    def aim_again(self, target: Array, position: Array) -> Array:
+    def aim_again(self, target: Array, position: Array, approach: Array | None = None) -> Array:
         """Return the same as `aim`, now that the arm has settled near ``target`` at ``position`` (..., n) [rad]."""
-        return target - self.shift(position) if self.used else np.array(target, dtype=float)
+        return target - self.shift(position, approach) if self.used else np.array(target, dtype=float)
 
 
 def geometry_of(arm: Arm) -> dict[str, str]:
@@ -136,4 +143,3 @@ def check_arm(name: str, digests: dict[str, str], arm: Arm) -> None:
         return
     differs = f"; they differ in {', '.join(other)}" if name == arm.name else ""
     raise ContractError(f"calibration of arm {name!r}, expected one of {arm.name!r}{differs}; calibrate this arm")
-

@@ -29,7 +29,7 @@ from rejoint.system.errors import InputError
 CASES = (
     Case(),
     Case(play=np.radians(0.15), play_sigma=np.radians(0.15), compliance=0.003),
-    Case(tilt=ASKEW, odds=-2.0),
+    Case(tilt=ASKEW, odds=-0.5),
     Case(twist=1.0, odds=-1.0),
 )
 """A worn arm, a healthy one, a worn one whose base stands askew, and one whose links differ from their description"""

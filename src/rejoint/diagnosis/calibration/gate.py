@@ -19,9 +19,9 @@ SURE = 1.3
 """Standard errors by which a correction must help at points left out to be used (chosen: nine in ten)"""
 LEAST = 1e-4
 """[m] least gain that is worth a correction (chosen)"""
-WRONG = 3.3
-"""Standard deviations of a normal distribution whose chance is that of a right point being called wrong (chosen: one
-arm in two hundred among ten points)"""
+WRONG = 2.9
+"""Standard deviations of a normal distribution whose chance is that of a right point being called wrong (chosen: of
+ten right points, one arm in fifty has one)"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -7,54 +7,68 @@ tool. A fit that took that scatter for noise of equal size in all directions wou
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
-from rejoint.arms import Arm, Array, Displacement, frames, gravity_torque, position_kinematics
-from rejoint.arms.displacement import FLOATING
+from rejoint.arms import Arm, Array, Displacement, frames, position_kinematics
+from rejoint.arms.displacement import FLOATING, direction
 from rejoint.arms.size import length_size
 from rejoint.diagnosis.calibration.parameters import Layout, displacement_of, gravity_of
 
-FLOOR = 1e-3
+FLOOR = 0.5e-3
 """[m] standard deviation, over the reach of a myCobot 280, of what no displacement explains (chosen: runout of gears,
 ripple and a simplified law of play leave 0.5 to 1 mm on emulated worn arms)"""
-SCATTER = 0.45
+SCATTER = 1.0 / 3.0
 """Variance of where a floating joint lies in its play, by the square of half of it: a third where every place is as
 likely, one where it always lies at a flank (chosen on emulated worn arms)"""
 _STEP = 1e-6  # [rad] for the derivative of the direction of gravity
 
 
-def linearised(arm: Arm, layout: Layout, vector: Array, position: Array) -> tuple[Array, Array]:
-    """Return the tool (M, 3) [m] at encoder positions (M, n) and its derivative (M, 3, k) by the arm's parameters."""
+def linearised(
+    arm: Arm, layout: Layout, vector: Array, position: Array, approach: Array | None = None
+) -> tuple[Array, Array]:
+    """Return the tool (M, 3) [m] at encoder positions (M, n) and its derivative (M, 3, k) by the arm's parameters.
+
+    ``approach`` (M, n) [rad] is where the encoders came from, as in `Displacement.joints`.
+    """
     displacement = displacement_of(layout, vector)
-    moved = displacement.moved(arm)
-    torque = displacement.torque(arm, position)
+    moved, loads = displacement.moved(arm), link_loads(arm, position)
+    torque = loads @ displacement.gravity @ displacement.mass
     side = np.tanh(torque / FLOATING)
-    joints = position + displacement.offset - displacement.compliance * torque - 0.5 * displacement.play * side
+    free, came = 1.0 - side**2, direction(position, approach)
+    ahead = side - displacement.carry * free * came
+    joints = position + displacement.offset - displacement.compliance * torque - 0.5 * displacement.play * ahead
     tool, lever = position_kinematics(moved, joints)
     derivative = np.zeros((*position.shape[:-1], 3, layout.body))
     derivative[..., layout.at("offset")] = lever
     derivative[..., layout.at("compliance")] = -lever * torque[:, None, :]
-    derivative[..., layout.at("play")] = -0.5 * lever * side[:, None, :]
+    derivative[..., layout.at("play")] = -0.5 * lever * ahead[:, None, :]
+    derivative[..., layout.at("carry")] = 0.5 * lever * (displacement.play * free * came)[:, None, :]
     # torque moves joints by flex and by the side of the play
-    yielding = -lever * (displacement.compliance + 0.5 * displacement.play * (1.0 - side**2) / FLOATING)[:, None, :]
-    for i in range(arm.joints):
-        only = np.where(np.arange(arm.joints) == i, arm.mass, 0.0)
-        one = gravity_torque(replace(arm, mass=only), position, displacement.gravity)
-        derivative[..., layout.at("mass").start + i] = np.einsum("mij,mj->mi", yielding, one)
-    loaded = replace(arm, mass=arm.mass * displacement.mass)
+    turning = 0.5 * displacement.play * free / FLOATING * (1.0 + 2.0 * displacement.carry * side * came)
+    yielding = -lever * (displacement.compliance + turning)[:, None, :]
+    derivative[..., layout.at("mass")] = yielding @ (loads @ displacement.gravity)
     tilt = vector[layout.at("tilt")]
     for i, step in enumerate(_STEP * np.eye(2)):
         turn = (gravity_of(tilt + step) - gravity_of(tilt - step)) / (2 * _STEP)
-        one = gravity_torque(loaded, position, turn)
-        derivative[..., layout.at("tilt").start + i] = np.einsum("mij,mj->mi", yielding, one)
-    derivative[..., layout.at("twist")] = _by_twist(moved, joints, tool)
+        derivative[..., layout.at("tilt").start + i] = np.einsum(
+            "mij,mj->mi", yielding, loads @ turn @ displacement.mass
+        )
+    if len(position):
+        derivative[..., layout.at("twist")] = _by_twist(moved, joints, tool)
     return tool, derivative
 
 
+def link_loads(arm: Arm, position: Array) -> Array:
+    """Return what each link weighs on each joint: (M, n joints, n links, 3) [N m / (m/s^2)], torque by acceleration."""
+    f = frames(arm, position)
+    com = f.position + np.einsum("mnij,nj->mni", f.rotation, arm.com)
+    away = com[:, None] - f.position[:, :, None]
+    carried = np.triu(np.ones((arm.joints, arm.joints)))[..., None] * arm.mass[:, None]
+    return -carried * np.cross(f.axis[:, :, None], away)
+
+
 def _by_twist(arm: Arm, joints: Array, tool: Array) -> Array:
-    """Derivative (M, 3, 6 n + 6) of the tool by small errors of the transforms to joint frames and TCP."""
+    """Return the derivative (M, 3, 6 n + 6) of the tool by small errors of the transforms to joint frames and TCP."""
     f, count = frames(arm, joints), len(joints)
     first = np.broadcast_to(np.eye(3), (count, 1, 3, 3))
     turned = np.concatenate([first, f.rotation], axis=1)  # frame before each transform

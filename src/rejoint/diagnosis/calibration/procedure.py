@@ -16,6 +16,7 @@ from rejoint.control.robot import Robot
 from rejoint.control.start import Stance, begin
 from rejoint.diagnosis.calibration.gauges import Gauge, Stop
 from rejoint.diagnosis.calibration.measurements import Measurements
+from rejoint.diagnosis.calibration.postures import Suggestion
 from rejoint.system.errors import InputError
 from rejoint.system.progress import Progress, no_progress
 from rejoint.system.stopping import check, noted
@@ -26,9 +27,6 @@ SETTLE = 1.5
 """[s] in which an arm comes to rest (chosen: worn arms ring for less than one)"""
 WINDOW = 0.4
 """[s] at its end whose readings are averaged (chosen: 16 at 25 ms)"""
-DETOUR = np.radians(6.0)
-"""[rad] from which each joint comes to a posture (chosen: more than sag and play of a worn joint)"""
-
 OnMeasured = Callable[[Measurements], object]
 """Called after each measurement with all of them, so that they can be kept"""
 
@@ -49,23 +47,19 @@ class _Rows:
 
 
 def measure(
-    robot: Robot, gauge: Gauge, postures: Array, *, visits: int = 2, limits: GuardLimits | None = None,
+    robot: Robot, gauge: Gauge, plan: Suggestion, *, limits: GuardLimits | None = None,
     stance: Stance | None = None, on_progress: Progress = no_progress, on_measured: OnMeasured | None = None,
 ) -> Measurements:  # fmt: skip
-    """Bring one arm to ``postures`` (K, n) [rad] and measure its tool at each.
+    """Bring one arm to the postures of ``plan``, each from where it says, and measure the tool there.
 
-    With two ``visits`` each posture is reached from both sides of every joint, one after the other. InputError where
-    nothing was measured; what `run` raises where the motion had to be ended.
+    InputError where nothing was measured; what `run` raises where the motion had to be ended.
     """
     limits = limits or GuardLimits.of(robot.arm)
     with noted():
         sent = begin(robot, limits, stance).command[-1]
-    rows, total = _Rows(), visits * len(postures)
-    for number in range(total):
-        posture = postures[number // visits]
-        side = 1.0 if (number + number // visits) % 2 == 0 else -1.0  # the second side of one, the first of the next
+    rows, total = _Rows(), len(plan.posture)
+    for number, (posture, before) in enumerate(zip(plan.postures, plan.approach, strict=True)):
         on_progress(number / total, f"measurement {number + 1} of {total}")
-        before = np.clip(posture - side * DETOUR, limits.lower, limits.upper)
         came = _go(robot, before, sent, limits, settle=0.3)
         stood = _go(robot, posture, came.command[-1], limits, settle=SETTLE)
         sent = stood.command[-1]
@@ -77,7 +71,7 @@ def measure(
         rows.position.append(position)
         rows.approach.append(came.position[-1, 0])
         rows.point.append(point)
-        rows.posture.append(number // visits)
+        rows.posture.append(int(plan.posture[number]))
         if on_measured is not None:
             on_measured(rows.measurements(gauge))
     on_progress(1.0, "measured")

@@ -1,4 +1,4 @@
-"""The most likely parameters for some measurements: maximum a posteriori, by Levenberg-Marquardt with projection on bounds.
+"""The likeliest parameters for some measurements: maximum a posteriori, by Levenberg-Marquardt within bounds.
 
 Residuals are those of single coordinates, so that a height alone is a measurement. They are weighed by what is known
 of their noise: of the measuring, of the model, and of joints that float in their play. A loss that grows linearly for
@@ -68,7 +68,8 @@ class Problem:
 
     def residual(self, vector: Array) -> tuple[Array, Array]:
         """Predicted less measured coordinates (M, 3) [m], zero where not measured, and their derivative (M, 3, k)."""
-        tool, own = linearised(self.arm, self.layout, vector, self.measurements.position)
+        m = self.measurements
+        tool, own = linearised(self.arm, self.layout, vector, m.position, m.approach)
         pose, derivative = self.pose(vector), np.zeros((*tool.shape, self.layout.size))
         derivative[..., : self.layout.body] = own
         if self.layout.frame:
@@ -161,10 +162,8 @@ def _fitted(problem: Problem, vector: Array) -> Fitted:
     cost, _, curvature = _system(problem, vector, whitener)
     known = np.isfinite(problem.measurements.point)
     spread = np.log(np.abs(np.diagonal(whitener, axis1=1, axis2=2)))[known].sum()
-    evidence = -cost + spread + 0.5 * (
-        np.linalg.slogdet(problem.belief.precision)[1] - np.linalg.slogdet(curvature)[1]
-    )
+    evidence = -cost + spread + 0.5 * (np.linalg.slogdet(problem.belief.precision)[1] - np.linalg.slogdet(curvature)[1])
     return Fitted(
-        layout=problem.layout, vector=vector, covariance=np.linalg.inv(curvature), cost=cost,
+        layout=problem.layout, vector=vector, covariance=np.asarray(np.linalg.inv(curvature), dtype=float), cost=cost,
         frame=problem.pose(vector), evidence=float(evidence),
     )  # fmt: skip

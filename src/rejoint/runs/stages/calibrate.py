@@ -188,9 +188,10 @@ class _Drive:
 
         if run is not None:
             set_aside(run.folder.measurements)
+        plan = suggest(arm, count * visits, visits=visits, sigma=self.gauge.sigma, prior=self.prior)
         try:
             return measure(
-                self.robot, self.gauge, suggest(arm, count), visits=visits, on_progress=on_progress, on_measured=keep,
+                self.robot, self.gauge, plan, on_progress=on_progress, on_measured=keep,
                 limits=guard_limits(run, arm, self.robot.address), stance=stance_of(self.twin),
             )  # fmt: skip
         except BaseException as error:
