@@ -53,8 +53,12 @@ class TrueError:
         """Say it in millimetres, with how it is known."""
         if self.value is None:
             return REMEDY
-        value = f"{1e3 * self.value:.{2 if self.value < 1e-3 else 1}f} mm, {self.how}"
-        return f"{value} ({self.range})" if self.range else value
+        return f"{self.millimetres} mm, {self.how}{f' ({self.range})' if self.range else ''}"
+
+    @property
+    def millimetres(self) -> str:
+        """The value in millimetres, with two decimals below one; empty where it is not known."""
+        return "" if self.value is None else f"{1e3 * self.value:.{2 if self.value < 1e-3 else 1}f}"
 
     @property
     def range(self) -> str:

@@ -13,7 +13,9 @@ from rejoint.control.comparison.result import Comparison
 from rejoint.control.comparison.targets import draw_targets
 from rejoint.runs.given import (
     FIRST_ROBOT,
+    NO_GAUGE,
     ArmLike,
+    GaugeLike,
     Period,
     RobotLike,
     RunLike,
@@ -37,7 +39,6 @@ from rejoint.system.progress import Progress, no_progress, part
 
 if TYPE_CHECKING:
     from rejoint.control.policy import Policy
-    from rejoint.diagnosis.calibration.gauges import Gauge
     from rejoint.diagnosis.diagnosis import Diagnosis
     from rejoint.training.presets import Preset
     from rejoint.twin.twin import Twin
@@ -130,7 +131,7 @@ def repair(
     period: Period | None = None,
     seed: int | None = None,
     quick: bool = False,
-    gauge: Gauge | None = None,
+    gauge: GaugeLike | None = None,
     on_progress: Progress = no_progress,
     on_stage: OnStage | None = None,
 ) -> Repaired:
@@ -162,8 +163,8 @@ def repair(
     quick
         do little of everything, to see in a minute whether all of it works; no result
     gauge
-        what measures the tool, as for `calibrate`; by default an emulated arm tells by itself, and a real one is not
-        calibrated
+        what measures the tool, as for `calibrate`, or ``none``: nothing is measured, and nothing corrected; by default
+        an emulated arm tells by itself, and a real one is not calibrated
     on_progress
         called with the share that is done, each of the stages counting the same, and what is being done
     on_stage
@@ -196,10 +197,12 @@ def repair(
     assert about is not None  # noqa: S101 - for the type checker; a folder was given
     require_same_pace(about, quick=quick)
     emulated = is_batchable(robot)
-    chain = _Chain(about.begin(), on_stage, on_progress, measured=emulated or gauge is not None)
+    measured = gauge != NO_GAUGE and (emulated or gauge is not None)
+    meter = None if gauge == NO_GAUGE else gauge
+    chain = _Chain(about.begin(), on_stage, on_progress, measured=measured)
     found = chain.run
     chain.do("diagnose", lambda told: diagnose(robot, run=found, period=period, quick=quick, on_progress=told))
-    chain.do("calibrate", lambda told: calibrate(robot, run=found, gauge=gauge, period=period, on_progress=told))
+    chain.do("calibrate", lambda told: calibrate(robot, run=found, gauge=meter, period=period, on_progress=told))
     chain.do("identify", lambda told: identify(run=found, quick=quick, on_progress=told))
     chain.do("train", lambda told: train(run=found, preset=preset, quick=quick, on_progress=told))
     few = (1, 1) if quick or not emulated else (3, 2)
@@ -207,7 +210,7 @@ def repair(
         targets = draw_targets(found.arm, sets=1, count=QUICK_TARGETS, seed=found.seed)
     chain.do("compare", lambda told: compare(
         robot, controllers, targets, run=found, sets=sets or few[0], repetitions=repetitions or few[1], period=period,
-        on_progress=told,
+        calibration=NO_GAUGE if gauge == NO_GAUGE else None, on_progress=told,
     ))  # fmt: skip
     chain.do("report", lambda _: report(found))
     finish(found)

@@ -119,6 +119,7 @@ def commands(contents: Contents) -> dict[str, Command]:
         "diagnose": Command("Measure and judge the arm:", diagnose),
         "identify": Command("Fit the twin:", identify),
         "train": Command("Train the policy:", f"rejoint train {run}{recipe}"),
+        "calibrate": Command("Measure where the tool is:", f"rejoint calibrate {robot} {run}{_by_hand(robot)}"),
         "compare": Command("Try every controller on the arm:", _compare(contents, robot, run)),
         "report": Command("Make this page again:", f"rejoint report {run}"),
     }
@@ -131,7 +132,14 @@ def _compare(contents: Contents, robot: str, run: str) -> str:
         return f"rejoint compare {robot} {run}{once('ROBOT' if info is None else info.robot)}"
     other = info is None or comparison.seed != info.seed
     seed = f" --seed {comparison.seed}" if other else ""
-    return f"rejoint compare {shlex.quote(comparison.robot)} {run}{_options(comparison)}{seed}"
+    known = contents.calibration
+    plain = " --calibration none" if known is not None and known.used and not comparison.calibration else ""
+    return f"rejoint compare {shlex.quote(comparison.robot)} {run}{_options(comparison)}{plain}{seed}"
+
+
+def _by_hand(robot: str) -> str:
+    """Return the option by which a person measures the tool; an arm in virtual time tells by itself."""
+    return " --touch" if once(robot) else ""
 
 
 def _asked(contents: Contents) -> str:
