@@ -12,7 +12,7 @@ from rejoint.runs.report.figures import Series, error_per_target, intervals
 from rejoint.runs.report.gallery import Gallery
 from rejoint.runs.report.numerals import number
 from rejoint.runs.report.palette import look_of
-from rejoint.runs.report.tables import MM, comparison_view
+from rejoint.runs.report.tables import MM, comparison_view, poses_view
 from rejoint.runs.report.view import Part, Picture, Section
 from rejoint.runs.report.words import plural, short
 from rejoint.system.statistics import Spread
@@ -27,8 +27,9 @@ def comparison_section(comparison: Comparison, best: str, healthy: Series | None
     per_target = _per_target(comparison, best, healthy, gallery)
     means = (_settled(comparison, gallery), _cycles(comparison, gallery))
     failed = tuple(line for row in comparison.rows if (line := failure(row)))
+    poses = poses_view(comparison)
     parts = (
-        Part(tables=(comparison_view(comparison, best),)),
+        Part(tables=(comparison_view(comparison, best), *((poses,) if poses is not None else ()))),
         *((Part(heading="What failed, and why", lines=failed),) if failed else ()),
         Part(heading="Error per target", figures=(per_target,)),
         Part(heading="Accuracy and speed", figures=means, columns=2),
