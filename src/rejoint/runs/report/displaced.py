@@ -25,13 +25,13 @@ def arrow_scale(seen: Array, tool: Array) -> int:
 
 
 def arrows(seen: Array, tool: Array, wrong: NDArray[np.bool_]) -> Figure:
-    """Draw arrows from where the encoders saw the tool to where it was, (M, 3) [m] each, from two sides.
+    """Draw arrows from where the encoders saw the tool to where it was, (M, 3) [m] each, from above and from the side.
 
     Arrows are `arrow_scale` times as long as they are; points that are ``wrong`` (M,) have another look.
     """
     scale = arrow_scale(seen, tool)
     figure, grid = canvas((WIDE, 0.45 * WIDE), 1, 2)
-    views = (("from above", 0, 1), ("from the side", 0, 2))
+    views = (("from above", 1, 0), ("from the side", 0, 2))
     for axes, (name, across, up) in zip(grid[0], views, strict=True):
         for label, rows, look in (("measured point", ~wrong, ORANGE), ("does not fit to the others", wrong, GREY)):
             if rows.any():
@@ -40,10 +40,13 @@ def arrows(seen: Array, tool: Array, wrong: NDArray[np.bool_]) -> Figure:
         axes.margins(0.12)
         heading(axes, name)
     axes = grid[0, 0]
+    axes.invert_xaxis()
     axes.plot([], [], "o", markersize=5, color=INK, markerfacecolor="none", label="where the encoders saw the tool")
     order = ("where the encoders saw the tool", "measured point", "does not fit to the others")
     legend(figure, axes, order)
-    figure.supxlabel(f"arrows {scale} times as long as they are" if scale > 1 else "arrows to scale", fontsize=FONT)
+    figure.supxlabel(
+        f"arrows {scale} times as long as they are" if scale > 1 else "arrows to scale", fontsize=FONT, color=INK
+    )
     return figure
 
 

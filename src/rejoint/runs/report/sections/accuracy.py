@@ -106,7 +106,10 @@ def _points(found: Calibration, measured: Measurements) -> Part:
         Row(
             cells=(
                 Cell(f"{i + 1}", f"posture {measured.posture[i] + 1}{', suspect' * (i in found.suspects)}"),
-                *(Cell(number(value * MM, 4)) for value in _in_base(found, measured)[i]),
+                *(
+                    Cell(f"{value * MM:.1f}" if np.isfinite(value) else UNKNOWN)
+                    for value in _in_base(found, measured)[i]
+                ),
                 Cell(number(before * MM, 2), interval(hidden[0][i], hidden[1][i], 2, factor=MM)),
                 Cell(number(after * MM, 2), interval(remains[0][i], remains[1][i], 2, factor=MM)),
             )
