@@ -31,7 +31,8 @@ def corrected_homing(source: Path, arm: Arm, offset: Array) -> tuple[dict[str, A
     """Return a calibration of LeRobot with the zeros of ``arm`` corrected, and by how many counts each changed.
 
     ``offset`` (n,) [rad] is what is to be added to what the encoders say. Motors that are no joint of the arm, such as
-    a gripper's, stay as they are. FileError where ``source`` is no calibration, InputError where a servo cannot hold it.
+    a gripper's, stay as they are. FileError where ``source`` is no calibration, InputError where a servo cannot
+    hold it.
     """
     motors = _read(source)
     columns = match_joints(list(motors), arm, ImportOptions(), source, "calibration").columns

@@ -89,7 +89,7 @@ def _accuracy(contents: Contents) -> Table:
     )  # fmt: skip
     notes = (
         "As found: open loop, or with the arm's own controller. Repaired: with the controller recommended, at rest. "
-        "AP, RP and vAP after ISO 9283, which asks for 30 cycles and, for vAP, for three directions. n: targets, poses, "
+        "AP, RP and vAP after ISO 9283, which asks for 30 cycles, and three directions for vAP. n: targets, poses, "
         "postures or points.",
     )
     return Table(caption="Accuracy", headers=("quantity", "mm", "95 % interval", "n", "how"), rows=rows, notes=notes)

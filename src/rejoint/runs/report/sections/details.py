@@ -26,6 +26,8 @@ LEARNERS = ("sac", "td3", "ddpg")
 _FILES = (
     ("run.json", "robot, arm, seed"),
     ("diagnosis.json", "what is wrong with the arm, per joint"),
+    ("measurements.parquet", "where the tool was seen from outside"),
+    ("calibration.toml", "what lies behind the encoders, and where to aim because of it"),
     ("twin.toml", "the identified twin with its intervals"),
     ("judgement.json", "that twin and others judged on motion that no fit has seen"),
     ("policy.onnx", "the trained policy with its contract"),
