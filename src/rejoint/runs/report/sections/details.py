@@ -149,7 +149,15 @@ def _asked(contents: Contents) -> str:
     info, comparison = contents.info, contents.comparison
     if info is None or comparison is None or comparison.robot != info.robot or comparison.seed != info.seed:
         return ""
-    return _options(comparison)
+    return f"{_options(comparison)}{_measured(contents, info.robot)}"
+
+
+def _measured(contents: Contents, robot: str) -> str:
+    """Return the option of `rejoint repair` that says what measured the tool, where it is not what it does anyway."""
+    found, virtual = contents.calibration, not once(robot)
+    if found is None:
+        return " --calibrate none" if virtual else ""
+    return "" if virtual else f" --calibrate {'tracker=FILE' if found.source == 'tracker' else found.source}"
 
 
 def _options(comparison: Comparison) -> str:
