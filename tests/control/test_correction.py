@@ -133,7 +133,7 @@ def test_a_deployment_counts_targets_by_the_aim_and_tells_the_true_error():
     robot = PerfectServos(displacement, count=1)
     _, found = deploy(robot, DefaultController(ARM), job, correction=Modelled(ARM, displacement))
     assert not found.missed
-    assert max(visit.true_error for visit in found.visits) < 0.4e-3
+    assert max(visit.true_error.value for visit in found.visits) < 0.4e-3
     assert max(visit.error for visit in found.visits) < 0.4e-3
 
 

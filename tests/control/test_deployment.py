@@ -43,7 +43,7 @@ def test_a_target_counts_where_the_encoders_say_so_at_the_end():
     assert done.gaps == ()
     assert done.period == pytest.approx(0.025, abs=0.003)
     assert all(0.0 < visit.error < 0.003 for visit in done.visits)
-    assert all(visit.true_error > 0.003 for visit in done.visits), "the emulator knows that the tool is elsewhere"
+    assert all(visit.true_error.value > 0.003 for visit in done.visits), "the emulator knows that the tool is elsewhere"
     assert done.visits[0].remark == ""
     strict = judge(ARM, recording, job(NEAR, within=1e-5))
     assert strict.missed == (1, 2)

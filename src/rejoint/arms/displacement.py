@@ -73,6 +73,15 @@ class Displacement:
         side = side - self.carry * (1.0 - side**2) * direction(position, approach)
         return np.asarray(position + self.offset - self.compliance * torque - 0.5 * self.play * side)
 
+    def rigid(self, arm: Arm, position: Array) -> Displacement:
+        """Return what of it links without play and flex have: their mean over ``position`` (M, n) goes to `offset`.
+
+        A joint that weight always presses to the same side stands off by about as much everywhere, so that this is most
+        of it.
+        """
+        shift = (self.joints(arm, position) - position).mean(axis=0)
+        return replace(self, offset=shift, compliance=np.zeros(arm.joints), play=np.zeros(arm.joints))
+
     def moved(self, arm: Arm) -> Arm:
         """Return the arm with its links as they are: the same but for `twist`."""
         if not self.twist.any():

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from contextlib import ExitStack
+from contextlib import ExitStack, nullcontext
 from pathlib import Path
 from typing import Annotated
 
@@ -13,6 +13,8 @@ import rejoint
 from rejoint.cli import options as opt
 from rejoint.cli import show
 from rejoint.cli.console import Terminal
+from rejoint.cli.measuring import gauge_by_word
+from rejoint.diagnosis.calibration.gauges import TouchGauge
 from rejoint.runs.run import Run, newest_or_new
 from rejoint.system.errors import UnsavedError
 from rejoint.system.extras import require
@@ -38,6 +40,7 @@ def repair(
     preset: opt.Preset = "default",
     targets: opt.Targets = None,
     controllers: opt.Controllers = "all",
+    calibrate: opt.Calibrate = None,
     sets: Annotated[int | None, typer.Option(help="Target sets to compare on (3 emulated, 1 real).", min=1)] = None,
     repetitions: Annotated[int | None, typer.Option(help="Repetitions of each (2 emulated, 1 real).", min=1)] = None,
     period: opt.Period = None,
@@ -57,27 +60,33 @@ def repair(
     path, resumed = (run, run.exists()) if run else newest_or_new(robot, chosen, seed)
     job = Run.plan(path, robot, chosen, seed)
     terminal.say(f"{'Going on with' if resumed else 'Starting'} the repair of {robot} in {path}")
-    with _Narrator(terminal) as narrator:
+    gauge = gauge_by_word(terminal, robot, calibrate, seed)
+    with _Narrator(terminal, asking=isinstance(gauge, TouchGauge)) as narrator:
         found = rejoint.repair(
             robot, run=job, preset=preset, controllers=opt.controller_names(controllers), targets=targets, sets=sets,
-            repetitions=repetitions, period=opt.period_seconds(period), quick=quick,
+            repetitions=repetitions, period=opt.period_seconds(period), quick=quick, gauge=gauge,
             on_stage=narrator.tell, on_progress=narrator.progress,
         )  # fmt: skip
     page = Path(os.path.relpath(found.page))
     if quick:
         terminal.say("A quick try: little of everything was done, so none of this is a result.")
-    show.verdict(terminal, found.diagnosis, found.comparison, found.recommendation)
+    from rejoint.runs.report.contents import read_contents
+    from rejoint.runs.report.errors import before_after
+
+    errors = before_after(read_contents(path), found.recommendation.controller)
+    show.verdict(terminal, errors)
     terminal.result(str(page))
     terminal.finish({
         "run": str(path), "recommended": found.recommendation, "policy": str(job.folder.policy), "report": str(page),
+        "errors": errors,
     })  # fmt: skip
 
 
 class _Narrator:
     """Shows the stages of a repair as they come: a heading, a bar while one lasts, and its result."""
 
-    def __init__(self, terminal: Terminal) -> None:
-        self._terminal, self._bar = terminal, ExitStack()
+    def __init__(self, terminal: Terminal, *, asking: bool) -> None:
+        self._terminal, self._bar, self._asking = terminal, ExitStack(), asking
         self._stage: rejoint.Stage | None = None
         self._update: Progress = no_progress
 
@@ -98,7 +107,9 @@ class _Narrator:
         if stage.state == "kept":
             self._terminal.say(f"already done, as it was asked for then: {stage.file}")
         if stage.state == "started":
-            self._stage, self._update = stage, self._bar.enter_context(self._terminal.progress(doing))
+            asking = self._asking and stage.name == "calibrate"  # a bar would write over the questions
+            bar = nullcontext(no_progress) if asking else self._terminal.progress(doing)
+            self._stage, self._update = stage, self._bar.enter_context(bar)
         else:
             show.stage(self._terminal, stage.name, stage.result)
 

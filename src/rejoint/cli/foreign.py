@@ -56,16 +56,35 @@ def import_(
 
 
 def export(
-    log: Annotated[Path, typer.Argument(help="Run log (.parquet).")],
-    out: Annotated[Path, typer.Argument(help="File to write: .csv, or .mcap for PlotJuggler, Foxglove and Rerun.")],
+    source: Annotated[
+        Path, typer.Argument(help="Run log (.parquet), or with --format a run folder.", metavar="SOURCE")
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Argument(help="File to write: of a log .csv, or .mcap for PlotJuggler, Foxglove and Rerun."),
+    ] = None,
+    kind: Annotated[
+        str | None,
+        typer.Option("--format", help="Of a run: urdf (this unit), lerobot (its zeros) or datasheet (a page)."),
+    ] = None,
+    lerobot: Annotated[Path | None, typer.Option(help="Calibration file of LeRobot whose zeros to correct.")] = None,
     json: Json = False,
 ) -> None:
-    """Write a run log as CSV or MCAP.
+    """Write a run log as CSV or MCAP, or what a run has found out as a URDF, LeRobot's calibration, or a data sheet.
 
-    Example: `rejoint export runs/mine/logs/excitation.parquet excitation.mcap`
+    Example: `rejoint export runs/mine/logs/excitation.parquet excitation.mcap`, or
+    `rejoint export runs/mine --format urdf`
     """
     terminal = Terminal(json=json)
-    export_log(read_log(log), out)
+    if kind is not None or lerobot is not None:
+        from rejoint.runs.exports import export_run
+
+        out, told = export_run(source, kind or "lerobot", out, lerobot=lerobot)
+        terminal.say(told)
+    elif out is None:
+        raise InputError("export takes a run log and a file to write, or a run folder and --format")
+    else:
+        export_log(read_log(source), out)
     terminal.result(str(out))
     terminal.finish({"out": str(out)})
 

@@ -18,6 +18,7 @@ from rejoint.diagnosis.calibration.gauges import EmulatedGauge, Gauge, Stop, Tou
 from rejoint.diagnosis.calibration.measurementfile import read_measurements
 from rejoint.diagnosis.calibration.measurements import NOISE
 from rejoint.robots import place_of
+from rejoint.runs.given import NO_GAUGE, GaugeLike
 from rejoint.runs.run import Run
 from rejoint.runs.stages.calibrate import POINTS
 from rejoint.system.errors import InputError
@@ -94,6 +95,18 @@ def calibrate(
 
 SECONDS = 4.0
 """[s] of the arm for one measurement (measured over the wire of a myCobot 280, see docs/true-accuracy.md)"""
+
+
+def gauge_by_word(terminal: Terminal, robot: str, word: str | None, seed: int) -> GaugeLike | None:
+    """Return what ``touch``, ``tracker=FILE`` or ``none`` stands for; None for no word, so that the robot decides."""
+    kind, _, file = (word or "").partition("=")
+    if word is None or word == NO_GAUGE:
+        return None if word is None else NO_GAUGE
+    if (kind, bool(file)) not in (("touch", False), ("tracker", True)):
+        raise InputError(f"--calibrate {word!r}: expected touch, tracker=FILE or none")
+    tracker = Path(file) if file else None
+    frame = "tracker" if file else "base"
+    return _gauge(terminal, robot, seed, frame, "mm", NOISE, touch=kind == "touch", tracker=tracker)
 
 
 def _gauge(

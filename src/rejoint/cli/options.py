@@ -42,6 +42,14 @@ Calibration = Annotated[
     str | None,
     typer.Option(help="calibration.toml to correct by, or none; by default that of the run, see `rejoint calibrate`."),
 ]
+Calibrate = Annotated[
+    str | None,
+    typer.Option(
+        "--calibrate",
+        help="What measures the tool: touch, tracker=FILE or none. By default an emulated arm tells, and a real one is "
+        "not calibrated.",
+    ),
+]
 Targets = Annotated[Path | None, typer.Option(help="CSV file of targets in mm with the header x,y,z.")]
 Controllers = Annotated[
     str, typer.Option(help="Comma-separated controllers, or 'all'. The policy takes part where there is one.")

@@ -9,12 +9,12 @@ import numpy as np
 from rejoint.cli.console import Terminal
 from rejoint.control.comparison.failure import failure
 from rejoint.control.comparison.recommend import Recommendation
-from rejoint.control.comparison.result import Comparison
-from rejoint.control.default import DefaultController
+from rejoint.control.comparison.result import Comparison, PoseAccuracy
 
 if TYPE_CHECKING:
     from rejoint.control.deployment import Deployed
     from rejoint.diagnosis.diagnosis import Diagnosis
+    from rejoint.runs.report.errors import BeforeAfter
     from rejoint.runs.stages.calibrate import Calibrated
     from rejoint.training.train import TrainingResult
     from rejoint.twin.twin import Twin
@@ -43,6 +43,11 @@ def diagnosis(terminal: Terminal, result: Diagnosis) -> None:
         terminal.say(f"  - {finding.sentence}")
     for limit in result.unseen:
         terminal.say(f"  ? {limit}")
+    if result.open_loop is not None:
+        terminal.say(
+            f"Open loop: {result.open_loop.error_mm.value:.1f} mm off by the encoders; the tool itself: "
+            f"{result.open_loop.true_error}."
+        )
 
 
 def twin(terminal: Terminal, result: Twin) -> None:
@@ -105,27 +110,30 @@ def comparison(terminal: Terminal, result: Comparison, advice: Recommendation) -
     for line in filter(None, map(failure, result.rows)):
         if not any(line in reason for reason in advice.why):
             terminal.result(f"  ! {line}")
+    best = result.row(advice.controller).hold
+    shown = [
+        _poses(what, one) for what, one in (("by the encoders", best.poses), ("of the tool", best.poses_true)) if one
+    ]
+    if shown:
+        cycles = best.poses.cycles if best.poses is not None else 0
+        terminal.result(
+            f"ISO 9283 with {advice.controller}, {plural(cycles, 'cycle')} (the norm asks for 30): {'; '.join(shown)}."
+        )
     tie = f" (a tie with {', '.join(advice.tied)})" if advice.tied else ""
     terminal.result(f"Recommended: {advice.controller}{tie}")
     for reason in advice.why:
         terminal.result(f"  - {reason}")
 
 
-def verdict(terminal: Terminal, before: Diagnosis, result: Comparison, advice: Recommendation) -> None:
+def _poses(what: str, found: PoseAccuracy) -> str:
+    again = "not known" if found.repeatability is None else f"{1e3 * found.repeatability.mean.value:.2f} mm"
+    return f"{what} AP {1e3 * found.accuracy.mean.value:.2f} mm, RP {again}"
+
+
+def verdict(terminal: Terminal, result: BeforeAfter | None) -> None:
     """Print what the whole repair came to."""
-    settled = result.row(advice.controller).hold.settled
-    own = result.row(DefaultController.name).hold.settled if DefaultController.name in result.controllers else None
-    if own is not None:  # on the very targets of the comparison
-        earlier = 1e3 * own.mean.value
-    elif before.open_loop is not None:
-        earlier = before.open_loop.error_mm.value
-    else:
-        return
-    if settled is not None:
-        terminal.result(
-            f"Before: {earlier:.1f} mm off. After, with '{advice.controller}': {1e3 * settled.mean.value:.2f} mm "
-            "(both by the arm's own encoders)."
-        )
+    if result is not None and result.sentence:
+        terminal.result(result.sentence)
 
 
 def deployment(terminal: Terminal, within: float, done: Deployed) -> None:
@@ -133,12 +141,14 @@ def deployment(terminal: Terminal, within: float, done: Deployed) -> None:
     rows = [
         [
             str(number), *(f"{1e3 * value:.1f}" for value in visit.target),
-            "-" if visit.error is None else f"{1e3 * visit.error:.2f}", "yes" if visit.reached else "no", visit.remark,
+            "-" if visit.error is None else f"{1e3 * visit.error:.2f}",
+            "-" if visit.error is None else str(visit.true_error), "yes" if visit.reached else "no", visit.remark,
         ]
         for number, visit in enumerate(done.visits, start=1)
     ]  # fmt: skip
-    title = f"Error at the end of each target (by the encoders; reached: within {1e3 * within:g} mm)"
-    terminal.table(title, ["target", "x mm", "y mm", "z mm", "error mm", "reached", ""], rows)
+    title = f"Errors at the end of each target (reached: within {1e3 * within:g} mm by the encoders)"
+    headers = ["target", "x mm", "y mm", "z mm", "encoder error mm", "true error of the tool", "reached", ""]
+    terminal.table(title, headers, rows)
     if done.missed:
         terminal.result(f"Not reached: {len(done.missed)} of {len(done.visits)} targets.")
     if done.gaps:

@@ -63,7 +63,9 @@ def diagnose(
         )
     show.stage(terminal, "diagnose", found)
     terminal.result(f"Next: rejoint identify {path}")
-    terminal.finish({"run": str(path), "diagnosis": found.diagnosis})
+    open_loop = found.diagnosis.open_loop
+    told = None if open_loop is None else open_loop.true_error
+    terminal.finish({"run": str(path), "diagnosis": found.diagnosis, "true_error": told})
 
 
 def identify(
@@ -174,7 +176,10 @@ def compare(
         )  # fmt: skip
     show.stage(terminal, "compare", found)
     terminal.result(f"Next: rejoint report {run}")
-    terminal.finish({"run": str(run), "recommended": found.recommendation, "comparison": found.comparison})
+    terminal.finish({
+        "run": str(run), "recommended": found.recommendation, "comparison": found.comparison,
+        "true_error": {row.controller: row.hold.true_error for row in found.comparison.rows},
+    })  # fmt: skip
 
 
 def deploy(

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, tcp_position
+from rejoint.control.accuracy import NOT_KNOWN, ToolModel, TrueError, mean_modelled, modelled
 from rejoint.control.comparison.result import Protocol
 from rejoint.control.contract import check_controller_period
 from rejoint.control.controller import Controller
@@ -58,8 +59,8 @@ class Visit:
     """[m]"""
     error: float | None
     """[m] encoder error at the end; None where the arm was not sent there"""
-    true_error: float | None
-    """[m] error of the tool itself at the end; None where nobody knows"""
+    true_error: TrueError
+    """error of the tool itself at the end, and how it is known"""
     reached: bool
     remark: str
     """why it was not reached, and what else is worth knowing; empty where there is nothing"""
@@ -85,13 +86,15 @@ class Deployed:
 
 def deploy(
     robot: Robot, controller: Controller, job: Deployment, *, limits: GuardLimits | None = None,
-    stance: Stance | None = None, correction: Correction | None = None, on_cycle: OnCycle | None = None,
+    stance: Stance | None = None, correction: Correction | None = None, model: ToolModel | None = None,
+    on_cycle: OnCycle | None = None,
 ) -> tuple[Recording, Deployed]:  # fmt: skip
     """Bring one arm to its rest posture, slowly, and then to the targets of ``job``.
 
     Raises what `run` raises, with what was done until then on the error, see `deployed_of`; ContractError where the
     measured control period does not suit a policy; NotReadyError where the arm had better not be driven, as where it
-    does not stand at rest as its ``stance`` says.
+    does not stand at rest as its ``stance`` says. Where nobody knows where the tool is, a ``model`` says how far it is
+    from its targets.
     """
     start = begin(robot, limits, stance)
     check_controller_period(controller, start.usual_period())
@@ -99,52 +102,62 @@ def deploy(
     recording = run(
         robot, controller, job.targets[None], schedule, limits=limits, correction=correction, on_cycle=on_cycle
     )
-    return recording, judge(robot.arm, recording, job)
+    return recording, judge(robot.arm, recording, job, model)
 
 
-def deployed_of(error: BaseException, arm: Arm, job: Deployment) -> Deployed | None:
+def deployed_of(error: BaseException, arm: Arm, job: Deployment, model: ToolModel | None = None) -> Deployed | None:
     """Return what a deployment that ``error`` ended has done; None if it ended before the first target."""
     partial = recording_of(error)
     if partial is None or not len(partial.time) or not np.isfinite(partial.target).any():
         return None
-    return judge(arm, partial, job, ended=error)
+    return judge(arm, partial, job, model, ended=error)
 
 
-def judge(arm: Arm, recording: Recording, job: Deployment, *, ended: BaseException | None = None) -> Deployed:
+def judge(
+    arm: Arm, recording: Recording, job: Deployment, model: ToolModel | None = None, *,
+    ended: BaseException | None = None,
+) -> Deployed:  # fmt: skip
     """Say what became of each target; ``ended`` is what ended the recording early."""
     rows = np.flatnonzero(recording.active[:, 0])
     error = np.linalg.norm(recording.aim[:, 0] - tcp_position(arm, recording.position[:, 0]), axis=-1)
-    true_error = np.linalg.norm(recording.target[:, 0] - recording.true_tcp[:, 0], axis=-1)
     gap = recording.gaps()
     visits = []
     for k, target in enumerate(job.targets):
         own = rows[recording.target_index[rows, 0] == k]
         last = ended is not None and k == int(recording.target_index[rows[-1], 0])
-        visits.append(_visit(target, job, own, recording.reasons[own, 0], error, true_error, gap, ended=last))
+        visits.append(_visit(target, job, own, recording, error, gap, model, ended=last))
     lengths = tuple(float(value) for value in gap[gap > 0.0])
     period = recording.usual_period()
     return Deployed(visits=tuple(visits), period=period if np.isfinite(period) else None, gaps=lengths)
 
 
 def _visit(
-    target: Array, job: Deployment, rows: Rows, reasons: Reasons, error: Array, true_error: Array, gap: Array, *,
-    ended: bool,
+    target: Array, job: Deployment, rows: Rows, recording: Recording, error: Array, gap: Array,
+    model: ToolModel | None, *, ended: bool,
 ) -> Visit:  # fmt: skip
     x, y, z = (float(value) for value in target)
     if not len(rows):
-        return Visit(target=(x, y, z), error=None, true_error=None, reached=False, remark="not tried")
-    end, true = float(error[rows[-1]]), float(true_error[rows[-1]])
+        return Visit(target=(x, y, z), error=None, true_error=NOT_KNOWN, reached=False, remark="not tried")
+    end = float(error[rows[-1]])
     reached = end < job.within and not ended
     remarks = ["ended early"] if ended else []
     if not reached and not ended:
-        remarks.append(f"still {1e3 * end:.0f} mm off after {job.dwell:g} s{_held_back(reasons)}")
+        remarks.append(f"still {1e3 * end:.0f} mm off after {job.dwell:g} s{_held_back(recording.reasons[rows, 0])}")
     paused = float(gap[rows].max(initial=0.0))
     if paused > 0.0:
         remarks.append(f"no answers for {paused:.1f} s")
     return Visit(
-        target=(x, y, z), error=end, true_error=true if np.isfinite(true) else None, reached=reached,
+        target=(x, y, z), error=end, true_error=_true_error(recording, int(rows[-1]), target, model), reached=reached,
         remark="; ".join(remarks),
     )  # fmt: skip
+
+
+def _true_error(recording: Recording, row: int, target: Array, model: ToolModel | None) -> TrueError:
+    """Tell how far the tool is from ``target`` (3,) [m] in a row."""
+    true = float(np.linalg.norm(target - recording.true_tcp[row, 0]))
+    if np.isfinite(true):
+        return TrueError(how="known", value=true)
+    return NOT_KNOWN if model is None else mean_modelled(modelled(model, recording.position[row], target[None]))
 
 
 def _held_back(reasons: Reasons) -> str:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Arm, tcp_position
+from rejoint.control.accuracy import NOT_KNOWN, ToolModel, TrueError, mean_modelled, modelled
 from rejoint.diagnosis.regression import mean_of
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
@@ -53,6 +54,11 @@ class OpenLoop:
     hidden_mm: float | None
     """mean distance between the tool and where the encoders put it; None where nobody knows"""
 
+    @property
+    def true_error(self) -> TrueError:
+        """Mean true error over the targets, and how it is known."""
+        return NOT_KNOWN if self.true_error_mm is None else TrueError.of("known", self.true_error_mm, unit=1e-3)
+
 
 def settled_rows(log: RunLog) -> list[NDArray[np.intp]]:
     """Find the rows of the last second of every target of a log, in order; InputError if it has no targets."""
@@ -90,3 +96,10 @@ def open_loop_errors(arm: Arm, log: RunLog) -> OpenLoop:
         true_error_mm=mean_of(np.array(truth)) if truth else None,
         hidden_mm=float(np.mean(hidden)) if truth else None,
     )
+
+
+def modelled_errors(log: RunLog, model: ToolModel) -> TrueError:
+    """Return the mean true error of an open-loop run by what was found out later about the arm."""
+    rows = settled_rows(log)
+    position = np.stack([log.position[part].mean(axis=0) for part in rows])
+    return mean_modelled(modelled(model, position, np.stack([log.target[part[0]] for part in rows])))

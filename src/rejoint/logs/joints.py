@@ -23,7 +23,7 @@ _SO101_NAMES = {
 Source: the URDFs in TheRobotStudio/SO-ARM100, folders ``Simulation/SO100`` and ``Simulation/SO101``.
 """
 
-_COUNTS_PER_TURN = 4096
+COUNTS_PER_TURN = 4096
 """Positions of the 12-bit encoder in a turn. Source: Feetech STS3215 datasheet."""
 
 _NORMALISED_LIMIT = 101.0
@@ -119,4 +119,4 @@ def _half_ranges(path: Path, arm: Arm, options: ImportOptions) -> Array:
         ) from error  # fmt: skip
     names = list(spans)
     counts = [spans[names[column]] for column in match_joints(names, arm, options, path, "calibration").columns]
-    return np.array(counts, dtype=float) * np.pi / _COUNTS_PER_TURN
+    return np.array(counts, dtype=float) * np.pi / COUNTS_PER_TURN

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias, cast
+from typing import TYPE_CHECKING, Literal, TypeAlias, cast
 
 import numpy as np
 
@@ -24,6 +24,7 @@ from rejoint.system.errors import FileError, InputError
 if TYPE_CHECKING:
     from rejoint.control.policy import Policy
     from rejoint.diagnosis.calibration.calibration import Calibration
+    from rejoint.diagnosis.calibration.gauges import Gauge
     from rejoint.twin.twin import Twin
 
 ArmLike: TypeAlias = "Arm | str | Path"
@@ -39,6 +40,11 @@ TwinLike: TypeAlias = "Twin | Path | str"
 PolicyLike: TypeAlias = "Policy | Path | str"
 CalibrationLike: TypeAlias = "Calibration | Path | str"
 """A calibration, its file, or ``none`` for no correction"""
+GaugeLike: TypeAlias = "Gauge | Literal['none']"
+"""What measures the tool, or ``none`` where nothing is to"""
+
+NO_GAUGE: Literal["none"] = "none"
+
 RunLike: TypeAlias = "Run | Path | str"
 """A run, or its folder"""
 

@@ -13,7 +13,9 @@ from rejoint.control.comparison.result import Comparison
 from rejoint.control.comparison.targets import draw_targets
 from rejoint.runs.given import (
     FIRST_ROBOT,
+    NO_GAUGE,
     ArmLike,
+    GaugeLike,
     Period,
     RobotLike,
     RunLike,
@@ -38,7 +40,6 @@ from rejoint.system.progress import Progress, no_progress, paced, part
 
 if TYPE_CHECKING:
     from rejoint.control.policy import Policy
-    from rejoint.diagnosis.calibration.gauges import Gauge
     from rejoint.diagnosis.diagnosis import Diagnosis
     from rejoint.training.presets import Preset
     from rejoint.twin.twin import Twin
@@ -132,7 +133,7 @@ def repair(
     period: Period | None = None,
     seed: int | None = None,
     quick: bool = False,
-    gauge: Gauge | None = None,
+    gauge: GaugeLike | None = None,
     on_progress: Progress = no_progress,
     on_stage: OnStage | None = None,
 ) -> Repaired:
@@ -164,8 +165,8 @@ def repair(
     quick
         do little of everything, to see in a minute whether all of it works; no result
     gauge
-        what measures the tool, as for `calibrate`; by default an emulated arm tells by itself, and a real one is not
-        calibrated
+        what measures the tool, as for `calibrate`, or ``none``: nothing is measured, and nothing corrected; by default
+        an emulated arm tells by itself, and a real one is not calibrated
     on_progress
         called with the share that is done, each of the stages counting the same, and what is being done
     on_stage
@@ -200,10 +201,12 @@ def repair(
     if targets is not None:  # what the arm cannot reach is known now, not after the training
         as_targets(targets, chosen, sets=1, seed=0)
     emulated = is_batchable(robot)
-    chain = _Chain(about.begin(), on_stage, on_progress, measured=emulated or gauge is not None)
+    measured = gauge != NO_GAUGE and (emulated or gauge is not None)
+    meter = None if gauge == NO_GAUGE else gauge
+    chain = _Chain(about.begin(), on_stage, on_progress, measured=measured)
     found = chain.run
     chain.do("diagnose", lambda update: diagnose(robot, run=found, period=period, quick=quick, on_progress=update))
-    chain.do("calibrate", lambda update: calibrate(robot, run=found, gauge=gauge, period=period, on_progress=update))
+    chain.do("calibrate", lambda update: calibrate(robot, run=found, gauge=meter, period=period, on_progress=update))
     chain.do("identify", lambda update: identify(run=found, quick=quick, on_progress=update))
     chain.do("train", lambda update: train(run=found, preset=preset, quick=quick, on_progress=update))
     few = (1, 1) if quick or not emulated else (3, 2)
@@ -211,7 +214,7 @@ def repair(
         targets = draw_targets(found.arm, sets=1, count=QUICK_TARGETS, seed=found.seed)
     chain.do("compare", lambda update: compare(
         robot, controllers, targets, run=found, sets=sets or few[0], repetitions=repetitions or few[1], period=period,
-        on_progress=update,
+        calibration=NO_GAUGE if gauge == NO_GAUGE else None, on_progress=update,
     ))  # fmt: skip
     chain.do("report", lambda _: report(found))
     finish(found)

@@ -28,7 +28,7 @@ class Silent(EmulatedGauge):
 class Mute(EmulatedGauge):
     """Measures nothing."""
 
-    def measure(self, robot, stop):
+    def measure(self, robot, stop):  # noqa: ARG002 - as every gauge
         return np.full(3, np.nan)
 
 
@@ -94,7 +94,7 @@ def test_a_calibrated_arm_hits_what_it_missed(tmp_path):
     targets = ARM.targets.sample(np.random.default_rng(8), (6,))
     plain = rejoint.deploy("emulated:worn?seed=5", "integrator", targets, run=run, calibration="none")
     aimed = rejoint.deploy("emulated:worn?seed=5", "integrator", targets, run=run)
-    error = [np.mean([visit.true_error for visit in done.visits]) for done in (plain, aimed)]
+    error = [np.mean([visit.true_error.value for visit in done.visits]) for done in (plain, aimed)]
     assert error[1] < 0.4 * error[0]
     assert plain.log.aim is None
     assert aimed.log.aim is not None

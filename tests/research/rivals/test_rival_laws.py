@@ -161,7 +161,16 @@ def test_the_cost_is_the_time_to_stay_and_the_settled_error():
     settings = TuningSettings(hold=3.0, settled_weight=2.0, settled_cap=0.010)
     stay = np.array([[1.0, np.inf, np.nan, 2.0]])
     settled = np.array([[0.5e-3, 4e-3, np.nan, 50e-3]])
-    holds = Holds(settled=settled, settled_true=settled, oscillation=settled, stay=stay[None])
+    none = np.full((1, 4, 3), np.nan)
+    holds = Holds(
+        settled=settled,
+        settled_true=settled,
+        oscillation=settled,
+        stay=stay[None],
+        away=none,
+        away_true=none,
+        modelled=np.full((3, 1, 4), np.nan),
+    )
     # late + 2 s/mm: 1 + 1; never within 3 s and 4 mm; stopped: the worst of both; 50 mm count as 10
     np.testing.assert_allclose(cost(holds, settings), [[2.0, 11.0, 23.0, 22.0]])
 

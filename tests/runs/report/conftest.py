@@ -6,9 +6,20 @@ import dataclasses
 
 import numpy as np
 import pytest
-from report_samples import TARGETS, estimate, joint_metrics, make_comparison, shown, trial_log, write_curves
+from report_samples import (
+    TARGETS,
+    estimate,
+    joint_metrics,
+    make_calibration,
+    make_comparison,
+    shown,
+    trial_log,
+    write_curves,
+)
 
 from rejoint.arms import load_arm
+from rejoint.diagnosis.calibration.file import write_calibration
+from rejoint.diagnosis.calibration.measurementfile import write_measurements
 from rejoint.diagnosis.diagnosis import Diagnosis
 from rejoint.diagnosis.healthy import load_healthy
 from rejoint.diagnosis.measurement import Measurement
@@ -107,6 +118,9 @@ def fill(folder, arm, diagnosis, twin, comparison):
     write_json(folder.diagnosis, diagnosis)
     write_twin(folder.twin, twin)
     write_json(folder.comparison, comparison)
+    calibration, measured = make_calibration(arm)
+    write_calibration(folder.calibration, calibration)
+    write_measurements(folder.measurements, arm, measured)
     write_curves(folder.outputs.curves)
     targets = np.array(comparison.targets[0])
     for name in comparison.controllers:

@@ -8,7 +8,7 @@ import numpy as np
 from markupsafe import Markup, escape
 
 from pages import Page
-from rejoint.arms import solve_position
+from rejoint.arms import Displacement, solve_position
 from rejoint.control.comparison.result import (
     Comparison,
     ControllerRow,
@@ -19,6 +19,9 @@ from rejoint.control.comparison.result import (
     Protocol,
     Stay,
 )
+from rejoint.diagnosis.calibration.calibration import Calibration
+from rejoint.diagnosis.calibration.measurements import Measurements
+from rejoint.diagnosis.calibration.parameters import Layout
 from rejoint.logs.runlog import RunLog
 from rejoint.runs.report.contents import read_contents
 from rejoint.runs.report.gallery import Gallery
@@ -97,6 +100,38 @@ def controller_row(name, seed, true_known):
             shape=shape, within=Protocol().within, stay=stay, stayed=tuple(tuple(1.0 for _ in s) for s in stay), **flat
         ),
     )  # fmt: skip
+
+
+def make_calibration(arm):
+    """A calibration of an arm with play, and the measurements, from both sides of four postures, behind it."""
+    rng, n = np.random.default_rng(5), arm.joints
+    found = dataclasses.replace(
+        Displacement.none(arm), offset=np.full(n, 0.004), compliance=np.full(n, 0.01), play=np.full(n, 0.02)
+    )
+    position = np.repeat(arm.rest + rng.uniform(-0.6, 0.6, (4, n)), 2, axis=0)
+    point = found.tool(arm, position) + rng.normal(0.0, 1e-3, (8, 3))
+    measured = Measurements(
+        position=position, approach=position, point=point, sigma=np.full(8, 0.5e-3), posture=np.arange(8) // 2
+    )
+    left_out = np.stack([rng.uniform(6e-3, 9e-3, 8), rng.uniform(0.5e-3, 2e-3, 8)], axis=-1)
+    before, after = left_out.mean(axis=0)
+    calibration = Calibration(
+        arm=arm,
+        displacement=found,
+        covariance=1e-6 * np.eye(Layout(joints=n).size),
+        frame=np.eye(4),
+        frame_name="base",
+        source="touch",
+        date="2026-11-20T07:30:00",
+        points=8,
+        before=before,
+        after=after,
+        used=True,
+        floor=1e-3,
+        suspects=(5,),
+        left_out=left_out,
+    )
+    return calibration, measured
 
 
 def make_comparison(arm, names=tuple(SETTLED), *, true_known=True):

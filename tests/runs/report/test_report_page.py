@@ -109,7 +109,7 @@ def test_missing_stages_are_named(tmp_path, diagnosis):
     words = Page(write_report(tmp_path)).words
     for missing in (
         "The controllers have not been compared yet", "No run log of a trial is here yet",
-        "No twin has been identified yet", "No policy has been trained yet",
+        "No twin has been identified yet", "No policy has been trained yet", "Nobody has measured where the tool is",
     ):  # fmt: skip
         assert words.count(missing) == 2, "once on top and once in its section"
     assert "The arm has not been diagnosed yet" not in words
@@ -123,7 +123,7 @@ def test_what_is_to_be_done_stands_in_the_order_of_doing(tmp_path, diagnosis):
     write_json(folder.diagnosis, diagnosis)
     text = write_report(tmp_path).read_text(encoding="utf-8")
     told = text[text.index("What is still to be done") :]
-    places = [told.index(f"rejoint {stage}") for stage in ("identify", "train", "compare")]
+    places = [told.index(f"rejoint {stage}") for stage in ("calibrate", "identify", "train", "compare")]
     assert places == sorted(places)
 
 

@@ -8,12 +8,13 @@ from itertools import pairwise
 import numpy as np
 import pytest
 import report_samples
-from report_samples import make_comparison
+from report_samples import make_calibration, make_comparison
 
 from pages import Page
 from rejoint.cli.options import controller_names, period_seconds
 from rejoint.control.comparison.recommend import NO_INTERVAL, recommend
 from rejoint.control.comparison.result import Comparison, Ended
+from rejoint.diagnosis.calibration.file import write_calibration
 from rejoint.runs.folder import RunFolder, RunInfo
 from rejoint.runs.report.contents import read_contents
 from rejoint.runs.report.numerals import interval
@@ -55,8 +56,9 @@ def test_what_needs_no_option_gets_none(tmp_path, arm):
     assert lines["compare"].line == (
         f"rejoint compare emulated:worn {tmp_path} --sets 2 --repetitions 3 --controllers default"
     )
+    # an emulated arm would be calibrated otherwise, and this one was not
     assert lines["repair"].line == (
-        "rejoint repair emulated:worn --sets 2 --repetitions 3 --controllers default --seed 0"
+        "rejoint repair emulated:worn --sets 2 --repetitions 3 --controllers default --calibrate none --seed 0"
     )
 
 
@@ -166,3 +168,23 @@ def test_failures_are_told_in_one_sentence_each(tmp_path, arm, diagnosis):
     cells = next(row for row in page.rows if row and row[0].startswith("default"))
     assert cells[-1].startswith("stopped: missed 3 targets in a row")
     assert "None" not in page.words
+
+
+@pytest.mark.parametrize(
+    ("robot", "source", "option"),
+    [
+        ("emulated:worn", "touch", ""), ("tcp://10.0.0.1:9000", "touch", " --calibrate touch"),
+        ("tcp://10.0.0.1:9000", "tracker", " --calibrate tracker=FILE"),
+    ],
+)  # fmt: skip
+def test_what_measured_the_tool_is_named_where_the_robot_does_not_tell(tmp_path, arm, robot, source, option):
+    folder = RunFolder(tmp_path)
+    own = dataclasses.replace(make_calibration(arm)[0], source=source)
+    write_calibration(folder.calibration, own)
+    comparison = dataclasses.replace(make_comparison(arm, ("default",)), robot=robot, calibration=own.date)
+    lines = made(folder, comparison, seed=0, robot=robot)
+    assert lines["repair"].line.endswith(f"--controllers default{option} --seed 0")
+    assert lines["calibrate"].line == f"rejoint calibrate {robot} {tmp_path}{'' if option == '' else ' --touch'}"
+    assert "--calibration" not in lines["compare"].line
+    plain = made(folder, dataclasses.replace(comparison, calibration=""), seed=0, robot=robot)
+    assert " --calibration none" in plain["compare"].line

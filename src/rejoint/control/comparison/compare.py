@@ -14,6 +14,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from rejoint.arms import Arm, Array
+from rejoint.control.accuracy import ToolModel
 from rejoint.control.comparison.driven import Driven, Places, measure
 from rejoint.control.comparison.elimination import Elimination, Watched
 from rejoint.control.comparison.ledger import Ledger
@@ -101,6 +102,7 @@ def compare(
     limits: GuardLimits | None = None,
     stance: Stance | None = None,
     correction: MakeCorrection | None = None,
+    model: ToolModel | None = None,
 ) -> Comparison:
     """Compare ``controllers`` by name on ``targets`` (S, K, 3) [m].
 
@@ -108,7 +110,8 @@ def compare(
     comparison, as does an error of the robot. A command that is not a number costs its controller the trial in both.
     What is done already by the ``ledger`` is not driven again. ``limits`` are the guard's, by default those of the arm.
     A single arm that does not stand at rest as its ``stance`` says is not driven: NotReadyError.
-    A ``correction`` aims for all controllers alike.
+    A ``correction`` aims for all controllers alike. Where nobody knows where the tool is, a ``model`` says how far it
+    is from its targets.
     """
     targets = np.asarray(targets, dtype=float)
     if targets.ndim != 3 or targets.shape[2] != 3 or 0 in targets.shape or not np.isfinite(targets).all():
@@ -119,7 +122,7 @@ def compare(
     session = _TrialRunner(
         open_robot=open_robot, controllers=dict(controllers), targets=targets, settings=settings, shape=shape,
         tallies={name: Tally(shape, settings.protocol) for name in controllers},
-        ledger=ledger or Ledger.nowhere(), limits=limits, stance=stance, correction=correction,
+        ledger=ledger or Ledger.nowhere(), limits=limits, stance=stance, correction=correction, model=model,
         progress=_Targets(on_progress, len(controllers) * len(KINDS) * int(np.prod(shape))), on_trial=on_trial,
     )  # fmt: skip
     robot = session.run_batched() if settings.batched else session.run_interleaved()
@@ -140,6 +143,7 @@ class _TrialRunner:
     limits: GuardLimits | None
     stance: Stance | None
     correction: MakeCorrection | None
+    model: ToolModel | None
     progress: _Targets
     on_trial: OnTrial | None
     left_out: list[str] = field(default_factory=list)
@@ -207,7 +211,7 @@ class _TrialRunner:
                 self.on_trial(trial)
         driven = measure(
             robot.arm, recording, targets, self.settings.protocol, controller=name, kind=kind, places=places,
-            failed=failed,
+            failed=failed, model=self.model,
         )  # fmt: skip
         return driven, recording
 

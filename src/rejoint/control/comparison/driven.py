@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rejoint.arms import Arm, Array
+from rejoint.control.accuracy import ToolModel
 from rejoint.control.comparison.protocols import Crossings, Holds, Kind, measure_crossings, measure_holds
 from rejoint.control.comparison.result import Ended, Protocol
 from rejoint.control.guard import Reason, reason_names
@@ -44,7 +45,7 @@ class Driven:
 
 def measure(
     arm: Arm, recording: Recording, targets: Array, protocol: Protocol, *, controller: str, kind: Kind, places: Places,
-    failed: bool = False,
+    failed: bool = False, model: ToolModel | None = None,
 ) -> Driven:  # fmt: skip
     """Measure a recording of a protocol with ``targets`` (B, K, 3) [m], one arm per trial in ``places``."""
     crossing = kind == "crossing"
@@ -52,7 +53,7 @@ def measure(
     return Driven(
         controller=controller, kind=kind, places=places, failed=failed,
         crossings=measure_crossings(arm, recording, targets, protocol) if crossing else None,
-        holds=None if crossing else measure_holds(arm, recording, targets, protocol),
+        holds=None if crossing else measure_holds(arm, recording, targets, protocol, model),
         cycles=int(recording.active.sum()), ended=_ended(recording, kind, places),
         reasons={reason_names(reason)[0]: count for reason, count in counts.items() if count},
     )  # fmt: skip

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, tcp_position
+from rejoint.control.accuracy import ToolModel, modelled
 from rejoint.control.comparison.metrics import crossing, oscillation, settled, stay_time
 from rejoint.control.comparison.result import Protocol
 from rejoint.control.loop import Schedule
@@ -57,6 +58,9 @@ class Holds:
     """(B, K, 3) [m] mean place of the tool by the encoders less the aim, over the same time"""
     away_true: Array
     """(B, K, 3) [m] mean place of the tool itself less the target"""
+    modelled: Array
+    """(3, B, K) [m] true error by a model at the mean posture of the last part, and the ends of its interval; NaN where
+    there is none, or the true error is known"""
 
 
 def schedule(kind: Kind, protocol: Protocol, *, keep_going: bool, sent: Array | None = None) -> Schedule:
@@ -93,15 +97,22 @@ def measure_crossings(arm: Arm, recording: Recording, targets: Array, protocol: 
     return result
 
 
-def measure_holds(arm: Arm, recording: Recording, targets: Array, protocol: Protocol) -> Holds:
-    """Results of a recording of the hold protocol with ``targets`` (B, K, 3) [m]."""
+def measure_holds(
+    arm: Arm, recording: Recording, targets: Array, protocol: Protocol, model: ToolModel | None = None
+) -> Holds:
+    """Results of a recording of the hold protocol with ``targets`` (B, K, 3) [m].
+
+    Where nobody knows where the tool is, a ``model`` says how far it is from them.
+    """
     tcp = encoder_tcp(arm, recording)
     error, true_error = _errors(arm, recording, tcp)
     shape = targets.shape[:2]
     result = Holds(
         settled=_unknown(shape), settled_true=_unknown(shape), oscillation=_unknown(shape),
         stay=_unknown((len(protocol.within), *shape)), away=_unknown((*shape, 3)), away_true=_unknown((*shape, 3)),
+        modelled=_unknown((3, *shape)),
     )  # fmt: skip
+    posture = _unknown((*shape, arm.joints))
     for b, k, rows in _segments(recording, targets):
         since = recording.since_target[rows, b]
         if since[-1] < protocol.hold:
@@ -111,9 +122,13 @@ def measure_holds(arm: Arm, recording: Recording, targets: Array, protocol: Prot
         last = rows[since > since[-1] - protocol.window]
         result.away[b, k] = (tcp[last, b] - recording.aim[last, b]).mean(axis=0)
         result.away_true[b, k] = (recording.true_tcp[last, b] - recording.target[last, b]).mean(axis=0)
+        if np.isnan(result.away_true[b, k]).any():
+            posture[b, k] = recording.position[last, b].mean(axis=0)
         result.oscillation[b, k] = oscillation(since, tcp[rows, b], protocol.window)
         for w, within in enumerate(protocol.within):
             result.stay[w, b, k] = stay_time(since, error[rows, b], within)
+    if model is not None:
+        result.modelled[:] = modelled(model, posture, targets)
     return result
 
 

@@ -176,10 +176,12 @@ def _uncertain(row: ControllerRow, comparison: Comparison) -> bool:
 
 def _hidden(row: ControllerRow) -> tuple[str, ...]:
     """Say what the encoders do not see."""
-    true = row.hold.settled_true
-    if true is None:
-        return ("Where the tool really is was not measured: play and bending behind the encoders come on top.",)
-    return (f"The tool itself is {1e3 * true.mean.value:.1f} mm off: play and bending behind the encoders remain.",)
+    true = row.hold.true_error
+    if true.value is None:
+        return (f"Error of the tool itself: {true}. Play and bending behind the encoders come on top.",)
+    if true.how == "known":
+        return (f"The tool itself is {1e3 * true.value:.1f} mm off: play and bending behind the encoders remain.",)
+    return (f"The tool itself is off by {true}: what is left of play and bending behind the encoders.",)
 
 
 def _complexity(row: ControllerRow) -> tuple[int, str]:

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rejoint.arms import Array
+from rejoint.control.accuracy import NOT_KNOWN, TrueError
 from rejoint.system.errors import InputError
 from rejoint.system.statistics import Estimate, Spread
 
@@ -71,6 +72,15 @@ class HoldRow:
     """by the encoders; None in files of earlier versions"""
     poses_true: PoseAccuracy | None = None
     """of the tool itself; None where nobody knows it"""
+    settled_modelled: TrueError | None = None
+    """true error over the same time by a calibration of the arm; None where it is known, or there is no calibration"""
+
+    @property
+    def true_error(self) -> TrueError:
+        """Mean true error over the targets, and how it is known."""
+        if self.settled_true is not None:
+            return TrueError.of("known", self.settled_true.mean)
+        return self.settled_modelled or NOT_KNOWN
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -198,6 +208,8 @@ class Comparison:
     """[s] shortest and longest control period that was asked for; None: the robot's own"""
     left_out: tuple[str, ...] = ()
     """sentences: which controllers did not take part, and why"""
+    calibration: str = ""
+    """date of the calibration by which all controllers were aimed; empty where there was none"""
 
     def row(self, controller: str) -> ControllerRow:
         """Return the row of a controller; InputError names those there are."""

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Array
+from rejoint.control.accuracy import mean_modelled
 from rejoint.control.comparison import iso
 from rejoint.control.comparison.driven import Driven, Places
 from rejoint.control.comparison.result import (
@@ -34,6 +35,7 @@ class Tally:
         self.settled, self.settled_true, self.oscillation = _unknown(3, shape)
         self.stay = _unknown(len(protocol.within), shape)
         self.away, self.away_true = _unknown(2, (*shape, 3))
+        self.modelled = _unknown(3, shape)
         self.held = np.zeros(shape, dtype=bool)
         self.cycles, self.out = 0, ""
         self.ended: list[Ended] = []
@@ -52,6 +54,7 @@ class Tally:
             self.settled[at], self.settled_true[at] = held.settled, held.settled_true
             self.oscillation[at], self.stay[(slice(None), *at)] = held.oscillation, held.stay
             self.away[at], self.away_true[at] = held.away, held.away_true
+            self.modelled[(slice(None), *at)] = held.modelled
         self.cycles += driven.cycles
         self.ended += driven.ended
         for reason, cycles in driven.reasons.items():
@@ -96,6 +99,7 @@ class Tally:
             oscillation=spread(self.oscillation.ravel(), labels),
             poses=_pose_accuracy(self.away),
             poses_true=_pose_accuracy(self.away_true),
+            settled_modelled=mean_modelled(self.modelled) if np.isfinite(self.modelled).any() else None,
         )
 
     def _guard_counts(self) -> tuple[GuardCount, ...]:

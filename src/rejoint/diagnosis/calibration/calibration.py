@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -54,9 +54,11 @@ class Calibration:
     """[m] standard deviation of what this model does not explain, on each coordinate"""
     suspects: tuple[int, ...] = ()
     """rows of the measurements, from 0, that do not fit to the others"""
+    left_out: Array = field(default_factory=lambda: np.zeros((0, 2)))
+    """(M, 2) [m] errors ``before`` and ``after`` of each measured point; (0, 2) in files of earlier versions"""
 
     def __post_init__(self) -> None:
-        for name in ("covariance", "frame"):
+        for name in ("covariance", "frame", "left_out"):
             value = np.array(getattr(self, name), dtype=float)
             value.setflags(write=False)
             object.__setattr__(self, name, value)
@@ -96,12 +98,21 @@ class Calibration:
 
         Without a target: from where the encoders say that the tool is.
         """
+        ends = [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2]
+        low, high = np.quantile(self._distances(position, target, approach), ends, axis=-1)
+        return low, high
+
+    def expected(self, position: Array, target: Array | None = None, approach: Array | None = None) -> Array:
+        """Mean (...) [m] of the distance whose interval `interval` tells."""
+        return np.asarray(self._distances(position, target, approach).mean(axis=-1))
+
+    def _distances(self, position: Array, target: Array | None, approach: Array | None) -> Array:
+        """Draws (..., d) [m] of that distance."""
         target = tcp_position(self.arm, position) if target is None else target
         root = np.linalg.cholesky(self.spread(position))
         draws = np.random.default_rng(0).standard_normal((_DRAWS, 3))
         away = (self.tool(position, approach) - target)[..., None, :] + draws @ np.swapaxes(root, -1, -2)
-        low, high = np.quantile(np.linalg.norm(away, axis=-1), [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2], axis=-1)
-        return low, high
+        return np.linalg.norm(away, axis=-1)
 
     def sigma(self, position: Array) -> Array:
         """Root mean square (...) [m] of the distance of the tool from where this calibration says it is."""

@@ -77,6 +77,8 @@ def _document(calibration: Calibration) -> tomlkit.TOMLDocument:
     document.add("after", _length(calibration.after, "the same, each point predicted from the others"))
     document.add("used", tomlkit.item(calibration.used).comment("false: nothing is corrected"))
     document.add("floor", _length(calibration.floor, "standard deviation of a coordinate that nothing here explains"))
+    rows = _rows(calibration.left_out).comment("m, of each measured point: as before and after")
+    document.add("left_out", rows)
     document.add("displacement", _displacement_table(found))
     frame = tomlkit.table()
     frame.comment("of whatever measured: pose in the base")
@@ -140,8 +142,12 @@ def _calibration(data: dict[str, Any], arm: Arm) -> Calibration:
         arm=arm, displacement=displacement, covariance=covariance, frame=frame, frame_name=str(data["frame"]["name"]),
         source=str(data["source"]), date=str(data["date"]), points=int(data["points"]), used=bool(data["used"]),
         before=float(data["before"]), after=float(data["after"]), floor=float(data["floor"]),
-        suspects=tuple(int(row) for row in data["suspects"]),
+        suspects=tuple(int(row) for row in data["suspects"]), left_out=_left_out(data.get("left_out", [])),
     )  # fmt: skip
+
+
+def _left_out(rows: list[list[float]]) -> Array:
+    return _numbers(rows, (len(rows), 2)) if rows else np.zeros((0, 2))
 
 
 def _numbers(value: object, shape: tuple[int, ...]) -> Array:

@@ -96,4 +96,5 @@ def _judged(problem: Problem, fitted: Fitted, date: str) -> Calibration:
         covariance=fitted.covariance[body, body], frame=fitted.frame, frame_name=m.frame, source=m.source, date=date,
         points=len(m), before=float(tried.before.mean()), after=float(tried.after.mean()), used=tried.helps(problem),
         floor=floor_of(problem.arm), suspects=tried.suspects(np.isfinite(m.point)),
+        left_out=np.stack([tried.before, tried.after], axis=-1),
     )  # fmt: skip

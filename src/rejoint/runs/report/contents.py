@@ -12,6 +12,10 @@ from rejoint.arms import Arm, load_arm
 from rejoint.control.comparison.result import Comparison
 from rejoint.control.contract import PolicyContract
 from rejoint.control.policy import load_policy
+from rejoint.diagnosis.calibration.calibration import Calibration
+from rejoint.diagnosis.calibration.file import read_calibration
+from rejoint.diagnosis.calibration.measurementfile import read_measurements
+from rejoint.diagnosis.calibration.measurements import Measurements
 from rejoint.diagnosis.diagnosis import Diagnosis
 from rejoint.logs.runlog import RunLog, read_log
 from rejoint.runs.folder import RunFolder, RunInfo, read_info
@@ -45,6 +49,10 @@ class Contents:
     curves: Curves | None
     contract: PolicyContract | None
     comparison: Comparison | None
+    calibration: Calibration | None
+    """what lies behind the encoders"""
+    measurements: Measurements | None
+    """where the tool was seen from outside"""
     crossing: Mapping[str, RunLog]
     """one trial of the paper's protocol per controller"""
     hold: Mapping[str, RunLog]
@@ -65,12 +73,15 @@ def read_contents(path: Path) -> Contents:
     names = [one.arm for one in (comparison, diagnosis, twin, judgement) if one is not None]
     arm = _arm(path, names if info is None else [folder.arm(info.arm)], names)
     contract = _optional(folder.policy, lambda file: load_policy(file, arm).contract)
-    if all(part is None for part in (diagnosis, twin, judgement, curves, contract, comparison)):
+    calibration = _optional(folder.calibration, lambda file: read_calibration(file, arm))
+    measurements = _optional(folder.measurements, lambda file: read_measurements(file, arm))
+    if all(part is None for part in (diagnosis, twin, judgement, curves, contract, comparison, calibration)):
         raise FileError(path, "nothing to report: no stage has been run here", "run `rejoint diagnose` first")
     known = () if comparison is None else comparison.controllers
     return Contents(
         folder=folder, arm=arm, info=info, diagnosis=diagnosis, twin=twin, judgement=judgement, curves=curves,
-        contract=contract, comparison=comparison, crossing=_trials(folder, "crossing", known),
+        contract=contract, comparison=comparison, calibration=calibration, measurements=measurements,
+        crossing=_trials(folder, "crossing", known),
         hold=_trials(folder, "hold", known),
     )  # fmt: skip
 

@@ -12,7 +12,7 @@ from rejoint.runs.report.contents import Contents, read_contents
 from rejoint.runs.report.embed import theme_css
 from rejoint.runs.report.gallery import Gallery
 from rejoint.runs.report.numerals import UNKNOWN
-from rejoint.runs.report.sections import compared, diagnosed, motion, training, trust, twin
+from rejoint.runs.report.sections import accuracy, compared, diagnosed, motion, training, trust, twin
 from rejoint.runs.report.sections.details import commands, details_section
 from rejoint.runs.report.sections.verdict import page_of
 from rejoint.runs.report.view import Page, Section
@@ -50,6 +50,7 @@ def make_page(contents: Contents, gallery: Gallery) -> Page:
     advice = None if contents.comparison is None else recommend(contents.comparison)
     sections = (
         _comparison(contents, advice, gallery),
+        _accuracy(contents, gallery),
         _motion(contents, gallery),
         _diagnosis(contents, gallery),
         *_trust(contents, gallery),
@@ -66,6 +67,12 @@ def _comparison(contents: Contents, advice: Recommendation | None, gallery: Gall
         return _missing(compared, "The controllers have not been compared yet", contents, "compare")
     healthy = None if contents.diagnosis is None else diagnosed.healthy_error(contents.diagnosis)
     return compared.comparison_section(contents.comparison, advice.controller, healthy, gallery)
+
+
+def _accuracy(contents: Contents, gallery: Gallery) -> Section:
+    if contents.calibration is None:
+        return _missing(accuracy, "Nobody has measured where the tool is", contents, "calibrate")
+    return accuracy.accuracy_section(contents.calibration, contents.measurements, gallery)
 
 
 def _motion(contents: Contents, gallery: Gallery) -> Section:

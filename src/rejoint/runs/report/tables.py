@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from rejoint.control.comparison.result import Comparison, ControllerRow, Stay
+from rejoint.control.comparison.result import Comparison, ControllerRow, HoldRow, PoseAccuracy, Stay
 from rejoint.runs.report.numerals import NEVER, UNKNOWN, interval, number, spread
 from rejoint.runs.report.palette import LOOKS, look_of
 from rejoint.runs.report.view import Cell, Row, Table
@@ -89,11 +89,19 @@ def _cells(row: ControllerRow, comparison: Comparison) -> list[Cell]:
         Cell(_spread(crossing.error, MM), _small_print("", paper.error)),
         Cell(_mean(crossing.cycle_time, 1.0, 3), _small_print(_range(crossing.cycle_time, 1.0), cycle)),
         Cell(_mean(hold.settled, MM, 3), _range(hold.settled, MM)),
-        Cell(_mean(hold.settled_true, MM, 2), _range(hold.settled_true, MM, 2)),
+        _true(hold),
         _stays(hold.stays),
         Cell(_mean(hold.oscillation, MM, 2)),
         _guard(row),
     ]
+
+
+def _true(hold: HoldRow) -> Cell:
+    """Give the true error; one that is modelled says so."""
+    found = hold.true_error
+    if found.value is None or found.how == "known":
+        return Cell(_mean(hold.settled_true, MM, 2), _range(hold.settled_true, MM, 2))
+    return Cell(f"{number(found.value * MM, 2)}, {found.how}", found.range)
 
 
 def _small_print(own: str, paper: str) -> str:
@@ -159,5 +167,38 @@ def _notes(comparison: Comparison) -> tuple[str, ...]:
             "“paper”: Park et al. 2024 (IEEE Access), Table 4, measured on their own worn myCobot 280, for reference."
         )
     if not comparison.true_known:
-        notes.append("The true position of the tool is not known on this robot: it has to be measured from outside.")
+        modelled = any(row.hold.settled_modelled is not None for row in comparison.rows)
+        notes.append(
+            "True error: modelled by the calibration at the postures in which the arm came to rest; its interval holds "
+            "what the calibration leaves open."
+            if modelled
+            else "The true position of the tool is not known on this robot: it has to be measured from outside."
+        )
+    if comparison.calibration:
+        aimed = f"All controllers were aimed by the calibration of {comparison.calibration.replace('T', ' ')}."
+        notes.append(f"{aimed} Encoder errors are distances from the aim, true errors from the target.")
     return tuple(notes)
+
+
+def poses_view(comparison: Comparison) -> Table | None:
+    """Return accuracy and repeatability after ISO 9283, by the encoders and of the tool; None in old comparisons."""
+    known = [row for row in comparison.rows if row.hold.poses is not None]
+    if not known:
+        return None
+    rows = tuple(
+        Row(cells=(Cell(row.controller), *_pose_cells(row.hold.poses), *_pose_cells(row.hold.poses_true)))
+        for row in known
+    )
+    cycles = known[0].hold.poses.cycles if known[0].hold.poses is not None else 0
+    notes = (
+        "AP: distance from the target to the mean of the places attained; RP: mean distance of these places from their "
+        "mean, and three standard deviations of it. Means over the targets as poses; small print: 95 % intervals. "
+        f"{plural(cycles, 'cycle')} for each pose, where the norm asks for 30.",
+    )
+    headers = ("controller", "AP, encoders [mm]", "RP, encoders [mm]", "AP, tool [mm]", "RP, tool [mm]")
+    return Table(caption="Accuracy after ISO 9283", headers=headers, rows=rows, notes=notes)
+
+
+def _pose_cells(found: PoseAccuracy | None) -> tuple[Cell, Cell]:
+    accuracy, again = (None, None) if found is None else (found.accuracy, found.repeatability)
+    return Cell(_mean(accuracy, MM, 2), _range(accuracy, MM, 2)), Cell(_mean(again, MM, 2), _range(again, MM, 2))

@@ -34,7 +34,15 @@ from rejoint.runs.given import (
     period_of,
 )
 from rejoint.runs.run import Run, exclusive
-from rejoint.runs.stages.driving import Controllers, Factory, correction_of, guard_limits, make_factories, stance_of
+from rejoint.runs.stages.driving import (
+    Controllers,
+    Factory,
+    calibration_of,
+    correction_of,
+    guard_limits,
+    make_factories,
+    stance_of,
+)
 from rejoint.system.files import digest, require_space, saving, set_aside, write_json
 from rejoint.system.progress import Progress, no_progress, paced
 from rejoint.system.stopping import noted
@@ -42,6 +50,7 @@ from rejoint.system.version import __version__
 
 if TYPE_CHECKING:
     from rejoint.control.correction import Modelled
+    from rejoint.diagnosis.calibration.calibration import Calibration
     from rejoint.twin.twin import Twin
 
 THREADS = 2
@@ -149,6 +158,7 @@ def compare(
         job = _Job(
             robot=robot, arm=chosen, run=about, factories=factories, targets=points, settings=settings, period=period,
             twin=known, correct=correction_of(calibration, about, chosen, address_of(robot)),
+            model=calibration_of(calibration, about, chosen, address_of(robot)),
             file=str(targets) if isinstance(targets, Path | str) else "",
         )  # fmt: skip
         return job.drive(on_progress)
@@ -167,6 +177,7 @@ class _Job:
     period: Period | None
     twin: Twin | None
     correct: Callable[[Arm], Modelled] | None
+    model: Calibration | None
     file: str
     """of the targets; empty where there is none"""
 
@@ -208,9 +219,10 @@ class _Job:
             result = compare_controllers(
                 self._open, self.factories, self.targets, self.settings, on_progress=on_progress, on_trial=keep,
                 ledger=ledger, limits=guard_limits(self.run, self.arm, address_of(self.robot)),
-                stance=stance_of(self.twin), correction=self.correct,
+                stance=stance_of(self.twin), correction=self.correct, model=self.model,
             )  # fmt: skip
-        result = replace(result, targets_file=self.file, period=self.period)
+        by = "" if self.model is None else self.model.date
+        result = replace(result, targets_file=self.file, period=self.period, calibration=by)
         return Compared(comparison=result, recommendation=recommend(result), logs=logs)
 
     def _open(self, count: int, seed: int) -> Robot:

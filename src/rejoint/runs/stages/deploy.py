@@ -32,6 +32,7 @@ from rejoint.runs.run import Run, exclusive
 from rejoint.runs.stages.driving import (
     POLICY,
     ControllerLike,
+    calibration_of,
     correction_of,
     guard_limits,
     make_factories,
@@ -45,6 +46,7 @@ from rejoint.system.stopping import noted
 
 if TYPE_CHECKING:
     from rejoint.control.correction import Modelled
+    from rejoint.diagnosis.calibration.calibration import Calibration
     from rejoint.twin.twin import Twin
 
 
@@ -104,7 +106,8 @@ def deploy(
     Returns
     -------
     Deployed
-        ``visits``, one for each target: error [m], reached or not, and why not; ``missed``; the run log
+        ``visits``, one for each target: encoder error [m], true error and how it is known, reached or not, and why
+        not; ``missed``; the run log
 
     Raises
     ------
@@ -146,6 +149,7 @@ def deploy(
                 run=about,
                 twin=known,
                 correct=correct,
+                model=calibration_of(calibration, about, chosen, address_of(robot)),
             )
             return drive.to_targets(rows, on_progress, on_end or (lambda _: None))
 
@@ -160,6 +164,7 @@ class _Drive:
     run: Run | None
     twin: Twin | None
     correct: Callable[[Arm], Modelled] | None
+    model: Calibration | None
 
     def to_targets(self, rows: int, on_progress: Progress, on_end: Callable[[Deployed], object]) -> Deployed:
         """Drive; in a run, what is recorded is kept as it comes, also where ``kill -9`` ends it."""
@@ -176,10 +181,11 @@ class _Drive:
         try:
             recording, found = deploy_to(
                 self.robot, self.controller, job, limits=guard_limits(self.run, arm, self.robot.address),
-                stance=stance_of(self.twin), correction=self.correct and self.correct(arm), on_cycle=watch,
+                stance=stance_of(self.twin), correction=self.correct and self.correct(arm), model=self.model,
+                on_cycle=watch,
             )  # fmt: skip
         except BaseException as error:
-            partial, done = recording_of(error), deployed_of(error, arm, job)
+            partial, done = recording_of(error), deployed_of(error, arm, job, self.model)
             if journal is not None and partial is not None and len(partial.time):
                 error.add_note(journal.keep(partial.log(0, f"{label}/stopped")))
             elif journal is not None:

@@ -30,6 +30,7 @@ from rejoint.system.errors import AddressError
 
 if TYPE_CHECKING:
     from rejoint.control.policy import Policy
+    from rejoint.diagnosis.calibration.calibration import Calibration
     from rejoint.twin.twin import Twin
 
 ControllerLike: TypeAlias = "str | Path | Policy | Controller | Callable[[Arm], Controller]"
@@ -88,10 +89,14 @@ def correction_of(
     That is what is ``given``, or, if ``robot`` is the run's own, what its calibration says. ContractError where that is
     of another arm.
     """
-    calibration = as_calibration(given, run if run is not None and _is_own(run, robot) else None, arm)
-    if calibration is None:
-        return None
-    return partial(Modelled, displacement=calibration.displacement) if calibration.used else None
+    calibration = calibration_of(given, run, arm, robot)
+    return None if calibration is None else partial(Modelled, displacement=calibration.displacement)
+
+
+def calibration_of(given: CalibrationLike | None, run: Run | None, arm: Arm, robot: str) -> Calibration | None:
+    """Return the calibration that `correction_of` corrects by; None where nothing is to be corrected."""
+    found = as_calibration(given, run if run is not None and _is_own(run, robot) else None, arm)
+    return found if found is not None and found.used else None
 
 
 def make_factories(

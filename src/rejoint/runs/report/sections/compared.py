@@ -12,7 +12,7 @@ from rejoint.runs.report.figures import Series, error_per_target, intervals
 from rejoint.runs.report.gallery import Gallery
 from rejoint.runs.report.numerals import number
 from rejoint.runs.report.palette import look_of
-from rejoint.runs.report.tables import MM, comparison_view
+from rejoint.runs.report.tables import MM, comparison_view, poses_view
 from rejoint.runs.report.view import Part, Picture, Section
 from rejoint.runs.report.words import plural, short
 from rejoint.system.statistics import Spread
@@ -27,8 +27,9 @@ def comparison_section(comparison: Comparison, best: str, healthy: Series | None
     per_target = _per_target(comparison, best, healthy, gallery)
     means = (_settled(comparison, gallery), _cycles(comparison, gallery))
     failed = tuple(line for row in comparison.rows if (line := failure(row)))
+    poses = poses_view(comparison)
     parts = (
-        Part(tables=(comparison_view(comparison, best),)),
+        Part(tables=(comparison_view(comparison, best), *((poses,) if poses is not None else ()))),
         *((Part(heading="What failed, and why", lines=failed),) if failed else ()),
         Part(heading="Error per target", figures=(per_target,)),
         Part(heading="Accuracy and speed", figures=means, columns=2),
@@ -79,8 +80,10 @@ def _settled(comparison: Comparison, gallery: Gallery) -> Picture:
     rows = [_settled_row(row) for row in comparison.rows]
     words = "; ".join(f"{one.label}: {number(one.value[0], 3, 'mm')}" for one in rows)
     caption = f"Filled: encoder error{_bars_of([row.hold.settled for row in comparison.rows])}."
-    if comparison.true_known:
-        caption += " Hollow: true error of the tool, which holds play and flex behind the encoders."
+    true = [row.hold.true_error.how for row in comparison.rows if row.hold.true_error.value is not None]
+    if true:
+        how = " by the calibration, modelled" if "modelled" in true else ""
+        caption += f" Hollow: true error of the tool{how}, which holds play and flex behind the encoders."
     return gallery.show(
         "settled-error", intervals(rows, "settled error [mm]", log=True),
         alt=f"Settled encoder error of each controller. {words}.", caption=caption,
@@ -109,8 +112,12 @@ def _bars_of(spreads: list[Spread | None]) -> str:
 
 def _settled_row(row: ControllerRow) -> Series:
     """Return the encoder error and, where it is known, the true error (hollow)."""
-    found = [row.hold.settled] if row.hold.settled_true is None else [row.hold.settled, row.hold.settled_true]
-    ends = np.array([_ends(one) for one in found]) * MM
+    true = row.hold.true_error
+    found = [_ends(row.hold.settled)]
+    if true.value is not None:
+        low, high = (np.nan if end is None else end for end in (true.low, true.high))
+        found.append((true.value, low, high))
+    ends = np.array(found, dtype=float) * MM
     return Series(
         label=short(row.controller), look=look_of(row.controller), value=ends[:, 0], low=ends[:, 1],
         high=ends[:, 2],

@@ -26,6 +26,8 @@ LEARNERS = ("sac", "td3", "ddpg")
 _FILES = (
     ("run.json", "robot, arm, seed"),
     ("diagnosis.json", "what is wrong with the arm, per joint"),
+    ("measurements.parquet", "where the tool was seen from outside"),
+    ("calibration.toml", "what lies behind the encoders, and where to aim because of it"),
     ("twin.toml", "the identified twin with its intervals"),
     ("judgement.json", "that twin and others judged on motion that no fit has seen"),
     ("policy.onnx", "the trained policy with its contract"),
@@ -119,6 +121,7 @@ def commands(contents: Contents) -> dict[str, Command]:
         "diagnose": Command("Measure and judge the arm:", diagnose),
         "identify": Command("Fit the twin:", identify),
         "train": Command("Train the policy:", f"rejoint train {run}{recipe}"),
+        "calibrate": Command("Measure where the tool is:", f"rejoint calibrate {robot} {run}{_by_hand(robot)}"),
         "compare": Command("Try every controller on the arm:", _compare(contents, robot, run)),
         "report": Command("Make this page again:", f"rejoint report {run}"),
     }
@@ -131,7 +134,14 @@ def _compare(contents: Contents, robot: str, run: str) -> str:
         return f"rejoint compare {robot} {run}{once('ROBOT' if info is None else info.robot)}"
     other = info is None or comparison.seed != info.seed
     seed = f" --seed {comparison.seed}" if other else ""
-    return f"rejoint compare {shlex.quote(comparison.robot)} {run}{_options(comparison)}{seed}"
+    known = contents.calibration
+    plain = " --calibration none" if known is not None and known.used and not comparison.calibration else ""
+    return f"rejoint compare {shlex.quote(comparison.robot)} {run}{_options(comparison)}{plain}{seed}"
+
+
+def _by_hand(robot: str) -> str:
+    """Return the option by which a person measures the tool; an arm in virtual time tells by itself."""
+    return " --touch" if once(robot) else ""
 
 
 def _asked(contents: Contents) -> str:
@@ -139,7 +149,15 @@ def _asked(contents: Contents) -> str:
     info, comparison = contents.info, contents.comparison
     if info is None or comparison is None or comparison.robot != info.robot or comparison.seed != info.seed:
         return ""
-    return _options(comparison)
+    return f"{_options(comparison)}{_measured(contents, info.robot)}"
+
+
+def _measured(contents: Contents, robot: str) -> str:
+    """Return the option of `rejoint repair` that says what measured the tool, where it is not what it does anyway."""
+    found, virtual = contents.calibration, not once(robot)
+    if found is None:
+        return " --calibrate none" if virtual else ""
+    return "" if virtual else f" --calibrate {'tracker=FILE' if found.source == 'tracker' else found.source}"
 
 
 def _options(comparison: Comparison) -> str:

@@ -10,6 +10,7 @@ from rejoint.control.comparison.result import Comparison, ControllerRow
 from rejoint.diagnosis.diagnosis import ringing_most
 from rejoint.runs.folder import LOGS
 from rejoint.runs.report.contents import Contents
+from rejoint.runs.report.errors import before_after, found
 from rejoint.runs.report.numerals import UNKNOWN, interval, number
 from rejoint.runs.report.sections.diagnosed import error_range, mean_error
 from rejoint.runs.report.trust import answer
@@ -23,7 +24,10 @@ BEFORE = "default"
 
 QUICK = "A quick try: little of everything was done, so nothing on this page is a result."
 
-STAGES = ("diagnose", "identify", "train", "compare")
+HOW = {"known": "emulator only", "measured": "measured", "modelled": "modelled by the calibration"}
+"""Where a true error comes from"""
+
+STAGES = ("diagnose", "calibrate", "identify", "train", "compare")
 """In the order in which they are run"""
 
 
@@ -53,7 +57,9 @@ def _verdict(contents: Contents, advice: Recommendation | None) -> tuple[str, ..
     if advice is None or contents.comparison is None:
         untried = "No controller has been tried on this arm yet, so none is recommended."
         return (*wrong, untried) if wrong else (untried,)
-    return (_headline(advice, contents, contents.comparison), *wrong, *_policy(advice, contents.comparison))
+    errors = before_after(contents, advice.controller)
+    told = () if errors is None or not errors.sentence else (errors.sentence,)
+    return (_headline(advice, contents, contents.comparison), *told, *wrong, *_policy(advice, contents.comparison))
 
 
 def _headline(advice: Recommendation, contents: Contents, comparison: Comparison) -> str:
@@ -121,7 +127,7 @@ def _keys(contents: Contents, advice: Recommendation | None) -> tuple[KeyNumber,
         return tuple(keys)
     best = contents.comparison.row(advice.controller)
     before = contents.comparison.row(BEFORE) if BEFORE in contents.comparison.controllers else None
-    return (*keys, *_outcomes(best, before, contents.comparison))
+    return (*keys, *_outcomes(best, before, contents.comparison), _tool(best, contents))
 
 
 def _outcomes(best: ControllerRow, before: ControllerRow | None, comparison: Comparison) -> list[KeyNumber]:
@@ -137,13 +143,17 @@ def _outcomes(best: ControllerRow, before: ControllerRow | None, comparison: Com
         was = f"before: {number(cycle.mean.value, 3, 's')}" if cycle else ""
         what = f"for {plural(len(comparison.targets[0]), 'target')}"
         keys.append(KeyNumber(what, number(best.crossing.cycle_time.mean.value, 3, "s"), was))
-    true, old = best.hold.settled_true, before and before.hold.settled_true
-    if true is None:
-        keys.append(KeyNumber("true error of the tool", UNKNOWN, "needs a measurement from outside"))
-    else:
-        was = f"before: {number(old.mean.value * MM, 3, 'mm')}; " if old else ""
-        keys.append(KeyNumber("true error of the tool", number(true.mean.value * MM, 2, "mm"), f"{was}emulator only"))
     return keys
+
+
+def _tool(best: ControllerRow, contents: Contents) -> KeyNumber:
+    """Give the true error with where it comes from."""
+    true, old = best.hold.true_error, found(contents).tool
+    if true.value is None:
+        return KeyNumber("true error of the tool", UNKNOWN, "calibrate: it needs a measurement from outside")
+    was = f"before: {number(old.value * MM, 3, 'mm')}; " if old.value is not None else ""
+    how = HOW[true.how] + (f", 95 %: {true.range}" if true.how == "modelled" else "")
+    return KeyNumber("true error of the tool", number(true.value * MM, 2, "mm"), f"{was}{how}")
 
 
 def _summaries(contents: Contents, advice: Recommendation | None, sections: Sequence[Section]) -> tuple[Summary, ...]:
@@ -211,12 +221,17 @@ def _unknown(contents: Contents) -> tuple[str, ...]:
     comparison, diagnosis = contents.comparison, contents.diagnosis
     lines = [
         "Every error marked “encoders” is what the arm believes. Play and flex behind the encoders stay invisible to "
-        "it, and no controller that relies on them can remove that part."
+        "it; only a calibration from outside takes part of them out."
     ]
     known = (comparison is not None and comparison.true_known) or (
         diagnosis is not None and diagnosis.open_loop is not None and diagnosis.open_loop.hidden_mm is not None
     )
-    if known:
+    calibrated = contents.calibration
+    if calibrated is not None and not known:
+        lines.append(
+            "The true error of the tool is modelled from the measurements of the calibration, and no better than they."
+        )
+    elif known:
         lines.append(
             "The true error of the tool is shown because this robot is emulated; on a real arm it is not known until "
             "the tool is measured from outside."

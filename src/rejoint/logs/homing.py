@@ -1,0 +1,70 @@
+"""Errors of joint zeros, as the homing offsets of LeRobot's calibration file.
+
+Feetech servos tell the raw position less ``homing_offset`` [counts]. A link that stands by ``offset`` [rad] farther
+than its encoder says is told right when the homing offset is smaller by as many counts. The range, from whose middle
+LeRobot counts its degrees, stays as it is: the arm's degrees change by exactly ``offset``, and its software limits move
+with them. Dynamixel servos add their homing offset, so for them the sign is the other one; the file does not tell which
+they are.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rejoint.arms import Arm, Array
+from rejoint.logs.joints import COUNTS_PER_TURN, match_joints
+from rejoint.logs.options import ImportOptions
+from rejoint.system.errors import FileError, InputError
+from rejoint.system.files import JSON_MOST, read_bounded, write_whole
+
+LARGEST = 2047
+"""[counts] of a homing offset (eleven bits and a sign; LeRobot writes no larger ones)"""
+
+_REMEDY = "give the JSON file that lerobot-calibrate wrote"
+
+
+def corrected_homing(source: Path, arm: Arm, offset: Array) -> tuple[dict[str, Any], dict[str, int]]:
+    """Return a calibration of LeRobot with the zeros of ``arm`` corrected, and by how many counts each changed.
+
+    ``offset`` (n,) [rad] is what is to be added to what the encoders say. Motors that are no joint of the arm, such as
+    a gripper's, stay as they are. FileError where ``source`` is no calibration, InputError where a servo cannot
+    hold it.
+    """
+    motors = _read(source)
+    columns = match_joints(list(motors), arm, ImportOptions(), source, "calibration").columns
+    names, changes = list(motors), {}
+    for joint, column, angle in zip(arm.joint_names, columns, offset, strict=True):
+        motor, change = motors[names[column]], -round(float(angle) * COUNTS_PER_TURN / (2 * np.pi))
+        if abs(motor["homing_offset"] + change) > LARGEST:
+            raise InputError(
+                f"{joint}: a homing offset of {motor['homing_offset'] + change} counts, expected at most {LARGEST}; "
+                "run lerobot-calibrate with the arm nearer to the middle of its range"
+            )
+        motor["homing_offset"] += change
+        changes[names[column]] = change
+    return motors, changes
+
+
+def write_homing(path: Path, motors: dict[str, Any]) -> None:
+    """Write a calibration as LeRobot does."""
+    text = json.dumps(motors, indent=4)
+    write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+
+
+def _read(source: Path) -> dict[str, Any]:
+    try:
+        motors = json.loads(read_bounded(source, JSON_MOST, _REMEDY))
+        for motor in motors.values():
+            if not isinstance(motor["homing_offset"], int):
+                raise TypeError("homing_offset is not a whole number")
+            if motor.get("drive_mode", 0) != 0:
+                raise ValueError("a drive_mode other than 0, which turns a joint in some units and not in others")
+    except FileNotFoundError as error:
+        raise FileError(source, "no such file", _REMEDY) from error
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        raise FileError(source, f"not a calibration of LeRobot ({type(error).__name__}: {error})", _REMEDY) from error
+    return dict(motors)

@@ -1,0 +1,100 @@
+"""A true error says how it is known, and what is known is never mixed with what is modelled."""
+
+import numpy as np
+import pytest
+
+from rejoint.arms import mycobot280
+from rejoint.control.accuracy import NOT_KNOWN, TrueError, mean_modelled, modelled
+from rejoint.control.comparison.compare import Settings, compare
+from rejoint.control.comparison.result import Protocol
+from rejoint.control.default import DefaultController
+from rejoint.control.deployment import Deployment, deploy
+from rejoint.robots import open_robot
+from rejoint.system.statistics import Estimate
+
+ARM = mycobot280()
+TARGETS = ARM.targets.sample(np.random.default_rng(2), (2,))
+QUICK = Protocol(dwell=1.0, hold=1.2, window=0.4)
+
+
+class Model:
+    """Says 2 mm, 1 to 4, everywhere."""
+
+    def expected(self, position, target):  # noqa: ARG002
+        return np.full(position.shape[:-1], 2e-3)
+
+    def interval(self, position, target):
+        return 0.5 * self.expected(position, target), 2.0 * self.expected(position, target)
+
+
+class Blind:
+    """A robot that does not know where its tool is."""
+
+    def __init__(self, robot):
+        self._robot = robot
+
+    def __getattr__(self, name):
+        return getattr(self._robot, name)
+
+    def true_tcp(self):
+        return np.full((self._robot.count, 3), np.nan)
+
+
+def test_words_tell_the_value_its_interval_and_where_it_comes_from():
+    assert str(NOT_KNOWN) == "not known: calibrate"
+    assert str(TrueError(how="known", value=12.34e-3)) == "12.3 mm, known"
+    assert str(TrueError(how="modelled", value=0.456e-3, low=0.1e-3, high=1.26e-3)) == "0.46 mm, modelled (0.1 to 1.3)"
+    assert TrueError.of("known", Estimate(5.0, 4.0, None), unit=1e-3) == TrueError(
+        how="known", value=5e-3, low=4e-3, high=None
+    )
+
+
+def test_the_mean_of_modelled_errors_has_the_means_of_their_ends():
+    found = np.array([[1.0, 3.0, np.nan], [0.5, 1.5, np.nan], [2.0, 8.0, np.nan]])
+    assert mean_modelled(found) == TrueError(how="modelled", value=2.0, low=1.0, high=5.0)
+    assert mean_modelled(np.full((3, 2), np.nan)) == NOT_KNOWN
+
+
+def test_where_the_arm_did_not_come_nothing_is_modelled():
+    position = np.array([ARM.rest, np.full(ARM.joints, np.nan)])
+    found = modelled(Model(), position, TARGETS)
+    np.testing.assert_allclose(found[:, 0], [2e-3, 1e-3, 4e-3])
+    assert np.isnan(found[:, 1]).all()
+
+
+@pytest.mark.parametrize(
+    ("blind", "model", "how"),
+    [(False, None, "known"), (False, Model(), "known"), (True, Model(), "modelled"), (True, None, "not known")],
+)
+def test_a_deployment_tells_the_true_error_and_how_it_is_known(blind, model, how):
+    robot = open_robot("emulated:worn", seed=1)
+    job = Deployment(controller="default", targets=TARGETS[:1], dwell=0.5)
+    _, found = deploy(Blind(robot) if blind else robot, DefaultController(ARM), job, model=model)
+    (visit,) = found.visits
+    assert visit.true_error.how == how
+    if how == "modelled":
+        assert (visit.true_error.value, visit.true_error.low, visit.true_error.high) == (2e-3, 1e-3, 4e-3)
+    else:
+        assert (visit.true_error.value is None) == (how == "not known")
+        assert visit.true_error.value is None or visit.true_error.value > 3e-3
+
+
+@pytest.mark.parametrize("blind", [False, True])
+def test_a_comparison_models_only_what_nobody_knows(blind):
+    def connect(count, seed):
+        robot = open_robot("emulated:worn", count=count, seed=seed)
+        return Blind(robot) if blind else robot
+
+    settings = Settings(repetitions=2, seed=1, batched=True, protocol=QUICK)
+    found = compare(connect, {"default": DefaultController}, TARGETS[None], settings, model=Model())
+    hold = found.rows[0].hold
+    if blind:
+        assert hold.settled_true is None
+        assert hold.poses_true is None
+        assert hold.true_error == hold.settled_modelled
+        np.testing.assert_allclose(
+            [hold.true_error.value, hold.true_error.low, hold.true_error.high], [2e-3, 1e-3, 4e-3]
+        )
+    else:
+        assert hold.settled_modelled is None
+        assert hold.true_error == TrueError.of("known", hold.settled_true.mean)

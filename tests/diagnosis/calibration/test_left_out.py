@@ -1,0 +1,86 @@
+"""What a calibration keeps and tells of single points, and what would press floating joints to one side."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from rejoint.arms import Displacement, load_arm, mycobot280, tcp_position
+from rejoint.arms.urdf import at_targets
+from rejoint.diagnosis.calibration.calibration import Calibration
+from rejoint.diagnosis.calibration.file import read_calibration, write_calibration
+from rejoint.diagnosis.calibration.parameters import Layout
+from rejoint.diagnosis.calibration.preload import WEDGE, preload
+from rejoint.diagnosis.open_loop import modelled_errors
+from rejoint.logs.runlog import RunLog
+
+ARM = mycobot280()
+
+
+def calibration(sigma=1e-9, arm=ARM, **values):
+    n = arm.joints
+    found = replace(Displacement.none(arm), **{name: np.asarray(value) for name, value in values.items()})
+    return Calibration(
+        arm=arm, displacement=found, covariance=sigma**2 * np.eye(Layout(joints=n).size), frame=np.eye(4),
+        frame_name="base", source="touch", date="", points=4, before=2e-3, after=1e-3, used=True,
+        floor=max(sigma, 1e-9), left_out=np.array([[2e-3, 1e-3]] * 4),
+    )  # fmt: skip
+
+
+def test_the_errors_of_single_points_stay_in_the_file(tmp_path):
+    path, own = tmp_path / "calibration.toml", calibration()
+    write_calibration(path, own)
+    np.testing.assert_array_equal(read_calibration(path, ARM).left_out, own.left_out)
+
+
+def test_a_file_from_before_they_were_kept_is_read(tmp_path):
+    path = tmp_path / "calibration.toml"
+    write_calibration(path, replace(calibration(), left_out=np.zeros((0, 2))))
+    text = path.read_text(encoding="utf-8").split("\n", 1)[1]
+    path.write_text("\n".join(line for line in text.splitlines() if not line.startswith("left_out")), encoding="utf-8")
+    assert read_calibration(path, ARM).left_out.shape == (0, 2)
+
+
+def test_a_mean_error_lies_in_its_interval_and_grows_with_what_is_open():
+    position, sharp, open_ = at_targets(ARM), calibration(offset=np.full(6, 0.01)), calibration(1e-3)
+    low, high = open_.interval(position)
+    mean = open_.expected(position)
+    assert ((low < mean) & (mean < high)).all()
+    away = np.linalg.norm(sharp.tool(position) - tcp_position(ARM, position), axis=-1)
+    np.testing.assert_allclose(sharp.expected(position), away, atol=1e-7)
+    assert (open_.expected(position) > 1e-3).all()
+
+
+def test_the_error_of_a_diagnosis_is_modelled_by_what_was_found_later():
+    own = calibration(offset=[0.0, 0.02, 0.0, 0.0, 0.0, 0.0])
+    postures = at_targets(ARM)[:2]
+    position = np.repeat(postures, 60, axis=0)
+    away = np.array([1e-2, 0.0, 0.0])
+    log = RunLog.of(np.arange(120) * 0.1, position, position, arm=ARM)
+    log = replace(log, target=tcp_position(ARM, position) + away)
+    found = modelled_errors(log, own)
+    truth = np.linalg.norm(own.tool(postures) - tcp_position(ARM, postures) - away, axis=-1).mean()
+    assert found.how == "modelled"
+    assert found.value == pytest.approx(truth, abs=1e-6)
+
+
+@pytest.mark.parametrize("name", ["mycobot280", "so101"])
+def test_a_wedge_presses_a_base_joint_and_a_weight_does_not(name):
+    arm = load_arm(name)
+    own = calibration(1e-4, arm, play=[0.03] + [0.0] * (arm.joints - 1))
+    what = preload(own, at_targets(arm))
+    assert what.joints == arm.joint_names[:1]
+    assert what.wedge < 0.5 * what.chance
+    assert what.weight == pytest.approx(what.chance, rel=1e-6)
+
+
+def test_the_side_to_raise_is_across_the_arm_and_not_along_it():
+    position = ARM.rest + np.radians([90.0, 0, 0, 0, 0, 0])  # it points along y
+    own = calibration(1e-4, play=[0.03] + [0.0] * 5)
+    assert preload(own, position[None]).side in ("-x", "+x")
+
+
+def test_where_the_base_leans_already_no_joint_floats():
+    lean = np.array([[1, 0, 0], [0, np.cos(WEDGE), -np.sin(WEDGE)], [0, np.sin(WEDGE), np.cos(WEDGE)]])
+    own = calibration(1e-4, play=[0.03] + [0.0] * 5, gravity=lean @ [0, 0, -9.81])
+    assert preload(own, at_targets(ARM)).joints == ()

@@ -1,0 +1,54 @@
+"""Whether a repair calibrates: what is asked for at the command line, and what is done because of it."""
+
+import io
+import sys
+
+import pytest
+
+import rejoint
+from rejoint.cli.console import Terminal
+from rejoint.cli.measuring import gauge_by_word
+from rejoint.diagnosis.calibration.gauges import TouchGauge, TrackerGauge
+from rejoint.runs import repair as chain
+from rejoint.system.errors import InputError
+
+
+def test_words_stand_for_what_measures(tmp_path, monkeypatch):
+    monkeypatch.setattr(sys, "stdin", io.StringIO())
+    file = tmp_path / "track.csv"
+    file.write_text("time,x,y,z\n" + "".join(f"{i},1,2,3\n" for i in range(5)))
+    terminal = Terminal()
+    assert gauge_by_word(terminal, "emulated:worn", None, 0) is None
+    assert gauge_by_word(terminal, "emulated:worn", "none", 0) == "none"
+    assert isinstance(gauge_by_word(terminal, "emulated:worn", "touch", 0), TouchGauge)
+    tracker = gauge_by_word(terminal, "emulated:worn", f"tracker={file}", 0)
+    assert isinstance(tracker, TrackerGauge)
+    assert tracker.path == file
+
+
+@pytest.mark.parametrize("word", ["tracker", "tracker=", "touch=3", "ruler", ""])
+def test_other_words_are_refused(word):
+    with pytest.raises(InputError, match=r"expected touch, tracker=FILE or none"):
+        gauge_by_word(Terminal(), "emulated:worn", word, 0)
+
+
+@pytest.mark.parametrize(
+    ("robot", "gauge", "calibrated", "corrected"),
+    [
+        ("emulated:worn", None, True, None),
+        ("emulated:worn", "none", False, "none"),
+        ("tcp://10.0.0.1:9000", None, False, None),
+        ("tcp://10.0.0.1:9000", TouchGauge(ask=str, complain=str), True, None),
+    ],
+)
+def test_a_repair_calibrates_where_something_measures(tmp_path, monkeypatch, robot, gauge, calibrated, corrected):
+    done = {}
+    for name in ("diagnose", "calibrate", "identify", "train", "compare", "report"):
+        monkeypatch.setattr(chain, name, lambda *_, name=name, **options: done.update({name: options}))
+    stages = []
+    rejoint.repair(robot, run=tmp_path / "run", gauge=gauge, on_stage=lambda stage: stages.append(stage.name))
+    assert ("calibrate" in done) is calibrated
+    assert ("calibrate" in stages) is calibrated
+    assert done["compare"]["calibration"] == corrected
+    if calibrated:
+        assert done["calibrate"]["gauge"] is gauge
