@@ -12,7 +12,7 @@ Identification and Control of Robots, 2002, chapter 11), with the smooth sign of
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -39,6 +39,8 @@ class Displacement:
     translation [m] and rotation vector [rad]"""
     gravity: Array
     """(3,) [m/s^2] in the frame of the base: askew where the base is"""
+    mass: Array = field(default_factory=lambda: np.ones(()))
+    """(n,) or () factor between the masses of the links and their description"""
 
     def __post_init__(self) -> None:
         _freeze(self)
@@ -53,7 +55,8 @@ class Displacement:
 
     def torque(self, arm: Arm, position: Array) -> Array:
         """Torques (..., n) [N m] that hold ``arm`` against gravity where its encoders say ``position`` (..., n)."""
-        return gravity_torque(arm, position, self.gravity)
+        loaded = arm if (self.mass == 1.0).all() else replace(arm, mass=arm.mass * self.mass)
+        return gravity_torque(loaded, position, self.gravity)
 
     def joints(self, arm: Arm, position: Array) -> Array:
         """Where the links (..., n) [rad] are while the encoders say ``position`` (..., n) [rad], at rest."""

@@ -1,0 +1,139 @@
+"""A calibration: where the tool of one arm is behind its encoders, how sure that is, and where to aim because of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rejoint.arms import Arm, Array, Displacement, solve_position, tcp_position
+from rejoint.control.contract import law_digests
+from rejoint.diagnosis.calibration.model import linearised, scatter
+from rejoint.diagnosis.calibration.parameters import Layout, vector_of
+from rejoint.system.errors import ContractError
+from rejoint.system.statistics import CONFIDENCE
+
+GEOMETRY = ("offset", "axis", "tip", "mass", "com")
+"""Fields of an arm that a calibration was computed with"""
+AIMING = 4
+"""Fixed-point steps of `Calibration.aim` (chosen: each divides what is left by about twenty)"""
+_DRAWS = 256  # of the tool for an interval (chosen: ends repeat within a tenth of the width; the same draws each time)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Calibration:
+    """What was found out about one arm from outside, in the base frame of that arm.
+
+    Examples
+    --------
+    >>> found = calibrate(arm, measurements)
+    >>> command = found.aim(target, arm.rest)
+    """
+
+    arm: Arm
+    displacement: Displacement
+    covariance: Array
+    """(k, k) of the parameters of the displacement, see `rejoint.diagnosis.calibration.parameters.Layout`"""
+    frame: Array
+    """(4, 4) pose of the measuring frame in the base"""
+    frame_name: str
+    """``base``, or the name of the frame whose pose was fitted along"""
+    source: str
+    """what measured: ``touch``, ``camera`` or ``tracker``"""
+    date: str
+    """when, as the caller says it"""
+    points: int
+    """number of measurements that the fit has seen"""
+    before: float
+    """[m] mean true error of what the encoders say, over measured points"""
+    after: float
+    """[m] the same of this calibration, over the same points, each predicted from the others"""
+    used: bool
+    """whether the correction clearly helped at points that were left out; if not, nothing is to be corrected"""
+    floor: float
+    """[m] standard deviation of what this model does not explain, on each coordinate"""
+    suspects: tuple[int, ...] = ()
+    """rows of the measurements, from 0, that do not fit to the others"""
+
+    def __post_init__(self) -> None:
+        for name in ("covariance", "frame"):
+            value = np.array(getattr(self, name), dtype=float)
+            value.setflags(write=False)
+            object.__setattr__(self, name, value)
+
+    @property
+    def layout(self) -> Layout:
+        """Places of the parameters in the covariance."""
+        return Layout(joints=self.arm.joints)
+
+    def require(self, arm: Arm) -> None:
+        """Refuse with a ContractError if this calibration is of another arm."""
+        check_arm(self.arm.name, geometry_of(self.arm), arm)
+
+    def tool(self, position: Array) -> Array:
+        """Where the tool (..., 3) [m] is by this calibration while the encoders say ``position`` (..., n) [rad]."""
+        return self.displacement.tool(self.arm, position)
+
+    def shift(self, position: Array) -> Array:
+        """Return how far (..., 3) [m] the tool is from where the encoders at ``position`` (..., n) [rad] say it is."""
+        return self.tool(position) - tcp_position(self.arm, position)
+
+    def spread(self, position: Array) -> Array:
+        """Covariance (..., 3, 3) [m^2] of the tool around `tool`: parameters, floating joints, and what remains."""
+        flat = np.reshape(position, (-1, self.arm.joints))
+        _, slope = linearised(self.arm, self.layout, vector_of(self.layout, self.displacement), flat)
+        known = slope @ self.covariance @ np.swapaxes(slope, -1, -2)
+        total = known + scatter(self.arm, self.displacement, flat) + self.floor**2 * np.eye(3)
+        return np.asarray(total.reshape(*np.shape(position)[:-1], 3, 3))
+
+    def interval(self, position: Array, target: Array | None = None) -> tuple[Array, Array]:
+        """95 % interval (...), (...) [m] of the distance of the tool from ``target`` (..., 3) [m] at ``position``.
+
+        Without a target: from where the encoders say that the tool is.
+        """
+        target = tcp_position(self.arm, position) if target is None else target
+        root = np.linalg.cholesky(self.spread(position))
+        draws = np.random.default_rng(0).standard_normal((_DRAWS, 3))
+        away = (self.tool(position) - target)[..., None, :] + draws @ np.swapaxes(root, -1, -2)
+        low, high = np.quantile(np.linalg.norm(away, axis=-1), [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2], axis=-1)
+        return low, high
+
+    def sigma(self, position: Array) -> Array:
+        """Root mean square (...) [m] of the distance of the tool from where this calibration says it is."""
+        return np.sqrt(np.trace(self.spread(position), axis1=-2, axis2=-1))
+
+    def aim(self, target: Array, start: Array) -> Array:
+        """Where the encoders are to say that the tool is (..., 3) [m], for it to be at ``target`` (..., 3) [m].
+
+        ``start`` (..., n) [rad] is the posture from which that of the target is looked for. A target comes back as
+        it is where the correction is not used.
+        """
+        target = np.asarray(target, dtype=float)
+        if not self.used:
+            return target.copy()
+        command, posture = target, np.asarray(start, dtype=float)
+        for _ in range(AIMING):
+            posture = solve_position(self.arm, command, posture).q
+            command = target - self.shift(posture)
+        return command
+
+    def aim_again(self, target: Array, position: Array) -> Array:
+        """Return the same as `aim`, now that the arm has settled near ``target`` at ``position`` (..., n) [rad]."""
+        return target - self.shift(position) if self.used else np.array(target, dtype=float)
+
+
+def geometry_of(arm: Arm) -> dict[str, str]:
+    """Digest what of an arm a calibration was computed with, field by field."""
+    digests = law_digests(arm)
+    return {name: digests[name] for name in GEOMETRY}
+
+
+def check_arm(name: str, digests: dict[str, str], arm: Arm) -> None:
+    """Refuse with a ContractError if a calibration of arm ``name`` with these digests is not of ``arm``."""
+    own = geometry_of(arm)
+    other = [field for field in GEOMETRY if digests.get(field) != own[field]]
+    if name == arm.name and not other:
+        return
+    differs = f"; they differ in {', '.join(other)}" if name == arm.name else ""
+    raise ContractError(f"calibration of arm {name!r}, expected one of {arm.name!r}{differs}; calibrate this arm")
+

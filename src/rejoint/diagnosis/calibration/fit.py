@@ -1,0 +1,99 @@
+"""From measurements to a calibration: fit under several beliefs, the likeliest one, tried on points left out."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rejoint.arms import Arm, Array
+from rejoint.arms.kinematics import GRAVITY
+from rejoint.diagnosis.calibration.calibration import Calibration
+from rejoint.diagnosis.calibration.framing import align
+from rejoint.diagnosis.calibration.gate import leave_out
+from rejoint.diagnosis.calibration.measurements import Measurements
+from rejoint.diagnosis.calibration.model import floor_of
+from rejoint.diagnosis.calibration.parameters import (
+    ASKEW,
+    LEVEL,
+    OFFSET,
+    PLAY_SIGMA,
+    Belief,
+    Case,
+    Layout,
+    belief,
+    displacement_of,
+    vector_of,
+)
+from rejoint.diagnosis.calibration.solver import Fitted, Problem, search, solve
+from rejoint.system.errors import InputError
+
+CASES = (
+    Case(),
+    Case(play=np.radians(0.15), play_sigma=np.radians(0.15), compliance=0.003),
+    Case(tilt=ASKEW, odds=-2.0),
+    Case(twist=1.0, odds=-1.0),
+)
+"""A worn arm, a healthy one, a worn one whose base stands askew, and one whose links differ from their description"""
+AGE = 0.3
+"""Share of the standard deviations of beliefs by which an arm may have changed since it was calibrated (chosen: 30 %
+more wear is 0.3 of the play of a worn arm)"""
+
+
+def fit(
+    arm: Arm, measurements: Measurements, *, prior: Calibration | None = None, gravity: Array = GRAVITY,
+    date: str = "",
+) -> Calibration:  # fmt: skip
+    """Fit a displacement to ``measurements`` of ``arm`` and try it on points left out.
+
+    ``prior`` is an earlier calibration of the same arm (ContractError for another), ``gravity`` (3,) [m/s^2] where it
+    is believed to pull in the frame of the base. InputError where the measurements cannot be used.
+    """
+    if measurements.position.shape[1] != arm.joints:
+        raise InputError(
+            f"measurements of {measurements.position.shape[1]} joints, the arm {arm.name} has {arm.joints}; take those "
+            "of this arm"
+        )
+    if not np.isfinite(measurements.point).any():
+        raise InputError("measurements: no coordinate was measured; expected at least one")
+    foreign = measurements.frame != "base"
+    layout = Layout(joints=arm.joints, frame=foreign)
+    frame = align(arm, measurements) if foreign else np.eye(4)
+    if prior is not None:
+        prior.require(arm)
+        beliefs = [(earlier(arm, layout, prior), 0.0)]
+    else:
+        beliefs = [(belief(arm, layout, case, gravity), case.odds) for case in CASES]
+    solved = [_solved(arm, measurements, layout, frame, one) for one, _ in beliefs]
+    best = int(np.argmax([fitted.evidence + odds for (_, fitted), (_, odds) in zip(solved, beliefs, strict=True)]))
+    return _judged(*solved[best], date)
+
+
+def earlier(arm: Arm, layout: Layout, prior: Calibration) -> Belief:
+    """Return what an earlier calibration lets one believe: the same, but for what may have changed since."""
+    base = belief(arm, layout, Case())
+    drift = AGE * np.sqrt(1.0 / np.diag(base.precision))
+    for name, sigma in (("offset", OFFSET), ("play", PLAY_SIGMA)):
+        drift[layout.at(name)] = AGE * sigma
+    drift[layout.at("tilt")] = AGE * LEVEL
+    body, mean = slice(0, layout.body), base.mean.copy()
+    mean[body] = vector_of(Layout(joints=arm.joints), prior.displacement)
+    precision = base.precision.copy()
+    precision[body, body] = np.linalg.inv(prior.covariance + np.diag(drift[body] ** 2))
+    return Belief(mean=mean, precision=precision, lower=base.lower, upper=base.upper)
+
+
+def _solved(arm: Arm, measurements: Measurements, layout: Layout, frame: Array, one: Belief) -> tuple[Problem, Fitted]:
+    problem = Problem(arm=arm, layout=layout, belief=one, measurements=measurements, frame=frame)
+    tilt = layout.at("tilt").start
+    askew = one.precision[tilt, tilt] < LEVEL**-2.0 / 2
+    return problem, search(problem) if askew else solve(problem, one.mean)
+
+
+def _judged(problem: Problem, fitted: Fitted, date: str) -> Calibration:
+    m, body = problem.measurements, slice(0, problem.layout.body)
+    tried = leave_out(problem, fitted)
+    return Calibration(
+        arm=problem.arm, displacement=displacement_of(problem.layout, fitted.vector),
+        covariance=fitted.covariance[body, body], frame=fitted.frame, frame_name=m.frame, source=m.source, date=date,
+        points=len(m), before=float(tried.before.mean()), after=float(tried.after.mean()), used=tried.helps(problem),
+        floor=floor_of(problem.arm), suspects=tried.suspects(np.isfinite(m.point)),
+    )  # fmt: skip

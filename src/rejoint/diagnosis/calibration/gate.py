@@ -1,0 +1,90 @@
+"""What measurements say about points that a fit has not seen: whether to use it, and which of them look wrong."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rejoint.arms import Arm, Array, tcp_position
+from rejoint.diagnosis.calibration.framing import align
+from rejoint.diagnosis.calibration.measurements import Measurements
+from rejoint.diagnosis.calibration.model import floor_of
+from rejoint.diagnosis.calibration.solver import Fitted, Problem, solve
+
+FOLDS = 12
+"""Postures are left out one by one up to so many, in so many groups beyond (chosen: time)"""
+SURE = 1.3
+"""Standard errors by which a correction must help at points left out to be used (chosen: nine in ten)"""
+LEAST = 1e-4
+"""[m] least gain that is worth a correction (chosen)"""
+WRONG = 3.3
+"""Standard deviations of a normal distribution whose chance is that of a right point being called wrong (chosen: one
+arm in two hundred among ten points)"""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LeftOut:
+    """Every measured point, predicted from those of other postures."""
+
+    before: Array
+    """(M,) [m] distance of the point from where the encoders say the tool is"""
+    after: Array
+    """(M,) [m] distance from where the calibration on the others says it is"""
+    surprise: Array
+    """(M,) squared distance by its predicted covariance: chi-squared, of as many degrees as there are coordinates"""
+
+    def helps(self, problem: Problem) -> bool:
+        """Tell whether the correction is clearly nearer than the encoders."""
+        postures = np.unique(problem.measurements.posture)
+        gain = np.array([(self.before - self.after)[problem.measurements.posture == p].mean() for p in postures])
+        noise = float((problem.measurements.sigma**2).mean() + floor_of(problem.arm) ** 2)
+        spread = max(noise, float(gain.var(ddof=1)) if len(gain) > 1 else 0.0)
+        return bool(gain.mean() > max(SURE * np.sqrt(spread / len(gain)), LEAST))
+
+    def suspects(self, known: NDArray[np.bool_]) -> tuple[int, ...]:
+        """Rows, the worst first, whose points (M, 3), ``known`` where measured, do not fit to the others."""
+        freedom = known.sum(axis=1)
+        excess = self.surprise / np.array([chi_squared(int(count), WRONG) for count in freedom])
+        return tuple(int(i) for i in np.argsort(-excess) if excess[i] > 1.0)
+
+
+def leave_out(problem: Problem, fitted: Fitted) -> LeftOut:
+    """Predict every point from fits that have not seen any of its posture."""
+    m = problem.measurements
+    count = len(m)
+    before, after, surprise = np.zeros(count), np.zeros(count), np.zeros(count)
+    for out in folds(m.posture):
+        rows = np.flatnonzero(out)
+        others = m.rows(~out)
+        refit = solve(replace(problem, measurements=others), fitted.vector)
+        held = replace(problem, measurements=m.rows(out))
+        residual, slope = held.residual(refit.vector)
+        total = held.noise(refit.vector) + slope @ refit.covariance @ np.swapaxes(slope, -1, -2)
+        after[rows] = np.linalg.norm(residual, axis=1)
+        surprise[rows] = np.einsum("mi,mi->m", residual, np.linalg.solve(total, residual[..., None])[..., 0])
+        before[rows] = np.linalg.norm(_uncorrected(problem.arm, problem, others, held.measurements), axis=1)
+    return LeftOut(before=before, after=after, surprise=surprise)
+
+
+def folds(posture: NDArray[np.int64]) -> list[NDArray[np.bool_]]:
+    """Rows (M,) that are left out together."""
+    numbers = np.unique(posture)
+    groups = np.arange(len(numbers)) % min(FOLDS, len(numbers))
+    return [np.isin(posture, numbers[groups == group]) for group in np.unique(groups)]
+
+
+def chi_squared(freedom: int, deviations: float) -> float:
+    """Quantile of chi-squared at that of a normal distribution (Wilson and Hilferty 1931)."""
+    if freedom == 0:
+        return np.inf
+    spread = 2.0 / (9.0 * freedom)
+    return float(freedom * (1.0 - spread + deviations * np.sqrt(spread)) ** 3)
+
+
+def _uncorrected(arm: Arm, problem: Problem, others: Measurements, held: Measurements) -> Array:
+    """Residuals (M, 3) [m] of the encoders' own forward kinematics, zero where nothing was measured."""
+    pose = align(arm, others) if problem.layout.frame else problem.frame
+    seen = (tcp_position(arm, held.position) - pose[:3, 3]) @ pose[:3, :3]
+    return np.where(np.isfinite(held.point), seen - held.point, 0.0)
