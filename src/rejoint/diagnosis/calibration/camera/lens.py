@@ -12,8 +12,9 @@ from rejoint.system.errors import InputError
 TERMS = ("f", "cx", "cy", "k1", "k2", "p1", "p2")
 """The numbers of a lens in the order of `Lens.numbers`"""
 
-_UNDISTORTING = 20
-"""Steps of the search for the undistorted point (chosen: 1e-6 px at k1 = -0.3 in the corner of a picture)"""
+_UNDISTORTING = 30
+"""Most steps of the search for the undistorted point (chosen: enough for k1 = -0.3 in the corner of a picture)"""
+_SETTLED = 1e-9  # change of a step after which the search ends: a millionth of a pixel
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,7 +69,9 @@ class Lens:
         ray = np.array(wanted)
         for _ in range(_UNDISTORTING):
             radial, tangential = _distortion(self.numbers, ray)
-            ray = (wanted - tangential) / radial
+            before, ray = ray, (wanted - tangential) / radial
+            if np.abs(ray - before).max(initial=0.0) < _SETTLED:
+                break
         return ray
 
     def shows(self, pixel: Array, margin: float = 0.0) -> Array:
