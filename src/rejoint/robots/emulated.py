@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from rejoint.arms import Arm, Array
+from rejoint.arms.kinematics import GRAVITY
 from rejoint.control.robot import JointState, Mask
 from rejoint.lab.plant.channel import Channel, Interval
 from rejoint.lab.plant.plant import Plant
@@ -39,15 +40,20 @@ class EmulatedRobot:
         first: int = 0,
         payload: Array | float = 0.0,
         tells_load: bool = True,
+        bodies: Sequence[Arm] | None = None,
+        gravity: Array = GRAVITY,
     ) -> None:
         """Put the arms at rest at ``start`` (B, n) or (n,) [rad], by default in the rest posture.
 
         ``payload``, a number or (B,) [kg], is what their tools carry and nobody knows of. ``tells_load`` says whether
-        their servos report a load, as not all do.
+        their servos report a load, as not all do. ``bodies`` are the arms as they really are, where ``arm`` only
+        describes them; ``gravity`` (3,) [m/s^2] in the frame of the base is another one where that stands askew.
         """
         self._address, self._tells_load = address, tells_load
         self._channel = Channel(latency=command_latency, age=readback_age, period=period)
-        self.plant = Plant(arm, wears, seed=seed, threads=threads, first=first, payload=payload)
+        self.plant = Plant(
+            arm, wears, seed=seed, threads=threads, first=first, payload=payload, bodies=bodies, gravity=gravity
+        )
         self._keys = stream_keys(seed, len(wears), first=first, purpose=_CHANNEL_PURPOSE)
         self._cycle = np.zeros(len(wears), np.int64)
         self._position = np.zeros((len(wears), arm.joints))

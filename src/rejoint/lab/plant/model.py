@@ -13,7 +13,8 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from rejoint.arms import Arm
+from rejoint.arms import Arm, Array
+from rejoint.arms.kinematics import GRAVITY
 from rejoint.lab.plant.servo import STEP
 
 _DISABLED = (
@@ -30,9 +31,10 @@ _ARMATURE = {"servo": 0.01, "gear": 0.001}
 """[kg m^2] placeholders that keep the inertia matrix regular while MuJoCo compiles the chain."""
 
 
-def build_model(arm: Arm) -> mujoco.MjModel:
-    """Compile the chain of ``arm`` with 2n hinges; the plant sets the armatures of each arm."""
+def build_model(arm: Arm, gravity: Array = GRAVITY) -> mujoco.MjModel:
+    """Compile the chain of ``arm`` with 2n hinges under ``gravity`` (3,); the plant sets the armatures of each arm."""
     spec = mujoco.MjSpec()
+    spec.option.gravity = gravity
     spec.option.timestep = STEP
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
     for flag in _DISABLED:

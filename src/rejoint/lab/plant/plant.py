@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, gravity_torque, tcp_position
 from rejoint.arms.inertia import Lump, lump
+from rejoint.arms.kinematics import GRAVITY
 from rejoint.lab.plant import servo
 from rejoint.lab.plant.model import build_model
 from rejoint.lab.plant.scaling import scale_of
@@ -46,13 +47,21 @@ class Plant:
         threads: int = 1,
         first: int = 0,
         payload: Array | float = 0.0,
+        bodies: Sequence[Arm] | None = None,
+        gravity: Array = GRAVITY,
     ) -> None:
-        """Put the arms at rest; ``payload`` is a number or (B,) [kg], a point mass held at the TCP."""
+        """Put the arms at rest; ``payload`` is a number or (B,) [kg], a point mass held at the TCP.
+
+        ``bodies`` are the arms (B) as they really are, where ``arm`` only describes them; ``gravity`` (3,) [m/s^2] in
+        the frame of the base is another one where that stands askew.
+        """
         if not wears:
             raise InputError("a plant needs at least one wear profile, got none")
         self.arm = arm
         self.count = len(wears)
-        self._carried = _loaded(arm, np.broadcast_to(np.asarray(payload, dtype=float), self.count))
+        self._pull = np.asarray(gravity, dtype=float)
+        self._carried = _loaded(arm, np.broadcast_to(np.asarray(payload, dtype=float), self.count), bodies)
+        self._bent = () if bodies is None else tuple(range(self.count))
         self.joints = np.array([joint_records(arm, wear) for wear in wears])
         """(B, n) what the joints are made of, as `servo.JOINT`"""
         self.servos = np.zeros((self.count, arm.joints), servo.STATE)
@@ -62,7 +71,7 @@ class Plant:
         self._due = np.full((self.count, servo.QUEUE), servo.NEVER)
         self._queue = np.zeros((self.count, servo.QUEUE, arm.joints))
         self._history = np.zeros((self.count, servo.HISTORY, arm.joints))
-        self.batch = Batch(build_model(arm), self.count, threads)
+        self.batch = Batch(build_model(arm, self._pull), self.count, threads)
         """the bodies in MuJoCo"""
         armature = self.batch.expand("dof_armature")
         armature[:, 0::2] = self.joints["reflected_inertia"]
@@ -121,7 +130,11 @@ class Plant:
 
     def true_tcp(self) -> Array:
         """(B, 3) [m] where the tools really are."""
-        return tcp_position(self.arm, self.link_position())
+        links = self.link_position()
+        tcp = tcp_position(self.arm, links)
+        for i in self._bent:
+            tcp[i] = tcp_position(self._carried[i], links[i])
+        return tcp
 
     def encoder(self, age: Array | float | None = None) -> Array:
         """(B, n) [rad] what the encoders said ``age`` (B,) [s] ago, now if None."""
@@ -234,22 +247,30 @@ class Plant:
         return position - seen, gear, load
 
     def _gravity(self, position: Array) -> Array:
-        load = gravity_torque(self.arm, position)
+        load = gravity_torque(self.arm, position, self._pull)
         for i, arm in self._carried.items():
-            load[i] = gravity_torque(arm, position[i])
+            load[i] = gravity_torque(arm, position[i], self._pull)
         return load
 
     def _load_tools(self) -> None:
-        """Give the last bodies of the arms in `_carried` the masses of their last links."""
+        """Give the bodies of the arms in `_carried` their own masses, and places where they have some."""
         if not self._carried:
             return
         mass, com = self.batch.expand("body_mass"), self.batch.expand("body_ipos")
         inertia, turn = self.batch.expand("body_inertia"), self.batch.expand("body_iquat")
         for i, arm in self._carried.items():
-            moments, axes = np.linalg.eigh(arm.inertia[-1])
-            axes[:, 0] *= np.sign(np.linalg.det(axes))
-            mass[i, -1], com[i, -1], inertia[i, -1] = arm.mass[-1], arm.com[-1], moments
-            mujoco.mju_mat2Quat(turn[i, -1], axes.flatten())
+            for link in range(0 if self._bent else self.arm.joints - 1, self.arm.joints):
+                body = link + 1  # after the world
+                moments, axes = np.linalg.eigh(arm.inertia[link])
+                axes[:, 0] *= np.sign(np.linalg.det(axes))
+                mass[i, body], com[i, body], inertia[i, body] = arm.mass[link], arm.com[link], moments
+                mujoco.mju_mat2Quat(turn[i, body], axes.flatten())
+        if self._bent:
+            place, angle = self.batch.expand("body_pos"), self.batch.expand("body_quat")
+            for i in self._bent:
+                for link, offset in enumerate(self._carried[i].offset):
+                    place[i, link + 1] = offset[:3, 3]
+                    mujoco.mju_mat2Quat(angle[i, link + 1], offset[:3, :3].flatten())
         self.batch.set_const(np.array(list(self._carried), dtype=np.int32))  # the masses of whole branches
 
     def _selected(self, where: Mask | None) -> Ids:
@@ -264,12 +285,18 @@ class Plant:
         return position
 
 
-def _loaded(arm: Arm, payload: Array) -> dict[int, Arm]:
-    """Return the arms of a batch that carry a ``payload`` (B,) [kg], with the point mass joined to their last link."""
+def _loaded(arm: Arm, payload: Array, bodies: Sequence[Arm] | None) -> dict[int, Arm]:
+    """Return the arms of a batch that differ from ``arm``: ``bodies``, and those that carry a ``payload`` (B,) [kg].
+
+    It is a point mass joined to their last link.
+    """
     if not (np.isfinite(payload).all() and (payload >= 0).all()):
         raise InputError(f"a payload is at least 0 kg, got {payload.tolist()}")
-    carried = {}
+    if bodies is not None and len(bodies) != len(payload):
+        raise InputError(f"a plant of {len(payload)} arms needs as many bodies, got {len(bodies)}")
+    described, carried = arm, {} if bodies is None else dict(enumerate(bodies))
     for i in np.flatnonzero(payload > 0.0):
+        arm = carried.get(int(i), described)
         link = Lump(mass=float(arm.mass[-1]), com=arm.com[-1], inertia=arm.inertia[-1])
         joined = lump([link, Lump(mass=float(payload[i]), com=arm.tip[:3, 3], inertia=np.zeros((3, 3)))])
         carried[int(i)] = replace(
