@@ -70,13 +70,16 @@ class Calibration:
         """Refuse with a ContractError if this calibration is of another arm."""
         check_arm(self.arm.name, geometry_of(self.arm), arm)
 
-    def tool(self, position: Array) -> Array:
-        """Where the tool (..., 3) [m] is by this calibration while the encoders say ``position`` (..., n) [rad]."""
-        return self.displacement.tool(self.arm, position)
+    def tool(self, position: Array, approach: Array | None = None) -> Array:
+        """Where the tool (..., 3) [m] is by this calibration while the encoders say ``position`` (..., n) [rad].
 
-    def shift(self, position: Array) -> Array:
+        ``approach`` (..., n) [rad] is where they were before the last motion, as far as that is known.
+        """
+        return self.displacement.tool(self.arm, position, approach)
+
+    def shift(self, position: Array, approach: Array | None = None) -> Array:
         """Return how far (..., 3) [m] the tool is from where the encoders at ``position`` (..., n) [rad] say it is."""
-        return self.tool(position) - tcp_position(self.arm, position)
+        return self.tool(position, approach) - tcp_position(self.arm, position)
 
     def spread(self, position: Array) -> Array:
         """Covariance (..., 3, 3) [m^2] of the tool around `tool`: parameters, floating joints, and what remains."""
@@ -105,21 +108,23 @@ class Calibration:
     def aim(self, target: Array, start: Array) -> Array:
         """Where the encoders are to say that the tool is (..., 3) [m], for it to be at ``target`` (..., 3) [m].
 
-        ``start`` (..., n) [rad] is the posture from which that of the target is looked for. A target comes back as
-        it is where the correction is not used.
+        ``start`` (..., n) [rad] is the posture that the arm comes from: that of the target is looked for from there,
+        and joints that float lie as they do after this motion. A target comes back as it is where the correction is
+        not used.
         """
         target = np.asarray(target, dtype=float)
         if not self.used:
             return target.copy()
-        command, posture = target, np.asarray(start, dtype=float)
+        start = np.asarray(start, dtype=float)
+        command, posture = target, start
         for _ in range(AIMING):
             posture = solve_position(self.arm, command, posture).q
-            command = target - self.shift(posture)
+            command = target - self.shift(posture, start)
         return command
 
-    def aim_again(self, target: Array, position: Array) -> Array:
+    def aim_again(self, target: Array, position: Array, approach: Array | None = None) -> Array:
         """Return the same as `aim`, now that the arm has settled near ``target`` at ``position`` (..., n) [rad]."""
-        return target - self.shift(position) if self.used else np.array(target, dtype=float)
+        return target - self.shift(position, approach) if self.used else np.array(target, dtype=float)
 
 
 def geometry_of(arm: Arm) -> dict[str, str]:

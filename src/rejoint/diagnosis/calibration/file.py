@@ -31,6 +31,7 @@ _UNITS = {
     "offset": "rad, added to what the encoders say",
     "compliance": "rad/(N m), of gear and link",
     "play": "rad, whole width",
+    "carry": "1, of half the play, by which a joint that floats runs ahead of its last motion",
     "mass": "1, by the description of the arm",
 }
 

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from rejoint.arms import Arm, Array, Displacement, frames, gravity_torque, position_kinematics
-from rejoint.arms.displacement import FLOATING
+from rejoint.arms.displacement import FLOATING, direction
 from rejoint.arms.size import length_size
 from rejoint.diagnosis.calibration.parameters import Layout, displacement_of, gravity_of
 
@@ -25,20 +25,28 @@ likely, one where it always lies at a flank (chosen on emulated worn arms)"""
 _STEP = 1e-6  # [rad] for the derivative of the direction of gravity
 
 
-def linearised(arm: Arm, layout: Layout, vector: Array, position: Array) -> tuple[Array, Array]:
-    """Return the tool (M, 3) [m] at encoder positions (M, n) and its derivative (M, 3, k) by the arm's parameters."""
+def linearised(
+    arm: Arm, layout: Layout, vector: Array, position: Array, approach: Array | None = None
+) -> tuple[Array, Array]:
+    """Return the tool (M, 3) [m] at encoder positions (M, n) and its derivative (M, 3, k) by the arm's parameters.
+
+    ``approach`` (M, n) [rad] is where the encoders came from, as in `Displacement.joints`.
+    """
     displacement = displacement_of(layout, vector)
     moved = displacement.moved(arm)
     torque = displacement.torque(arm, position)
     side = np.tanh(torque / FLOATING)
-    joints = position + displacement.offset - displacement.compliance * torque - 0.5 * displacement.play * side
+    free, came = 1.0 - side**2, direction(position, approach)
+    joints = displacement.joints(arm, position, approach)
     tool, lever = position_kinematics(moved, joints)
     derivative = np.zeros((*position.shape[:-1], 3, layout.body))
     derivative[..., layout.at("offset")] = lever
     derivative[..., layout.at("compliance")] = -lever * torque[:, None, :]
-    derivative[..., layout.at("play")] = -0.5 * lever * side[:, None, :]
+    derivative[..., layout.at("play")] = -0.5 * lever * (side - displacement.carry * free * came)[:, None, :]
+    derivative[..., layout.at("carry")] = 0.5 * lever * (displacement.play * free * came)[:, None, :]
     # torque moves joints by flex and by the side of the play
-    yielding = -lever * (displacement.compliance + 0.5 * displacement.play * (1.0 - side**2) / FLOATING)[:, None, :]
+    turning = 0.5 * displacement.play * free / FLOATING * (1.0 + 2.0 * displacement.carry * side * came)
+    yielding = -lever * (displacement.compliance + turning)[:, None, :]
     for i in range(arm.joints):
         only = np.where(np.arange(arm.joints) == i, arm.mass, 0.0)
         one = gravity_torque(replace(arm, mass=only), position, displacement.gravity)

@@ -27,14 +27,22 @@ LEVEL, ASKEW = np.radians(0.3), np.radians(6.0)
 axis (chosen: a spirit level, and a wedge)"""
 MASS = 0.12
 """[1] standard deviation of each link's mass by what its description says (chosen)"""
+CARRY, CARRY_SIGMA = 0.2, 0.3
+"""[1] mean and standard deviation of the share of half its play by which a floating joint runs ahead of its last motion
+(chosen on emulated worn arms, where inertia does that; friction in a joint has it stay behind)"""
 SHIFT, TURN = 1e-3, np.radians(0.3)
 """[m] on an arm of the reach of a myCobot 280, and [rad]: standard deviations of the errors of each link's description
 (chosen: printed parts and press fits)"""
 PLACE, ORIENTATION = 1.0, 3.0
 """[m] and [rad] standard deviations of the pose of a measuring frame around its first estimate: nothing is believed"""
 
-MOST = {"offset": np.radians(6.0), "compliance": 0.3, "play": np.radians(8.0), "tilt": np.radians(20.0), "mass": 0.5}
+MOST = {"offset": np.radians(6.0), "compliance": 0.3, "play": np.radians(8.0), "tilt": np.radians(20.0), "mass": 0.5,
+        "carry": 1.0}  # fmt: skip
 """Bounds, in the units of above (chosen: beyond them something else is wrong)"""
+
+
+KINDS = ("offset", "compliance", "play", "carry", "mass", "tilt", "twist")
+"""Parameters of an arm, in order"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,21 +61,20 @@ class Layout:
     @property
     def body(self) -> int:
         """Number of those parameters that belong to the arm: all but the pose of the frame."""
-        return 4 * self.joints + 2 + 6 * (self.joints + 1)
+        return 5 * self.joints + 2 + 6 * (self.joints + 1)
 
     def at(self, name: str) -> slice:
-        """Return where ``offset``, ``compliance``, ``play``, ``mass``, ``tilt``, ``twist`` or ``frame`` stand."""
+        """Return where a kind of parameters stands: one of `KINDS`, or ``frame``."""
         n = self.joints
-        ends = {"offset": n, "compliance": 2 * n, "play": 3 * n, "mass": 4 * n, "tilt": 4 * n + 2, "twist": self.body,
-                "frame": self.size}  # fmt: skip
+        ends = {"offset": n, "compliance": 2 * n, "play": 3 * n, "carry": 4 * n, "mass": 5 * n, "tilt": 5 * n + 2,
+                "twist": self.body, "frame": self.size}  # fmt: skip
         names = list(ends)
         place = names.index(name)
         return slice(ends[names[place - 1]] if place else 0, ends[name])
 
     def names(self) -> tuple[str, ...]:
         """Name every parameter of the arm, such as ``play 2``."""
-        kinds = ("offset", "compliance", "play", "mass", "tilt", "twist")
-        return tuple(f"{kind} {i + 1}" for kind in kinds for i in range(self.at(kind).stop - self.at(kind).start))
+        return tuple(f"{kind} {i + 1}" for kind in KINDS for i in range(self.at(kind).stop - self.at(kind).start))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -113,6 +120,7 @@ def belief(arm: Arm, layout: Layout, case: Case, gravity: Array = GRAVITY) -> Be
         OFFSET, soft, case.play_sigma
     )  # fmt: skip
     sigma[layout.at("mass")], sigma[layout.at("tilt")] = MASS, case.tilt
+    mean[layout.at("carry")], sigma[layout.at("carry")] = CARRY, CARRY_SIGMA
     each = np.array([SHIFT * length_size(arm)] * 3 + [TURN] * 3)
     sigma[layout.at("twist")] = np.tile(max(case.twist, 1e-3) * each, n + 1)
     sigma[layout.at("frame")] = np.array([PLACE] * 3 + [ORIENTATION] * 3)[: 6 * layout.frame]
@@ -145,14 +153,14 @@ def displacement_of(layout: Layout, vector: Array) -> Displacement:
     return Displacement(
         offset=vector[layout.at("offset")], compliance=vector[layout.at("compliance")], play=vector[layout.at("play")],
         twist=vector[layout.at("twist")].reshape(layout.joints + 1, 6), gravity=gravity_of(vector[layout.at("tilt")]),
-        mass=1.0 + vector[layout.at("mass")],
+        mass=1.0 + vector[layout.at("mass")], carry=vector[layout.at("carry")],
     )  # fmt: skip
 
 
 def vector_of(layout: Layout, displacement: Displacement) -> Array:
     """Turn a displacement into the vector; the pose of a frame is zero."""
     vector = np.zeros(layout.size)
-    for name in ("offset", "compliance", "play"):
+    for name in ("offset", "compliance", "play", "carry"):
         vector[layout.at(name)] = getattr(displacement, name)
     vector[layout.at("mass")] = displacement.mass - 1.0
     vector[layout.at("tilt")] = tilt_of(displacement.gravity)

@@ -68,7 +68,8 @@ class Problem:
 
     def residual(self, vector: Array) -> tuple[Array, Array]:
         """Predicted less measured coordinates (M, 3) [m], zero where not measured, and their derivative (M, 3, k)."""
-        tool, own = linearised(self.arm, self.layout, vector, self.measurements.position)
+        m = self.measurements
+        tool, own = linearised(self.arm, self.layout, vector, m.position, m.approach)
         pose, derivative = self.pose(vector), np.zeros((*tool.shape, self.layout.size))
         derivative[..., : self.layout.body] = own
         if self.layout.frame:
