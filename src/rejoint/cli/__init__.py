@@ -15,7 +15,7 @@ import msgspec
 import typer
 from rich.console import Console
 
-from rejoint.cli import chain, evaluation, foreign, offline, reproducing, serving, stages
+from rejoint.cli import chain, evaluation, foreign, measuring, offline, reproducing, serving, stages
 from rejoint.system.errors import RejointError
 from rejoint.system.extras import explain
 from rejoint.system.stopping import Interrupted, install, interruption
@@ -31,7 +31,7 @@ app = typer.Typer(
 COMMANDS: tuple[Callable[..., None], ...] = (
     chain.repair, stages.diagnose, stages.identify, stages.train, stages.compare, stages.deploy, stages.report,
     offline.replay, foreign.import_, foreign.export, serving.emulate, reproducing.reproduce, evaluation.evaluate,
-    evaluation.tune,
+    evaluation.tune, measuring.board,
 )  # fmt: skip
 for command in COMMANDS:
     app.command(command.__name__.rstrip("_"), context_settings={"help_option_names": ["-h", "--help"]})(command)

@@ -29,8 +29,8 @@ LENS = {"f": 0.3, "cx": 0.03, "cy": 0.03, "k1": 0.3, "k2": 0.3, "p1": 0.005, "p2
 NOWHERE = 10.0
 """[m] and [rad] standard deviation of poses of which nothing is known"""
 LOOSE, ASKEW = 0.5e-3, np.radians(0.15)
-"""[m] over the reach of a myCobot 280, and [rad]: standard deviation of the tool's place and turn by what no displacement
-explains (chosen on emulated worn arms: ripple, stiction, and the simplified law of play)"""
+"""[m] over the reach of a myCobot 280, and [rad]: standard deviation of the tool's place and turn by what no
+displacement explains (chosen on emulated worn arms: ripple, stiction, and the simplified law of play)"""
 JOINT = np.radians(0.1)
 """[rad] the same of each joint (chosen on emulated worn arms)"""
 _STEP = 1e-6  # [m] and [rad] of numerical derivatives
@@ -62,6 +62,8 @@ class Adjustment:
     views: Sequence[View]
     position: Array
     """(V, n) [rad] what the encoders said"""
+    approach: Array
+    """(V, n) [rad] where they came from last; NaN where nobody knows"""
     whitener: Array
     """(V, 6, 6) what makes the tool's difference from the arm's kinematics a number of unit variance"""
     tip: Tip | None = None
@@ -112,11 +114,11 @@ class Adjustment:
 
     def ties(self, x: Array) -> Array:
         """Residuals (V, 6) of the tool: seen less as the arm's kinematics say, whitened."""
-        off = difference(self._seen(x, self.sights_of(x)), self.displacement_of(x).tool_pose(self.arm, self.position))
+        off = difference(self._seen(x, self.sights_of(x)), self._told(x))
         return (self.whitener @ off[..., None])[..., 0]
 
     def derivative(self, x: Array) -> Array:
-        """Derivative (m, p) of the residuals."""
+        """Return the derivative (m, p) of the residuals."""
         corners = self._corner_derivative(x)
         ties = self._tie_derivative(x).reshape(-1, self.size)
         return np.concatenate([corners, ties, self._belief_derivative(x)])
@@ -151,22 +153,34 @@ class Adjustment:
         np.put_along_axis(whole, np.broadcast_to(place, by_pose.shape), by_pose, axis=2)
         return whole.reshape(-1, self.size) / CORNER
 
-    def _tie_derivative(self, x: Array) -> Array:
+    def shared_ties(self, x: Array) -> Array:
+        """Return the derivative (V, 6, shared) of `ties` by the unknowns that all views share."""
         n, sights = len(TERMS), self.sights_of(x)
-        seen, told = self._seen(x, sights), self.displacement_of(x).tool_pose(self.arm, self.position)
+        seen, told = self._seen(x, sights), self._told(x)
         base = difference(seen, told)
-        raw = np.zeros((len(self.views), 6, self.size))
+        raw = np.zeros((len(self.views), 6, self.shared))
         for i in range(n, n + 12):
             raw[..., i] = (difference(self._seen(_stepped(x, i), sights), told) - base) / _STEP
         for i in range(self.body.start, self.body.stop):
-            other = self.displacement_of(_stepped(x, i)).tool_pose(self.arm, self.position)
+            other = self._told(_stepped(x, i))
             raw[..., i] = (difference(seen, other) - base) / _STEP
+        return np.asarray(self.whitener @ raw)
+
+    def _tie_derivative(self, x: Array) -> Array:
+        sights, told, every = self.sights_of(x), self._told(x), np.arange(len(self.views))
+        base = difference(self._seen(x, sights), told)
+        whole = np.zeros((len(self.views), 6, self.size))
+        whole[..., : self.shared] = self.shared_ties(x)
         small = x[self.shared :].reshape(-1, 6)
         for i in range(6):
             step = _STEP * np.eye(6)[i]
             own = (difference(self._seen(x, moved(self.sights, small + step)), told) - base) / _STEP
-            raw[np.arange(len(self.views)), :, self.shared + 6 * np.arange(len(self.views)) + i] = own
-        return np.einsum("vij,vjk->vik", self.whitener, raw)
+            whole[every, :, self.shared + 6 * every + i] = (self.whitener @ own[..., None])[..., 0]
+        return whole
+
+    def _told(self, x: Array) -> Array:
+        """Poses (V, 4, 4) of the tool by the arm's kinematics."""
+        return self.displacement_of(x).tool_pose(self.arm, self.position, self.approach)
 
     def _seen(self, x: Array, sights: Array) -> Array:
         n = len(TERMS)
@@ -203,7 +217,7 @@ class Adjustment:
     def _root(self) -> Array:
         """(k, k) square root of the precision of what is believed of the arm."""
         body = slice(0, self.layout.body)
-        return np.linalg.cholesky(self.belief.precision[body, body]).T
+        return np.asarray(np.linalg.cholesky(self.belief.precision[body, body]).T)
 
 
 def difference(seen: Array, told: Array) -> Array:

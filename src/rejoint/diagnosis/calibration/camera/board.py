@@ -94,7 +94,7 @@ class Board:
         board = self.opencv()
         dictionary = board.getDictionary()
         cells = dictionary.markerSize + 2
-        corners = np.array([marker[0, :2] for marker in board.getObjPoints()])
+        corners = np.array(board.getObjPoints())[:, 0, :2]
         ids = np.ravel(board.getIds())
         pictures = [dictionary.generateImageMarker(int(number), cells, borderBits=1) for number in ids]
         return board, np.rint(1e6 * corners).astype(np.int64), np.array(pictures, dtype=np.uint8)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -18,7 +19,7 @@ from rejoint.diagnosis.calibration.camera.starting import first_lens, first_rig,
 from rejoint.diagnosis.calibration.camera.suspects import Judged, judge
 from rejoint.diagnosis.calibration.camera.views import Unusable, View
 from rejoint.diagnosis.calibration.measurements import Measurements
-from rejoint.diagnosis.calibration.parameters import ASKEW, Belief, Case, Layout, belief, displacement_of
+from rejoint.diagnosis.calibration.parameters import Belief, Case, Layout, belief, displacement_of
 from rejoint.system.errors import InputError
 from rejoint.system.extras import require
 
@@ -26,8 +27,8 @@ FEWEST = 10
 """Views of which an arm is estimated (chosen: with fewer, a wrong one is not noticed)"""
 HUBER = 3.0
 """Standard deviations of a residual from which the loss grows linearly (chosen: 0.3 % of normal ones are larger)"""
-BROAD = Case(tilt=ASKEW, twist=0.5)
-"""What is believed of the arm before: views are many enough to tell a worn one from one that stands askew"""
+USUAL = Case(twist=0.5)
+"""What is believed of the arm before: that it may be worn and stands on a table (see `Case`)"""
 
 _ROUNDS = 4  # of the adjustment, at most; all but the first two only where a view was left out
 _STEPS = (15, 30)  # of the first round and of the others
@@ -68,6 +69,8 @@ class Bundle:
     """those that were used"""
     position: Array
     """(V, n) [rad] encoders at these"""
+    approach: Array
+    """(V, n) [rad] where they came from last; NaN where nobody knows"""
     sights: Array
     """(V, 4, 4) of the board in the frame of the camera at these"""
 
@@ -96,7 +99,7 @@ class Bundle:
             for view, pose in zip(self.views, self.sights, strict=True)
         ])  # fmt: skip
         return Measurements(
-            position=self.position, approach=np.full_like(self.position, np.nan), point=tool[:, :3, 3],
+            position=self.position, approach=self.approach, point=tool[:, :3, 3],
             sigma=point_sigma(self.rig, self.sights, spread),
             posture=np.arange(count) if posture is None else np.asarray(posture), frame="base", source="camera",
         )  # fmt: skip
@@ -109,6 +112,7 @@ def bundle(
     position: Array,
     *,
     size: tuple[int, int],
+    approach: Array | None = None,
     carried: str = "board",
     lens: Lens | None = None,
     prior: Belief | None = None,
@@ -116,28 +120,31 @@ def bundle(
 ) -> Bundle:
     """Adjust lens, poses and arm to ``views`` of ``board`` with the encoders at ``position`` (V, n) [rad].
 
-    ``size`` [px] is width and height of the pictures, ``carried`` what the tool carries (`MOUNTINGS`), ``lens`` what is
-    believed of the lens, ``prior`` of the arm, and ``tip`` where the tool's tip is on the board that it carries, where
-    somebody has measured that. InputError where the views do not suffice, MissingExtraError without SciPy.
+    ``size`` [px] is width and height of the pictures, ``approach`` (V, n) where the encoders came from, as far as it
+    is known, ``carried`` what the tool carries (`MOUNTINGS`), ``lens`` what is believed of the lens, ``prior`` of the
+    arm, and ``tip`` where the tool's tip is on the board that it carries, where somebody has measured that.
+    InputError where the views do not suffice, MissingExtraError without SciPy.
     """
     require("a camera", "scipy")
     position = np.asarray(position, dtype=float)
     _check(arm, views, position, carried, tip)
+    came = np.full_like(position, np.nan) if approach is None else np.broadcast_to(approach, position.shape)
     layout = Layout(joints=arm.joints)
-    believed = belief(arm, layout, BROAD) if prior is None else prior
+    believed = belief(arm, layout, USUAL) if prior is None else prior
     lens = Lens.usual(*size) if lens is None else lens
     first = first_lens(lens, board, views)
     sights = first_sights(first, board, views)
     rig = first_rig(arm, first, board, carried, position, sights)
     state = Adjustment(
         arm=arm, layout=layout, belief=believed, rig=rig, lens=lens, sights=sights, views=tuple(views),
-        position=position, whitener=_whitener(arm, displacement_of(layout, believed.mean), position), tip=tip,
+        position=position, approach=came, tip=tip,
+        whitener=_whitener(arm, displacement_of(layout, believed.mean), position),
     )  # fmt: skip
     return _rounds(state, believed.mean[: layout.body])
 
 
 def point_sigma(rig: Rig, sights: Array, spread: Array) -> Array:
-    """Standard deviations (V,) [m] of the tool's coordinates for poses in the camera with covariances (V, 6, 6)."""
+    """Return standard deviations (V,) [m] of the tool's coordinates where ``sights`` have covariances (V, 6, 6)."""
     if rig.carried == "board":  # a turn of the board swings the tip about the board's origin
         lever = np.einsum("...ij,j->...i", sights[..., :3, :3], inverse(rig.mounted)[:3, 3])
     else:  # and the tip, which stands before the camera, about it as well
@@ -213,9 +220,10 @@ def _settled(state: Adjustment, x: Array) -> Adjustment:
 
 def _kept(state: Adjustment, judged: Judged) -> Adjustment:
     """Return the adjustment of the views that fit, where mended ones are seen as they fit."""
-    good = np.flatnonzero(judged.good)
+    good = np.flatnonzero(judged.good).tolist()
     return replace(
         state, sights=judged.sights[good], views=tuple(state.views[i] for i in good), position=state.position[good],
+        approach=state.approach[good],
         whitener=state.whitener[good],
     )  # fmt: skip
 
@@ -225,7 +233,7 @@ def _whitener(arm: Arm, displacement: Displacement, position: Array) -> Array:
 
 
 def _result(state: Adjustment, vector: Array, slope: Array, left: tuple[Unusable, ...]) -> Bundle:
-    covariance = np.linalg.inv(slope.T @ slope)[: state.shared, : state.shared]
+    covariance = np.asarray(np.linalg.inv(slope.T @ slope))[: state.shared, : state.shared]
     x = state.start(vector)
     rms = _rms_of_views(state, x)
     off = np.linalg.solve(state.whitener, state.ties(x)[..., None])[..., 0]
@@ -239,7 +247,7 @@ def _result(state: Adjustment, vector: Array, slope: Array, left: tuple[Unusable
     return Bundle(
         arm=state.arm, rig=state.rig, displacement=displacement_of(state.layout, vector), vector=vector,
         covariance=covariance[own:, own:], rig_covariance=covariance[:own, :own], residuals=residuals, left_out=left,
-        views=tuple(state.views), position=state.position, sights=state.sights,
+        views=tuple(state.views), position=state.position, approach=state.approach, sights=state.sights,
     )  # fmt: skip
 
 
@@ -247,7 +255,7 @@ def _rms_of_views(state: Adjustment, x: Array) -> Array:
     """(V,) [px] of the corners of each view, per coordinate."""
     ends = np.cumsum([0, *(len(view.number) for view in state.views)])
     square = (state.corners(x) * CORNER) ** 2
-    return np.sqrt([square[a:b].mean() for a, b in zip(ends[:-1], ends[1:], strict=True)])
+    return np.sqrt([square[a:b].mean() for a, b in pairwise(ends)])
 
 
 def _deviations(covariance: Array) -> Array:

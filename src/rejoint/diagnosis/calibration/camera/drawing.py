@@ -82,7 +82,7 @@ def _area(left: float, top: float, width: float, height: float, black: bool, x: 
 
 
 def _ruler(x: float, y: float, *, across: bool) -> list[str]:
-    """A line of 100 mm with a tick at every 10 mm, from (x, y) [mm]; its unit beside it."""
+    """Draw a line of 100 mm with a tick at every 10 mm, from (x, y) [mm]; its unit beside it."""
     lines = [f"0 g 0 G {_LINE} w"]
     for i in range(11):
         at, tick = RULER * i / 10, _TICK if i in (0, 10) else _TICK / 2
@@ -96,8 +96,9 @@ def _ruler(x: float, y: float, *, across: bool) -> list[str]:
 
 def _caption(board: Board) -> str:
     return (
-        f"ChArUco {board.columns} x {board.rows}, squares {1e3 * board.square:g} mm, markers {1e3 * board.marker:g} mm, "
-        f"{board.dictionary}. Print at 100 %, then measure both rulers between their first and last tick."
+        f"ChArUco {board.columns} x {board.rows}, squares {1e3 * board.square:g} mm, "
+        f"markers {1e3 * board.marker:g} mm, {board.dictionary}. "
+        "Print at 100 %, then measure both rulers between their first and last tick."
     )
 
 

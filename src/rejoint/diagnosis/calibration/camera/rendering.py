@@ -45,7 +45,7 @@ class Looks:
 
 
 @lru_cache(maxsize=8)
-def drawn(board: Board) -> Array:
+def drawn(board: Board) -> NDArray[np.float32]:
     """Draw a board, grey levels in dots of a quarter of a millimetre, with a rim of white paper."""
     rim = round(_QUIET / _DOT)
     dots = [round(board.square * count / _DOT) + 2 * rim for count in (board.rows, board.columns)]
@@ -77,7 +77,9 @@ def render(board: Board, lens: Lens, pose: Array, seed: int | tuple[int, ...], l
     return np.clip(np.rint(canvas), 0, 255).astype(np.uint8)
 
 
-def _paint(canvas: Array, board: Board, lens: Lens, pose: Array, window: tuple[int, int, int, int]) -> None:
+def _paint(
+    canvas: NDArray[np.float32], board: Board, lens: Lens, pose: Array, window: tuple[int, int, int, int]
+) -> None:
     """Put the board into the picture: rays of a fine grid, averaged over each pixel."""
     import cv2
 
@@ -101,7 +103,7 @@ def _paint(canvas: Array, board: Board, lens: Lens, pose: Array, window: tuple[i
 
 def _fine(ray: Array) -> Array:
     """Rays (3 h, 3 w, 2) across the pixels whose centres have ``ray`` (h, w, 2), along the slopes between pixels."""
-    down, right = np.gradient(ray, axis=(0, 1))
+    down, right = np.gradient(ray, axis=0), np.gradient(ray, axis=1)
     inside = (np.arange(_FINE) + 0.5) / _FINE - 0.5  # of a pixel, whose centre is at a whole number
     shift = inside[:, None, None, None] * down[:, None, :, None] + inside[:, None] * right[:, None, :, None]
     return np.asarray((ray[:, None, :, None] + shift).reshape(_FINE * ray.shape[0], _FINE * ray.shape[1], 2))
@@ -120,13 +122,15 @@ def _window(board: Board, lens: Lens, pose: Array) -> tuple[int, int, int, int] 
     return None if (low >= high).any() else (int(low[0]), int(high[0]), int(low[1]), int(high[1]))
 
 
-def _wall(lens: Lens) -> Array:
-    """What is behind the board: a wall that is darker towards one side."""
+def _wall(lens: Lens) -> NDArray[np.float32]:
+    """Paint what is behind the board: a wall that is darker towards one side."""
     x, y = np.linspace(-1, 1, lens.width), np.linspace(-1, 1, lens.height)
     return np.asarray(WALL + 25.0 * x[None, :] - 10.0 * y[:, None], dtype=np.float32)
 
 
-def _cover(canvas: Array, lens: Lens, board: Board, pose: Array, share: float, rng: np.random.Generator) -> None:
+def _cover(
+    canvas: NDArray[np.float32], lens: Lens, board: Board, pose: Array, share: float, rng: np.random.Generator
+) -> None:
     """Lay a hand over the board from one of its sides."""
     import cv2
 
@@ -140,7 +144,7 @@ def _cover(canvas: Array, lens: Lens, board: Board, pose: Array, share: float, r
     cv2.fillConvexPoly(canvas, np.rint(pixel).astype(np.int32), SKIN, lineType=cv2.LINE_AA)
 
 
-def _track(length: float, rng: np.random.Generator) -> Array:
+def _track(length: float, rng: np.random.Generator) -> NDArray[np.float32]:
     """Kernel of a straight movement of ``length`` [px] in some direction."""
     angle, reach = rng.uniform(0, np.pi), int(np.ceil(length / 2)) + 1
     kernel = np.zeros((2 * reach + 1, 2 * reach + 1), np.float32)

@@ -19,7 +19,7 @@ CORNER = 0.15
 """[px] standard deviation of a corner's coordinates in a sharp picture (rendered pictures: 0.05 to 0.15)"""
 
 FEWEST = 8
-"""Corners of which a pose is estimated (chosen: four fix it, so half of them are left to show that something is wrong)"""
+"""Corners of which a pose is estimated (chosen: four fix it, and half of them show whether something is wrong)"""
 
 _STEPS = 15  # of Gauss and Newton; they end much earlier
 _SMALL = 1e-9  # [m] and [rad] of a step after which the pose is settled
@@ -103,7 +103,7 @@ def _refined(lens: Lens, corners: Array, pixel: Array, pose: Array) -> Placed:
     """Gauss-Newton steps, halved where they do not help."""
     residual, slope = _reprojection(lens, corners, pixel, pose)
     for _ in range(_STEPS):
-        step = -np.linalg.lstsq(slope, residual, rcond=None)[0]
+        step = np.asarray(-np.linalg.lstsq(slope, residual, rcond=None)[0])
         for _ in range(8):
             trial = moved(pose, step)
             new, new_slope = _reprojection(lens, corners, pixel, trial)
@@ -117,9 +117,8 @@ def _refined(lens: Lens, corners: Array, pixel: Array, pose: Array) -> Placed:
             break
     curvature = slope.T @ slope + 1e-12 * np.eye(6)
     freedom = max(len(residual) - 6, 1)
-    return Placed(
-        pose=pose, covariance=CORNER**2 * np.linalg.inv(curvature), rms=float(np.sqrt(residual @ residual / freedom))
-    )
+    spread = np.asarray(CORNER**2 * np.linalg.inv(curvature))
+    return Placed(pose=pose, covariance=spread, rms=float(np.sqrt(residual @ residual / freedom)))
 
 
 def _reprojection(lens: Lens, corners: Array, pixel: Array, pose: Array) -> tuple[Array, Array]:
@@ -133,7 +132,7 @@ def _reprojection(lens: Lens, corners: Array, pixel: Array, pose: Array) -> tupl
 
 
 def _tilted_back(pose: Array, centre: Array) -> Array | None:
-    """Pose (4, 4) of a board tilted to the other side of the line of sight to its ``centre`` (3,); None if it is not."""
+    """Tilt a board to the other side of the line of sight to its ``centre`` (3,); None for one that is not tilted."""
     middle = pose[:3, :3] @ centre + pose[:3, 3]
     sight, normal = middle / np.linalg.norm(middle), pose[:3, 2]
     axis = np.cross(normal, sight)

@@ -81,6 +81,6 @@ def _require_turns(tool: Array) -> None:
     spread = np.linalg.svd(axes.reshape(len(tool), -1), compute_uv=False) / np.sqrt(len(tool))
     if len(tool) < 3 or spread[1] < _TURNED:
         raise InputError(
-            "the tool was turned too little between the views to tell where camera and board are; turn it by 20 degrees "
-            "and more about at least two directions"
+            "the tool was turned too little between the views to tell where camera and board are; "
+            "turn it by 20 degrees and more about at least two directions"
         )

@@ -42,7 +42,7 @@ class Judged:
 def judge(state: Adjustment, vector: Array) -> Judged:
     """Look at every view by itself, with the lens, the poses and the arm ``vector`` (k,) of all of them."""
     lens, corners = state.rig.lens, state.rig.board.corners
-    told = displacement_of(state.layout, vector).tool_pose(state.arm, state.position)
+    told = displacement_of(state.layout, vector).tool_pose(state.arm, state.position, state.approach)
     placed = [
         place(lens, corners[view.number], view.pixel, start)
         for view, start in zip(state.views, state.sights, strict=True)
@@ -53,7 +53,7 @@ def judge(state: Adjustment, vector: Array) -> Judged:
     usual = ELSEWHERE * max(1.0, float(np.median(off)))
     good, mended, bad = np.ones(len(placed), bool), False, []
     expected = state.rig.sight(told)
-    for v in np.flatnonzero((rms > limit) | (off > usual)):
+    for v in np.flatnonzero((rms > limit) | (off > usual)).tolist():
         view = state.views[v]
         other = place(lens, corners[view.number], view.pixel, expected[v])
         away = _distance(state, state.rig.tool(other.pose[None]), told[v : v + 1], v)[0]
@@ -61,7 +61,7 @@ def judge(state: Adjustment, vector: Array) -> Judged:
             sights[v], mended = other.pose, True
             continue
         good[v] = False
-        why = _crooked(rms[v], rms) if rms[v] > limit else _elsewhere(state, told, sights[v], int(v), usual)
+        why = _crooked(rms[v], rms) if rms[v] > limit else _elsewhere(state, told, sights[v], v, usual)
         bad.append(Unusable(name=view.name, why=why))
     return Judged(good=good, sights=sights, bad=tuple(bad), mended=mended)
 

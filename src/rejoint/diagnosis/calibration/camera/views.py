@@ -19,8 +19,8 @@ KINDS = (".png", ".jpg", ".jpeg")
 """Endings of the files that are read as pictures"""
 
 SOFT = 6.0
-"""[px] width of an edge from which a picture counts as blurred (chosen: sharp ones have 2 to 4; beyond it the markers of
-a board on a tool are no longer read)"""
+"""[px] width of an edge from which a picture counts as blurred (chosen: sharp ones have 2 to 4; beyond it the markers
+of a board on a tool are no longer read)"""
 
 _SHARPEST = 99.0  # percentile of the gradient that stands for edges (chosen: the marker's own edges cover 5 % or more)
 
@@ -75,7 +75,8 @@ class Detector:
         if softness > SOFT:
             return Unusable(
                 name=name,
-                why=f"blurred: its edges are {softness:.1f} px wide, expected at most {SOFT:g}; hold still, focus, add light",
+                why=f"blurred: its edges are {softness:.1f} px wide, expected at most {SOFT:g}; "
+                "hold still, focus, add light",
             )
         if found < FEWEST:
             return Unusable(
