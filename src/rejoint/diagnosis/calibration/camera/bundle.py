@@ -202,7 +202,7 @@ def _solved(state: Adjustment, vector: Array, steps: int) -> tuple[Array, Array]
     inside = np.clip(vector, state.belief.lower[body] + _INSIDE, state.belief.upper[body] - _INSIDE)
     found = least_squares(
         state.residual, state.start(inside), state.derivative, bounds=(lower, upper), method="trf", x_scale="jac",
-        loss="huber", f_scale=HUBER, max_nfev=steps, xtol=1e-7, ftol=1e-6, gtol=1e-6,
+        loss="huber", f_scale=HUBER, max_nfev=steps, xtol=1e-6, ftol=1e-5, gtol=1e-6,
     )  # fmt: skip
     return found.x, found.jac
 

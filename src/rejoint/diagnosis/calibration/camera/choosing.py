@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rejoint.arms import Arm, Array, collides, heights, tcp_pose, tcp_position
+from rejoint.arms import Arm, Array, collides, frames, heights, tcp_pose, tcp_position
 from rejoint.diagnosis.calibration.camera.adjustment import Adjustment, looseness
 from rejoint.diagnosis.calibration.camera.bundle import USUAL
 from rejoint.diagnosis.calibration.camera.rig import Rig
@@ -61,7 +61,7 @@ def seen_postures(arm: Arm, rig: Rig, count: int, seed: int) -> Array:
         near = ((tool > arm.targets.lower - _AROUND) & (tool < arm.targets.upper + _AROUND)).all(axis=-1)
         drawn = drawn[near & (heights(arm, drawn)[:, 1:].min(axis=-1) > arm.floor)]
         drawn = drawn[rig.shows(tcp_pose(arm, drawn))]
-        drawn = drawn[~collides(arm, drawn)]
+        drawn = drawn[~collides(arm, frames(arm, drawn))]
         found.append(drawn)
         enough += len(drawn)
         if enough >= count:
