@@ -12,7 +12,7 @@ from rejoint.diagnosis.calibration.camera.poses import inverse, moved
 from rejoint.diagnosis.calibration.camera.views import View
 from rejoint.diagnosis.calibration.fit import fit
 from rejoint.system.errors import InputError
-from tests.diagnosis.camera.scenes import ARM, WORN, taken
+from camera_scenes import ARM, WORN, taken
 
 pytest.importorskip("scipy", reason="SciPy is not installed: pip install 'rejoint[camera]'")
 

@@ -70,7 +70,12 @@ class Detector:
         found = 0 if numbers is None else len(numbers)
         markers = 0 if marker_numbers is None else len(marker_numbers)
         if markers == 0:
-            return Unusable(name=name, why="the board cannot be seen: none of its markers is found")
+            soft = edge_width(grey, np.array([[0.0, 0.0], np.array(grey.shape[::-1]) - 1.0])) > SOFT
+            return Unusable(
+                name=name,
+                why="the board cannot be seen: none of its markers is found"
+                + (", and nothing in the picture is sharp" if soft else ""),
+            )
         softness = edge_width(grey, np.concatenate([np.reshape(corner, (-1, 2)) for corner in marker_corners]))
         if softness > SOFT:
             return Unusable(
