@@ -116,7 +116,9 @@ def test_the_command_writes_the_board_and_its_description(tmp_path, monkeypatch,
         return ended.value.code, capsys.readouterr()
 
     path = tmp_path / "mine.pdf"
-    code, told = run(str(path), "--on", "table", "--squares", "8x5", "--square", "28", "--measured-x", "100.5", "--json")
+    code, told = run(
+        str(path), "--on", "table", "--squares", "8x5", "--square", "28", "--measured-x", "100.5", "--json"
+    )
     assert code == 0
     assert json.loads(told.out.splitlines()[-1])["pdf"] == str(path)
     board = read_board(tmp_path / "mine.toml")
