@@ -9,10 +9,10 @@ import pytest
 
 from rejoint.cli import main
 from rejoint.diagnosis.calibration.camera.board import ON_TABLE, ON_TOOL, Board, read_board, write_board
+from rejoint.diagnosis.calibration.camera.drawing import PAGES, write_pdf
 from rejoint.system.errors import FileError, InputError
 
 pytest.importorskip("cv2", reason="OpenCV is not installed: pip install 'rejoint[camera]'")
-from rejoint.diagnosis.calibration.camera.drawing import PAGES, write_pdf
 
 POINT = 25.4 / 72  # mm
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from camera_scenes import ARM, WORN, taken
 
 from rejoint.arms import tcp_pose, tcp_position
 from rejoint.diagnosis.calibration.camera.adjustment import Tip, difference
@@ -12,7 +13,6 @@ from rejoint.diagnosis.calibration.camera.poses import inverse, moved
 from rejoint.diagnosis.calibration.camera.views import View
 from rejoint.diagnosis.calibration.fit import fit
 from rejoint.system.errors import InputError
-from camera_scenes import ARM, WORN, taken
 
 pytest.importorskip("scipy", reason="SciPy is not installed: pip install 'rejoint[camera]'")
 

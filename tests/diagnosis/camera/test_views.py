@@ -6,19 +6,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from camera_scenes import ARM, taken
 
+from rejoint.diagnosis.calibration.camera import emulated, live
 from rejoint.diagnosis.calibration.camera.board import ON_TOOL
 from rejoint.diagnosis.calibration.camera.lens import Lens
 from rejoint.diagnosis.calibration.camera.poses import turned
+from rejoint.diagnosis.calibration.camera.rendering import Looks, render
 from rejoint.diagnosis.calibration.camera.sighting import place
+from rejoint.diagnosis.calibration.camera.track import ToolTracker
+from rejoint.diagnosis.calibration.camera.views import Detector, Unusable, read_views
 from rejoint.system.errors import FileError, InputError
 
 cv2 = pytest.importorskip("cv2", reason="OpenCV is not installed: pip install 'rejoint[camera]'")
-from rejoint.diagnosis.calibration.camera import emulated, live
-from rejoint.diagnosis.calibration.camera.rendering import Looks, render
-from rejoint.diagnosis.calibration.camera.track import ToolTracker
-from rejoint.diagnosis.calibration.camera.views import Detector, Unusable, read_views
-from camera_scenes import ARM, taken
 
 LENS = emulated.LENS
 CLEAN = Looks(blur=0.5, noise=0.0)
@@ -152,7 +152,7 @@ class Device:
 
 def test_a_live_camera_keeps_its_settings_and_is_given_back(monkeypatch):
     device = Device(500_000)
-    monkeypatch.setattr(cv2, "VideoCapture", lambda number: device)
+    monkeypatch.setattr(cv2, "VideoCapture", lambda _: device)
     monkeypatch.setattr(live, "PAUSE", 0.01)
     with live.LiveCamera(0, exposure=80.0) as camera:
         picture = camera.still()
