@@ -2,8 +2,8 @@
 
 Every arm takes 40 postures and is measured at rest: by 20 touch points of 0.5 mm, and by the corners of the board in
 40 pictures. Then it is sent to fresh targets: by its encoders alone, by each model, and by the model with the target
-corrected by what six pictures show. ``--rendered`` renders every picture and looks for the board in it; without, corners
-are projected and get the noise that rendered ones have.
+corrected by what six pictures show. ``--rendered`` renders every picture and looks for the board in it; without,
+corners are projected and get more noise than rendered ones have.
 
     python -m benchmarks.camera --arms 10
 """
