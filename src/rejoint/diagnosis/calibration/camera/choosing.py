@@ -13,7 +13,7 @@ from rejoint.diagnosis.calibration.parameters import Layout, belief, displacemen
 from rejoint.system.errors import InputError
 
 CANDIDATES = 240
-"""Postures that are chosen among (chosen: with twice as many the arm's error is the same)"""
+"""Postures that are chosen among (chosen)"""
 SPREAD = np.radians(40.0)
 """[rad] how far joints leave the rest posture, at most (chosen: beyond it boards on a tool turn away)"""
 _DRAWS = 4000  # at a time

@@ -13,7 +13,7 @@ TERMS = ("f", "cx", "cy", "k1", "k2", "p1", "p2")
 """The numbers of a lens in the order of `Lens.numbers`"""
 
 _UNDISTORTING = 30
-"""Most steps of the search for the undistorted point (chosen: enough for k1 = -0.3 in the corner of a picture)"""
+"""Most steps of the search for the undistorted point (chosen)"""
 _SETTLED = 1e-9  # change of a step after which the search ends: a millionth of a pixel
 
 

@@ -24,7 +24,7 @@ Picture = NDArray[np.uint8]
 BLACK, WHITE, SKIN, WALL = 35.0, 215.0, 140.0, 120.0
 """Grey levels of print, paper, a hand, and what is behind (chosen: a board in a room)"""
 
-_FINE = 3  # rays across a pixel (chosen: nine of them make steps of 5 % at an edge, a third of the noise)
+_FINE = 3  # rays across a pixel (chosen)
 _DOT = 0.25e-3  # [m] of the drawing's dots (chosen: a tenth of a cell; edges of cells are on them)
 _QUIET = 5e-3  # [m] white paper around the board (chosen)
 _MARGIN = 8  # [px] around the board that are rendered with it

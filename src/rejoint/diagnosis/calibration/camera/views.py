@@ -22,7 +22,7 @@ SOFT = 6.0
 """[px] width of an edge from which a picture counts as blurred (chosen: sharp ones have 2 to 4; beyond it the markers
 of a board on a tool are no longer read)"""
 
-_SHARPEST = 99.0  # percentile of the gradient that stands for edges (chosen: the marker's own edges cover 5 % or more)
+_SHARPEST = 99.0  # percentile of the gradient that stands for edges (chosen)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
