@@ -19,7 +19,7 @@ from rejoint.system.files import read_json
 
 COMMANDS = (
     "repair", "diagnose", "identify", "train", "compare", "deploy", "report", "replay", "import", "export", "emulate",
-    "reproduce", "evaluate", "tune",
+    "reproduce", "evaluate", "tune", "board",
 )  # fmt: skip
 
 
@@ -102,6 +102,7 @@ def test_it_judges_and_converts_logs(base: Base, complete: RunFolder) -> None:
         ("tune adaptive", "train"),
         ("reproduce --list", "train,report"),
         ("emulate", "train"),
+        ("board new.pdf", "camera"),
         ("diagnose emulated:worn", "train"),
         ("deploy emulated:worn {run}", "train"),
         ("compare emulated:worn {run}", "train"),

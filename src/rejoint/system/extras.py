@@ -14,6 +14,7 @@ EXTRAS: dict[str, tuple[str, ...]] = {
     "train": ("mujoco", "torch", "skrl", "gymnasium", "onnx", "tensorboard", "cmaes"),
     "report": ("matplotlib", "jinja2", "PIL"),
     "logs": ("mcap", "mcap_protobuf", "mcap_ros2"),
+    "camera": ("cv2", "scipy"),
 }
 """Modules that this package imports, by the extra that installs them"""
 

@@ -40,7 +40,7 @@ class CalibratedRow:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Calibrated:
+class CalibrationEvaluation:
     """All conditions."""
 
     arm: str
@@ -68,7 +68,7 @@ def shares_of(trials: Trials) -> tuple[Estimate, Estimate]:
     return wilson(float(trials.named.sum()), count), wilson(float((trials.accused > 0).sum()), count)
 
 
-def tables(result: Calibrated) -> list[tuple[str, list[str], list[list[str]]]]:
+def tables(result: CalibrationEvaluation) -> list[tuple[str, list[str], list[list[str]]]]:
     """Title, headers and rows of a table per condition, and of one of wrong points."""
     found = []
     for name, meaning in result.meanings.items():
@@ -110,10 +110,10 @@ def _p95(errors: Array) -> float:
     return float(np.nanquantile(errors, 0.95))
 
 
-def conclude(arm: str, software: str, controller: str, family: ArmFamily, trials: Sequence[Trials]) -> Calibrated:
+def conclude(arm: str, software: str, controller: str, family: ArmFamily, trials: Sequence[Trials]) -> CalibrationEvaluation:
     """Put conditions together."""
     shares = {one.condition.name: shares_of(one) for one in trials}
-    return Calibrated(
+    return CalibrationEvaluation(
         arm=arm, software=software, controller=controller, family=family,
         meanings={one.condition.name: one.condition.meaning for one in trials},
         rows=tuple(row for one in trials for row in rows_of(one)),

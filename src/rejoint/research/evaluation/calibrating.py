@@ -43,7 +43,7 @@ HOLD, LAST = 8.0, 1.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class Condition:
+class ArmCondition:
     """What the arms and their base are like."""
 
     name: str
@@ -60,17 +60,17 @@ class Condition:
 
 
 CONDITIONS = (
-    Condition(name="worn", meaning="worn arms"),
-    Condition(name="askew", meaning="worn arms on a base tilted by 8 degrees", tilt=np.radians(8.0)),
-    Condition(name="misdescribed", meaning="worn arms, masses 15 % off, links off by 1 mm and 0.3 deg", mass=0.15,
+    ArmCondition(name="worn", meaning="worn arms"),
+    ArmCondition(name="askew", meaning="worn arms on a base tilted by 8 degrees", tilt=np.radians(8.0)),
+    ArmCondition(name="misdescribed", meaning="worn arms, masses 15 % off, links off by 1 mm and 0.3 deg", mass=0.15,
               shift=1e-3, turn=np.radians(0.3)),
-    Condition(name="healthy", meaning="healthy arms", profile="healthy"),
-    Condition(name="play-in-loop", meaning="worn arms whose encoders sit behind the gears' play",
+    ArmCondition(name="healthy", meaning="healthy arms", profile="healthy"),
+    ArmCondition(name="play-in-loop", meaning="worn arms whose encoders sit behind the gears' play",
               profile="play-in-loop"),
 )  # fmt: skip
 
 
-def find_condition(name: str) -> Condition:
+def find_condition(name: str) -> ArmCondition:
     """Look up a condition; InputError names the alternatives."""
     for condition in CONDITIONS:
         if condition.name == name:
@@ -120,7 +120,7 @@ class Tried:
 class Trials:
     """All of one condition."""
 
-    condition: Condition
+    condition: ArmCondition
     wear_seed: Array
     """(A,)"""
     before: Array
@@ -132,7 +132,7 @@ class Trials:
     """(A,) right points that were named among ten without a wrong one"""
 
 
-def open_condition(arm: Arm, condition: Condition, family: ArmFamily, threads: int) -> EmulatedRobot:
+def open_condition(arm: Arm, condition: ArmCondition, family: ArmFamily, threads: int) -> EmulatedRobot:
     """All arms of a condition as one batch."""
     variant = Variant(name=condition.name, meaning=condition.meaning, profile=condition.profile)
     gravity = rotation_about(np.array([1.0, 0.0, 0.0]), condition.tilt) @ GRAVITY
@@ -145,7 +145,7 @@ def open_condition(arm: Arm, condition: Condition, family: ArmFamily, threads: i
     )  # fmt: skip
 
 
-def misdescribed(arm: Arm, condition: Condition, seed: int) -> Arm:
+def misdescribed(arm: Arm, condition: ArmCondition, seed: int) -> Arm:
     """Draw an arm that differs from its description ``arm``; each mass is off, up or down."""
     rng = np.random.default_rng([seed, 2])
     twist = rng.normal(0.0, [condition.shift] * 3 + [condition.turn] * 3, (arm.joints + 1, 6))
@@ -155,7 +155,7 @@ def misdescribed(arm: Arm, condition: Condition, seed: int) -> Arm:
 
 
 def try_condition(
-    arm: Arm, condition: Condition, controller: Callable[[Arm], Controller], family: ArmFamily, threads: int,
+    arm: Arm, condition: ArmCondition, controller: Callable[[Arm], Controller], family: ArmFamily, threads: int,
     on_progress: Progress,
 ) -> Trials:  # fmt: skip
     """Measure, calibrate and drive all arms of a condition."""

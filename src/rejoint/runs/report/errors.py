@@ -13,7 +13,7 @@ from rejoint.runs.report.contents import Contents
 
 
 @dataclass(frozen=True, kw_only=True)
-class Errors:
+class MeanErrors:
     """Mean distance from the targets."""
 
     encoders: float | None
@@ -27,8 +27,8 @@ class BeforeAfter:
     """An arm as it was found, and with a controller."""
 
     controller: str
-    before: Errors
-    after: Errors
+    before: MeanErrors
+    after: MeanErrors
 
     @property
     def sentence(self) -> str:
@@ -60,7 +60,7 @@ def before_after(contents: Contents, controller: str) -> BeforeAfter | None:
     )  # fmt: skip
 
 
-def found(contents: Contents) -> Errors:
+def found(contents: Contents) -> MeanErrors:
     """Return the errors of the arm as it was found.
 
     With its own controller on the very targets of the comparison; where those were aimed by a calibration, open loop
@@ -70,9 +70,9 @@ def found(contents: Contents) -> Errors:
     if comparison is not None and own in comparison.controllers and not comparison.calibration:
         return _errors(comparison, own)
     if contents.diagnosis is None or contents.diagnosis.open_loop is None:
-        return Errors(encoders=None, tool=NOT_KNOWN)
+        return MeanErrors(encoders=None, tool=NOT_KNOWN)
     open_loop = contents.diagnosis.open_loop
-    return Errors(encoders=1e-3 * open_loop.error_mm.value, tool=_open_loop(contents))
+    return MeanErrors(encoders=1e-3 * open_loop.error_mm.value, tool=_open_loop(contents))
 
 
 def _open_loop(contents: Contents) -> TrueError:
@@ -85,6 +85,6 @@ def _open_loop(contents: Contents) -> TrueError:
     return modelled_errors(read_log(log), contents.calibration)
 
 
-def _errors(comparison: Comparison, controller: str) -> Errors:
+def _errors(comparison: Comparison, controller: str) -> MeanErrors:
     hold = comparison.row(controller).hold
-    return Errors(encoders=None if hold.settled is None else hold.settled.mean.value, tool=hold.true_error)
+    return MeanErrors(encoders=None if hold.settled is None else hold.settled.mean.value, tool=hold.true_error)

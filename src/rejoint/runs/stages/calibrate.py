@@ -151,7 +151,7 @@ def calibrate(
             assert robot is not None  # noqa: S101 - for the type checker; one of the two is given
             with opened(robot, chosen, seed, period) as connection:
                 about = about and about.begin()
-                drive = _Drive(
+                drive = _MeasuringDrive(
                     robot=connection, gauge=gauge or EmulatedGauge(seed=seed), run=about, twin=known, prior=believed
                 )
                 measured = drive.measure(count, visits, part(on_progress, 0.0, 0.95))
@@ -169,7 +169,7 @@ def calibrate(
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class _Drive:
+class _MeasuringDrive:
     """A measuring drive of an open robot."""
 
     robot: Robot

@@ -1,0 +1,262 @@
+"""One bundle adjustment: lens, camera, board and arm from pictures of a board and the encoders' readings."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from rejoint.arms import Arm, Array, Displacement
+from rejoint.diagnosis.calibration.camera.adjustment import Adjustment, Tip, looseness
+from rejoint.diagnosis.calibration.camera.board import Board
+from rejoint.diagnosis.calibration.camera.lens import TERMS, Lens
+from rejoint.diagnosis.calibration.camera.poses import inverse
+from rejoint.diagnosis.calibration.camera.rig import MOUNTINGS, Rig
+from rejoint.diagnosis.calibration.camera.sighting import CORNER, place
+from rejoint.diagnosis.calibration.camera.starting import first_lens, first_rig, first_sights
+from rejoint.diagnosis.calibration.camera.suspects import Judged, judge
+from rejoint.diagnosis.calibration.camera.views import BoardView, Unusable
+from rejoint.diagnosis.calibration.measurements import Measurements
+from rejoint.diagnosis.calibration.parameters import Belief, Case, Layout, belief, displacement_of
+from rejoint.system.errors import InputError
+from rejoint.system.extras import require
+
+FEWEST = 10
+"""Views of which an arm is estimated (chosen: with fewer, a wrong one is not noticed)"""
+HUBER = 3.0
+"""Standard deviations of a residual from which the loss grows linearly (chosen: 0.3 % of normal ones are larger)"""
+USUAL = Case(twist=0.5)
+"""What is believed of the arm before: that it may be worn and stands on a table (see `Case`)"""
+
+_ROUNDS = 4  # of the adjustment, at most; all but the first two only where a view was left out
+_STEPS = (15, 30)  # of the first round and of the others
+_INSIDE = 1e-6  # from a bound at which the solver may begin
+_KEEP = 0.6  # share of the views that must remain: otherwise the few may be the wrong ones (chosen)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Residual:
+    """How well one view fits."""
+
+    name: str
+    rms: float
+    """[px] of its corners, per coordinate"""
+    away: float
+    """[m] between where the tool is seen and where the arm's kinematics with its displacement put it"""
+    turned: float
+    """[rad] the same of its orientation"""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Bundle:
+    """What pictures and encoders tell together."""
+
+    arm: Arm
+    rig: Rig
+    displacement: Displacement
+    vector: Array
+    """(k,) its parameters"""
+    covariance: Array
+    """(k, k) of them, see `rejoint.diagnosis.calibration.parameters.Layout`"""
+    rig_covariance: Array
+    """(19, 19) of the lens's `TERMS`, and of shift [m] and turn [rad] of `Rig.standing` and `Rig.mounted`"""
+    residuals: tuple[Residual, ...]
+    left_out: tuple[Unusable, ...]
+    """views that do not fit the others, and why"""
+    views: tuple[BoardView, ...]
+    """those that were used"""
+    position: Array
+    """(V, n) [rad] encoders at these"""
+    approach: Array
+    """(V, n) [rad] where they came from last; NaN where nobody knows"""
+    sights: Array
+    """(V, 4, 4) of the board in the frame of the camera at these"""
+
+    @property
+    def rms(self) -> float:
+        """[px] over all corners, per coordinate."""
+        return float(np.sqrt(np.mean([one.rms**2 for one in self.residuals])))
+
+    def intervals(self) -> dict[str, tuple[float, float]]:
+        """Name every number that was estimated, with its value and standard deviation, in SI units and px."""
+        layout = Layout(joints=self.arm.joints)
+        told = dict(zip(layout.names(), zip(self.vector, _deviations(self.covariance), strict=True), strict=True))
+        spread = _deviations(self.rig_covariance)
+        what = ("camera", "board") if self.rig.carried == "board" else ("board", "camera")
+        names = [*TERMS, *(f"{one} {axis}" for one in what for axis in ("x", "y", "z", "turn x", "turn y", "turn z"))]
+        values = [*self.rig.lens.numbers, *self.rig.standing[:3, 3], 0, 0, 0, *self.rig.mounted[:3, 3], 0, 0, 0]
+        rig = {name: (float(v), float(s)) for name, v, s in zip(names, values, spread, strict=True)}
+        return rig | {name: (float(value), float(sigma)) for name, (value, sigma) in told.items()}
+
+    def measurements(self, posture: Array | None = None) -> Measurements:
+        """Where the tool was seen, in the base frame, as any other measurement; ``posture`` (V,) numbers postures."""
+        tool = self.rig.tool(self.sights)
+        count = len(self.views)
+        spread = np.array([
+            place(self.rig.lens, self.rig.board.corners[view.number], view.pixel, pose).covariance
+            for view, pose in zip(self.views, self.sights, strict=True)
+        ])  # fmt: skip
+        return Measurements(
+            position=self.position, approach=self.approach, point=tool[:, :3, 3],
+            sigma=point_sigma(self.rig, self.sights, spread),
+            posture=np.arange(count) if posture is None else np.asarray(posture), frame="base", source="camera",
+        )  # fmt: skip
+
+
+def bundle(
+    arm: Arm,
+    board: Board,
+    views: Sequence[BoardView],
+    position: Array,
+    *,
+    size: tuple[int, int],
+    approach: Array | None = None,
+    carried: str = "board",
+    lens: Lens | None = None,
+    prior: Belief | None = None,
+    tip: Tip | None = None,
+) -> Bundle:
+    """Adjust lens, poses and arm to ``views`` of ``board`` with the encoders at ``position`` (V, n) [rad].
+
+    ``size`` [px] is width and height of the pictures, ``approach`` (V, n) where the encoders came from, as far as it
+    is known, ``carried`` what the tool carries (`MOUNTINGS`), ``lens`` what is believed of the lens, ``prior`` of the
+    arm, and ``tip`` where the tool's tip is on the board that it carries, where somebody has measured that.
+    InputError where the views do not suffice, MissingExtraError without SciPy.
+    """
+    require("a camera", "scipy")
+    position = np.asarray(position, dtype=float)
+    _check(arm, views, position, carried, tip)
+    came = np.full_like(position, np.nan) if approach is None else np.broadcast_to(approach, position.shape)
+    layout = Layout(joints=arm.joints)
+    believed = belief(arm, layout, USUAL) if prior is None else prior
+    lens = Lens.usual(*size) if lens is None else lens
+    first = first_lens(lens, board, views)
+    sights = first_sights(first, board, views)
+    rig = first_rig(arm, first, board, carried, position, sights)
+    state = Adjustment(
+        arm=arm, layout=layout, belief=believed, rig=rig, lens=lens, sights=sights, views=tuple(views),
+        position=position, approach=came, tip=tip,
+        whitener=_whitener(arm, displacement_of(layout, believed.mean), position),
+    )  # fmt: skip
+    return _rounds(state, believed.mean[: layout.body])
+
+
+def point_sigma(rig: Rig, sights: Array, spread: Array) -> Array:
+    """Return standard deviations (V,) [m] of the tool's coordinates where ``sights`` have covariances (V, 6, 6)."""
+    if rig.carried == "board":  # a turn of the board swings the tip about the board's origin
+        lever = np.einsum("...ij,j->...i", sights[..., :3, :3], inverse(rig.mounted)[:3, 3])
+    else:  # and the tip, which stands before the camera, about it as well
+        lever = inverse(rig.mounted)[:3, 3] - sights[..., :3, 3]
+    slope = np.zeros((*lever.shape[:-1], 3, 6))
+    slope[..., :3] = np.eye(3)
+    slope[..., 3:] = -np.cross(np.eye(3), lever[..., None, :])
+    total = slope @ spread @ np.swapaxes(slope, -1, -2)
+    return np.asarray(np.sqrt(np.trace(total, axis1=-2, axis2=-1) / 3.0))
+
+
+def _check(arm: Arm, views: Sequence[BoardView], position: Array, carried: str, tip: Tip | None) -> None:
+    if carried not in MOUNTINGS:
+        raise InputError(f"the tool carries {carried!r}, expected one of: {', '.join(MOUNTINGS)}")
+    if tip is not None and carried != "board":
+        raise InputError("the place of the tip on the board makes sense where the tool carries the board only")
+    if position.shape != (len(views), arm.joints) or not np.isfinite(position).all():
+        raise InputError(
+            f"expected finite joint positions of shape {(len(views), arm.joints)} [rad], one row a view, "
+            f"got {position.shape}"
+        )
+    if len(views) < FEWEST:
+        raise InputError(f"{len(views)} views of the board, expected at least {FEWEST}; take more pictures")
+
+
+def _rounds(state: Adjustment, vector: Array) -> Bundle:
+    """Adjust, look at every view, mend or leave out what does not fit, and adjust again."""
+    left: list[Unusable] = []
+    count = len(state.views)
+    for number in range(_ROUNDS):
+        x, slope = _solved(state, vector, _STEPS[min(number, 1)])
+        vector = x[state.body]
+        state = _settled(state, x)
+        judged = judge(state, vector)
+        if number > 0 and judged.fine:
+            break
+        left += judged.bad
+        state = _kept(state, judged)
+        if len(state.views) < max(FEWEST, _KEEP * count):
+            names = ", ".join(one.name for one in left[:5])
+            raise InputError(
+                f"{len(left)} of {count} views do not fit the others (such as {names}); check that every picture is "
+                "paired with the joint positions at which it was taken"
+            )
+    return _result(state, vector, slope, tuple(left))
+
+
+def _solved(state: Adjustment, vector: Array, steps: int) -> tuple[Array, Array]:
+    """Solve for the unknowns (p,); with the derivative (m, p) of the residuals there, as their loss weighs them."""
+    from scipy.optimize import least_squares
+
+    lower, upper = np.full(state.size, -np.inf), np.full(state.size, np.inf)
+    body = slice(0, state.layout.body)
+    lower[state.body], upper[state.body] = state.belief.lower[body], state.belief.upper[body]
+    inside = np.clip(vector, state.belief.lower[body] + _INSIDE, state.belief.upper[body] - _INSIDE)
+    found = least_squares(
+        state.residual, state.start(inside), state.derivative, bounds=(lower, upper), method="trf", x_scale="jac",
+        loss="huber", f_scale=HUBER, max_nfev=steps, xtol=1e-6, ftol=1e-5, gtol=1e-6,
+    )  # fmt: skip
+    return found.x, found.jac
+
+
+def _settled(state: Adjustment, x: Array) -> Adjustment:
+    """Take the solution as the estimate for the next round."""
+    displacement = state.displacement_of(x)
+    return replace(
+        state,
+        rig=state.rig_of(x),
+        sights=state.sights_of(x),
+        whitener=_whitener(state.arm, displacement, state.position),
+    )
+
+
+def _kept(state: Adjustment, judged: Judged) -> Adjustment:
+    """Return the adjustment of the views that fit, where mended ones are seen as they fit."""
+    good = np.flatnonzero(judged.good).tolist()
+    return replace(
+        state, sights=judged.sights[good], views=tuple(state.views[i] for i in good), position=state.position[good],
+        approach=state.approach[good],
+        whitener=state.whitener[good],
+    )  # fmt: skip
+
+
+def _whitener(arm: Arm, displacement: Displacement, position: Array) -> Array:
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(looseness(arm, displacement, position))))
+
+
+def _result(state: Adjustment, vector: Array, slope: Array, left: tuple[Unusable, ...]) -> Bundle:
+    covariance = np.asarray(np.linalg.inv(slope.T @ slope))[: state.shared, : state.shared]
+    x = state.start(vector)
+    rms = _rms_of_views(state, x)
+    off = np.linalg.solve(state.whitener, state.ties(x)[..., None])[..., 0]
+    residuals = tuple(
+        Residual(
+            name=view.name, rms=float(r), away=float(np.linalg.norm(d[:3])), turned=float(np.linalg.norm(d[3:]))
+        )
+        for view, r, d in zip(state.views, rms, off, strict=True)
+    )  # fmt: skip
+    own = state.body.start
+    return Bundle(
+        arm=state.arm, rig=state.rig, displacement=displacement_of(state.layout, vector), vector=vector,
+        covariance=covariance[own:, own:], rig_covariance=covariance[:own, :own], residuals=residuals, left_out=left,
+        views=tuple(state.views), position=state.position, approach=state.approach, sights=state.sights,
+    )  # fmt: skip
+
+
+def _rms_of_views(state: Adjustment, x: Array) -> Array:
+    """(V,) [px] of the corners of each view, per coordinate."""
+    ends = np.cumsum([0, *(len(view.number) for view in state.views)])
+    square = (state.corners(x) * CORNER) ** 2
+    return np.sqrt([square[a:b].mean() for a, b in pairwise(ends)])
+
+
+def _deviations(covariance: Array) -> Array:
+    return np.asarray(np.sqrt(np.diag(covariance)))

@@ -1,0 +1,86 @@
+"""A first estimate for the adjustment: the lens from the boards alone, then how camera and board stand to the arm."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from rejoint.arms import Arm, Array, tcp_pose
+from rejoint.diagnosis.calibration.camera.board import Board
+from rejoint.diagnosis.calibration.camera.lens import Lens
+from rejoint.diagnosis.calibration.camera.poses import inverse, nearest_rotation
+from rejoint.diagnosis.calibration.camera.rig import Rig, tool_of
+from rejoint.diagnosis.calibration.camera.sighting import focal_length, homography, place, turn_between
+from rejoint.diagnosis.calibration.camera.views import BoardView
+from rejoint.system.errors import InputError
+
+_FOCAL = (0.3, 5.0)  # least and most of a focal length, by the width of the picture (webcams: 0.6 to 1.3)
+_ROUNDS = 4  # of finding the poses and leaving out views that do not fit them
+_FAR = 4.0  # times the median distance beyond which a view does not help the first estimate (chosen)
+_LEVER = 0.1  # [m] that makes a length of a turn (chosen: the size of a board)
+_TURNED = np.radians(10.0)
+"""[rad] by which the tool must have been turned between views, about two directions (chosen: ten times the play)"""
+
+
+def first_lens(lens: Lens, board: Board, views: Sequence[BoardView]) -> Lens:
+    """Return ``lens`` with the focal length that makes boards of right angles and one scale, if they tell one."""
+    middle = np.array([lens.cx, lens.cy])
+    found = focal_length([homography(board.corners[v.number, :2], v.pixel - middle) for v in views])
+    if found is None or not _FOCAL[0] < found / lens.width < _FOCAL[1]:
+        return lens
+    numbers = lens.numbers
+    numbers[0] = found
+    return lens.with_numbers(numbers)
+
+
+def first_sights(lens: Lens, board: Board, views: Sequence[BoardView]) -> Array:
+    """Poses (V, 4, 4) of the board in the frame of the camera, each view by itself."""
+    return np.array([place(lens, board.corners[view.number], view.pixel).pose for view in views])
+
+
+def first_rig(arm: Arm, lens: Lens, board: Board, carried: str, position: Array, sights: Array) -> Rig:
+    """Find how camera and board stand to the arm, if its encoders at ``position`` (V, n) [rad] were right.
+
+    Linear least squares of A M = F B, first the rotations (Dornaika and Horaud 1998, section III), without the views
+    that are far off. InputError where the tool was turned too little to tell.
+    """
+    tool = tcp_pose(arm, position)
+    _require_turns(tool)
+    between = sights if carried == "board" else inverse(sights)
+    used = np.ones(len(tool), bool)
+    for _ in range(_ROUNDS):
+        standing, mounted = _solve(tool[used], between[used])
+        seen = tool_of(carried, standing, mounted, sights)
+        off = np.linalg.norm(seen[:, :3, 3] - tool[:, :3, 3], axis=-1) + _LEVER * turn_between(seen, tool)
+        used = off <= _FAR * np.median(off)
+    return Rig(lens=lens, board=board, carried=carried, standing=standing, mounted=mounted)
+
+
+def _solve(tool: Array, between: Array) -> tuple[Array, Array]:
+    """Poses A and B with A M = F B for poses M ``between`` and F of the ``tool``, (V, 4, 4) each."""
+    one = np.eye(3)
+    rows = [
+        np.hstack([np.kron(m[:3, :3].T, one), -np.kron(one, f[:3, :3])]) for m, f in zip(between, tool, strict=True)
+    ]
+    both = np.linalg.svd(np.vstack(rows), full_matrices=False)[2][-1]
+    a, b = both[:9].reshape(3, 3).T, both[9:].reshape(3, 3).T
+    sign = np.sign(np.linalg.det(a))
+    standing, mounted = np.eye(4), np.eye(4)
+    standing[:3, :3], mounted[:3, :3] = nearest_rotation(sign * a), nearest_rotation(sign * b)
+    left = np.concatenate([np.broadcast_to(one, (len(tool), 3, 3)), -tool[:, :3, :3]], axis=2).reshape(-1, 6)
+    right = (tool[:, :3, 3] - between[:, :3, 3] @ standing[:3, :3].T).ravel()
+    shift = np.linalg.lstsq(left, right, rcond=None)[0]
+    standing[:3, 3], mounted[:3, 3] = shift[:3], shift[3:]
+    return standing, mounted
+
+
+def _require_turns(tool: Array) -> None:
+    """Refuse views whose tool was turned about less than two directions: they leave the poses open."""
+    axes = tool[:, :3, :3] - tool[:, :3, :3].mean(axis=0)
+    spread = np.linalg.svd(axes.reshape(len(tool), -1), compute_uv=False) / np.sqrt(len(tool))
+    if len(tool) < 3 or spread[1] < _TURNED:
+        raise InputError(
+            "the tool was turned too little between the views to tell where camera and board are; "
+            "turn it by 20 degrees and more about at least two directions"
+        )

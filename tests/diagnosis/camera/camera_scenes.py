@@ -1,0 +1,42 @@
+"""An arm with known faults before a known camera, for the tests of this folder."""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from rejoint.arms import Displacement, mycobot280
+from rejoint.diagnosis.calibration.camera.board import ON_TABLE
+from rejoint.diagnosis.calibration.camera.choosing import choose_postures
+from rejoint.diagnosis.calibration.camera.emulated import beside, on_tool
+
+ARM = mycobot280()
+WORN = Displacement(
+    offset=np.radians([0.0, 0.3, -0.3, 0.2, 0.0, 0.0]),
+    compliance=np.array([0.013, 0.015, 0.018, 0.025, 0.026, 0.03]),
+    play=np.radians([1.2, 1.6, 1.4, 1.2, 1.2, 1.0]),
+    twist=np.zeros((7, 6)),
+    gravity=np.array([0.0, 0.0, -9.81]),
+)
+"""What the emulated worn arm has, and zeros that are a little off"""
+
+
+@dataclass
+class Taken:
+    scene: object
+    position: np.ndarray
+    links: np.ndarray
+    views: list
+
+
+@lru_cache
+def taken(carried="board", count=24, seed=0):
+    """Views of the worn arm in chosen postures; joints that float lie anywhere in their play."""
+    scene = beside(ARM) if carried == "board" else on_tool(ARM, board=ON_TABLE)
+    position = choose_postures(ARM, scene.rig, count, seed)
+    rng = np.random.default_rng(seed)
+    free = 1.0 - np.tanh(WORN.torque(ARM, position) / 0.004) ** 2
+    links = WORN.joints(ARM, position) + 0.5 * WORN.play * free * rng.uniform(-1, 1, position.shape)
+    links += np.radians(0.03) * rng.standard_normal(position.shape)
+    views = [scene.view(f"view-{i:02}.png", q, rng, noise=0.1) for i, q in enumerate(links)]
+    return Taken(scene, position, links, views)
