@@ -3,8 +3,8 @@
 Behind the encoder of a worn joint lie its play, the flex of gear and link, and the error of its zero. A joint with
 weight on it is pressed to one side of its play and bent by that weight, both by as much every time it stands there, so
 the displacement can be computed from the posture; a joint without weight floats in its play, and at most its last
-motion tells on which side: it runs ahead of its motor, or stays behind. Besides, the links themselves may differ from their
-description, and the base may stand askew, so that gravity pulls along another direction.
+motion tells on which side: it runs ahead of its motor, or stays behind. Besides, the links themselves may differ from
+their description, and the base may stand askew, so that gravity pulls along another direction.
 
 The model of compliance and play is the usual one of elasto-geometric calibration (Khalil and Dombre, Modeling,
 Identification and Control of Robots, 2002, chapter 11), with the smooth sign of the torque for the side of the play.

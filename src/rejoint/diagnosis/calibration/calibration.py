@@ -17,6 +17,7 @@ GEOMETRY = ("offset", "axis", "tip", "mass", "com")
 """Fields of an arm that a calibration was computed with"""
 AIMING = 4
 """Fixed-point steps of `Calibration.aim` (chosen: each divides what is left by about twenty)"""
+_NEAR = 7.81  # squared distance by its covariance that 95 % of draws of three coordinates keep (chi-squared)
 _DRAWS = 256  # of the tool for an interval (chosen: ends repeat within a tenth of the width; the same draws each time)
 
 
@@ -94,14 +95,16 @@ class Calibration:
     ) -> tuple[Array, Array]:
         """95 % interval (...), (...) [m] of the distance of the tool from ``target`` (..., 3) [m] at ``position``.
 
-        Without a target: from where the encoders say that the tool is.
+        Without a target: from where the encoders say that the tool is. It begins at zero where the tool may be there.
         """
         target = tcp_position(self.arm, position) if target is None else target
         root = np.linalg.cholesky(self.spread(position))
         draws = np.random.default_rng(0).standard_normal((_DRAWS, 3))
-        away = (self.tool(position, approach) - target)[..., None, :] + draws @ np.swapaxes(root, -1, -2)
+        middle = self.tool(position, approach) - target
+        away = middle[..., None, :] + draws @ np.swapaxes(root, -1, -2)
         low, high = np.quantile(np.linalg.norm(away, axis=-1), [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2], axis=-1)
-        return low, high
+        there = (np.linalg.solve(root, middle[..., None]) ** 2).sum(axis=(-2, -1)) < _NEAR
+        return np.where(there, 0.0, low), high
 
     def sigma(self, position: Array) -> Array:
         """Root mean square (...) [m] of the distance of the tool from where this calibration says it is."""
