@@ -57,7 +57,7 @@ class Suggestion:
 
 
 def suggest(
-    arm: Arm, count: int, *, visits: int = 1, sigma: float = 5e-4, prior: Calibration | None = None,
+    arm: Arm, count: int, *, visits: int = 2, sigma: float = 5e-4, prior: Calibration | None = None,
     gravity: Array = GRAVITY, seed: int = 0,
 ) -> Suggestion:  # fmt: skip
     """Choose ``count`` visits for measurements of standard deviation ``sigma`` [m] on each coordinate.
