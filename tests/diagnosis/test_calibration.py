@@ -18,8 +18,8 @@ from rejoint.diagnosis.calibration.framing import align
 from rejoint.diagnosis.calibration.measurements import Measurements
 from rejoint.diagnosis.calibration.model import linearised, link_loads
 from rejoint.diagnosis.calibration.parameters import (
-    Case,
-    Layout,
+    DisplacementLayout,
+    PriorCase,
     belief,
     displacement_of,
     gravity_of,
@@ -27,7 +27,7 @@ from rejoint.diagnosis.calibration.parameters import (
     vector_of,
 )
 from rejoint.diagnosis.calibration.postures import suggest
-from rejoint.diagnosis.calibration.solver import Problem
+from rejoint.diagnosis.calibration.solver import CalibrationProblem
 from rejoint.system.errors import ContractError, FileError, InputError
 
 ARM = mycobot280()
@@ -70,7 +70,7 @@ def error_of(found: Calibration, truth: Displacement) -> float:
 
 @pytest.mark.parametrize("tilt", [(0.0, 0.0), (0.004, -0.003), (0.1, 0.05)])
 def test_derivatives_are_finite_differences(tilt: tuple[float, float]) -> None:
-    layout, rng, q = Layout(joints=6), np.random.default_rng(1), postures(4)
+    layout, rng, q = DisplacementLayout(joints=6), np.random.default_rng(1), postures(4)
     vector = vector_of(layout, worn())
     vector[layout.at("carry")], vector[layout.at("mass")] = 0.3, rng.normal(0.0, 0.1, 6)
     vector[layout.at("tilt")] = tilt
@@ -83,10 +83,10 @@ def test_derivatives_are_finite_differences(tilt: tuple[float, float]) -> None:
 
 
 def test_derivatives_by_the_pose_of_a_foreign_frame_are_finite_differences() -> None:
-    layout = Layout(joints=6, frame=True)
+    layout = DisplacementLayout(joints=6, frame=True)
     start = pose_of(rotation_about(np.array([0.0, 0.6, 0.8]), 0.7), np.array([0.3, -0.1, 0.05]))
-    problem = Problem(
-        arm=ARM, layout=layout, belief=belief(ARM, layout, Case()), measurements=measured(worn(), 5), frame=start
+    problem = CalibrationProblem(
+        arm=ARM, layout=layout, belief=belief(ARM, layout, PriorCase()), measurements=measured(worn(), 5), frame=start
     )
     vector = vector_of(layout, worn())
     _, slope = problem.residual(vector)

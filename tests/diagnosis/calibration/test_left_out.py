@@ -9,7 +9,7 @@ from rejoint.arms import Displacement, load_arm, mycobot280, tcp_position
 from rejoint.arms.urdf import at_targets
 from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.diagnosis.calibration.file import read_calibration, write_calibration
-from rejoint.diagnosis.calibration.parameters import Layout
+from rejoint.diagnosis.calibration.parameters import DisplacementLayout
 from rejoint.diagnosis.calibration.preload import WEDGE, preload
 from rejoint.diagnosis.open_loop import modelled_errors
 from rejoint.logs.runlog import RunLog
@@ -21,7 +21,7 @@ def calibration(sigma=1e-9, arm=ARM, **values):
     n = arm.joints
     found = replace(Displacement.none(arm), **{name: np.asarray(value) for name, value in values.items()})
     return Calibration(
-        arm=arm, displacement=found, covariance=sigma**2 * np.eye(Layout(joints=n).size), frame=np.eye(4),
+        arm=arm, displacement=found, covariance=sigma**2 * np.eye(DisplacementLayout(joints=n).size), frame=np.eye(4),
         frame_name="base", source="touch", date="", points=4, before=2e-3, after=1e-3, used=True,
         floor=max(sigma, 1e-9), left_out=np.array([[2e-3, 1e-3]] * 4),
     )  # fmt: skip

@@ -9,7 +9,7 @@ import numpy as np
 from rejoint.arms import Arm, Array, Displacement, solve_position, tcp_position
 from rejoint.control.contract import law_digests
 from rejoint.diagnosis.calibration.model import linearised, scatter
-from rejoint.diagnosis.calibration.parameters import Layout, vector_of
+from rejoint.diagnosis.calibration.parameters import DisplacementLayout, vector_of
 from rejoint.system.errors import ContractError
 from rejoint.system.statistics import CONFIDENCE
 
@@ -17,6 +17,7 @@ GEOMETRY = ("offset", "axis", "tip", "mass", "com")
 """Fields of an arm that a calibration was computed with"""
 AIMING = 4
 """Fixed-point steps of `Calibration.aim` (chosen: each divides what is left by about twenty)"""
+_NEAR = 7.81  # squared distance by its covariance that 95 % of draws of three coordinates keep (chi-squared)
 _DRAWS = 256  # of the tool for an interval (chosen: ends repeat within a tenth of the width; the same draws each time)
 
 
@@ -33,7 +34,7 @@ class Calibration:
     arm: Arm
     displacement: Displacement
     covariance: Array
-    """(k, k) of the parameters of the displacement, see `rejoint.diagnosis.calibration.parameters.Layout`"""
+    """(k, k) of the parameters of the displacement, see `parameters.DisplacementLayout`"""
     frame: Array
     """(4, 4) pose of the measuring frame in the base"""
     frame_name: str
@@ -64,9 +65,9 @@ class Calibration:
             object.__setattr__(self, name, value)
 
     @property
-    def layout(self) -> Layout:
+    def layout(self) -> DisplacementLayout:
         """Places of the parameters in the covariance."""
-        return Layout(joints=self.arm.joints)
+        return DisplacementLayout(joints=self.arm.joints)
 
     def require(self, arm: Arm) -> None:
         """Refuse with a ContractError if this calibration is of another arm."""
@@ -96,11 +97,14 @@ class Calibration:
     ) -> tuple[Array, Array]:
         """95 % interval (...), (...) [m] of the distance of the tool from ``target`` (..., 3) [m] at ``position``.
 
-        Without a target: from where the encoders say that the tool is.
+        Without a target: from where the encoders say that the tool is. It begins at zero where the tool may be there.
         """
+        place = tcp_position(self.arm, position) if target is None else target
         ends = [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2]
-        low, high = np.quantile(self._distances(position, target, approach), ends, axis=-1)
-        return low, high
+        low, high = np.quantile(self._distances(position, place, approach), ends, axis=-1)
+        middle = (self.tool(position, approach) - place)[..., None]
+        there = (np.linalg.solve(np.linalg.cholesky(self.spread(position)), middle) ** 2).sum(axis=(-2, -1)) < _NEAR
+        return np.where(there, 0.0, low), high
 
     def expected(self, position: Array, target: Array | None = None, approach: Array | None = None) -> Array:
         """Mean (...) [m] of the distance whose interval `interval` tells."""

@@ -18,7 +18,7 @@ from tomlkit.items import Table as TomlTable
 
 from rejoint.arms import Arm, Array, Displacement
 from rejoint.diagnosis.calibration.calibration import Calibration, check_arm, geometry_of
-from rejoint.diagnosis.calibration.parameters import Layout
+from rejoint.diagnosis.calibration.parameters import DisplacementLayout
 from rejoint.system.errors import FileError, InputError, first_line
 from rejoint.system.files import CHANGED, TOML_MOST, digest, read_bounded, write_whole
 
@@ -124,7 +124,7 @@ def _rows(rows: Any) -> TomlArray:  # noqa: ANN401 - arrays, or lists of them
 
 
 def _calibration(data: dict[str, Any], arm: Arm) -> Calibration:
-    values, layout = data["displacement"], Layout(joints=arm.joints)
+    values, layout = data["displacement"], DisplacementLayout(joints=arm.joints)
     displacement = Displacement(
         **{name: _numbers(values[name], (arm.joints,)) for name in _UNITS},
         gravity=_numbers(values["gravity"], (3,)), twist=_numbers(values["twist"], (arm.joints + 1, 6)),

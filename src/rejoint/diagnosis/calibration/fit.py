@@ -17,20 +17,20 @@ from rejoint.diagnosis.calibration.parameters import (
     OFFSET,
     PLAY_SIGMA,
     Belief,
-    Case,
-    Layout,
+    DisplacementLayout,
+    PriorCase,
     belief,
     displacement_of,
     vector_of,
 )
-from rejoint.diagnosis.calibration.solver import Fitted, Problem, search, solve
+from rejoint.diagnosis.calibration.solver import CalibrationProblem, Fitted, search, solve
 from rejoint.system.errors import InputError
 
 CASES = (
-    Case(),
-    Case(play=np.radians(0.15), play_sigma=np.radians(0.15), compliance=0.003),
-    Case(tilt=ASKEW, odds=-0.5),
-    Case(twist=1.0, odds=-1.0),
+    PriorCase(),
+    PriorCase(play=np.radians(0.15), play_sigma=np.radians(0.15), compliance=0.003),
+    PriorCase(tilt=ASKEW, odds=-0.5),
+    PriorCase(twist=1.0, odds=-1.0),
 )
 """A worn arm, a healthy one, a worn one whose base stands askew, and one whose links differ from their description"""
 AGE = 0.3
@@ -55,7 +55,7 @@ def fit(
     if not np.isfinite(measurements.point).any():
         raise InputError("measurements: no coordinate was measured; expected at least one")
     foreign = measurements.frame != "base"
-    layout = Layout(joints=arm.joints, frame=foreign)
+    layout = DisplacementLayout(joints=arm.joints, frame=foreign)
     frame = align(arm, measurements) if foreign else np.eye(4)
     if prior is not None:
         prior.require(arm)
@@ -67,28 +67,30 @@ def fit(
     return _judged(*solved[best], date)
 
 
-def earlier(arm: Arm, layout: Layout, prior: Calibration) -> Belief:
+def earlier(arm: Arm, layout: DisplacementLayout, prior: Calibration) -> Belief:
     """Return what an earlier calibration lets one believe: the same, but for what may have changed since."""
-    base = belief(arm, layout, Case())
+    base = belief(arm, layout, PriorCase())
     drift = AGE * np.sqrt(1.0 / np.diag(base.precision))
     for name, sigma in (("offset", OFFSET), ("play", PLAY_SIGMA)):
         drift[layout.at(name)] = AGE * sigma
     drift[layout.at("tilt")] = AGE * LEVEL
     body, mean = slice(0, layout.body), base.mean.copy()
-    mean[body] = vector_of(Layout(joints=arm.joints), prior.displacement)
+    mean[body] = vector_of(DisplacementLayout(joints=arm.joints), prior.displacement)
     precision = base.precision.copy()
     precision[body, body] = np.linalg.inv(prior.covariance + np.diag(drift[body] ** 2))
     return Belief(mean=mean, precision=precision, lower=base.lower, upper=base.upper)
 
 
-def _solved(arm: Arm, measurements: Measurements, layout: Layout, frame: Array, one: Belief) -> tuple[Problem, Fitted]:
-    problem = Problem(arm=arm, layout=layout, belief=one, measurements=measurements, frame=frame)
+def _solved(
+    arm: Arm, measurements: Measurements, layout: DisplacementLayout, frame: Array, one: Belief
+) -> tuple[CalibrationProblem, Fitted]:
+    problem = CalibrationProblem(arm=arm, layout=layout, belief=one, measurements=measurements, frame=frame)
     tilt = layout.at("tilt").start
     askew = one.precision[tilt, tilt] < LEVEL**-2.0 / 2
     return problem, search(problem) if askew else solve(problem, one.mean)
 
 
-def _judged(problem: Problem, fitted: Fitted, date: str) -> Calibration:
+def _judged(problem: CalibrationProblem, fitted: Fitted, date: str) -> Calibration:
     m, body = problem.measurements, slice(0, problem.layout.body)
     tried = leave_out(problem, fitted)
     return Calibration(

@@ -11,7 +11,7 @@ from rejoint.arms import Arm, Array, tcp_position
 from rejoint.diagnosis.calibration.framing import align
 from rejoint.diagnosis.calibration.measurements import Measurements
 from rejoint.diagnosis.calibration.model import floor_of
-from rejoint.diagnosis.calibration.solver import Fitted, Problem, solve
+from rejoint.diagnosis.calibration.solver import CalibrationProblem, Fitted, solve
 
 FOLDS = 12
 """Postures are left out one by one up to so many, in so many groups beyond (chosen: time)"""
@@ -35,7 +35,7 @@ class LeftOut:
     surprise: Array
     """(M,) squared distance by its predicted covariance: chi-squared, of as many degrees as there are coordinates"""
 
-    def helps(self, problem: Problem) -> bool:
+    def helps(self, problem: CalibrationProblem) -> bool:
         """Tell whether the correction is clearly nearer than the encoders."""
         postures = np.unique(problem.measurements.posture)
         gain = np.array([(self.before - self.after)[problem.measurements.posture == p].mean() for p in postures])
@@ -50,7 +50,7 @@ class LeftOut:
         return tuple(int(i) for i in np.argsort(-excess) if excess[i] > 1.0)
 
 
-def leave_out(problem: Problem, fitted: Fitted) -> LeftOut:
+def leave_out(problem: CalibrationProblem, fitted: Fitted) -> LeftOut:
     """Predict every point from fits that have not seen any of its posture."""
     m = problem.measurements
     count = len(m)
@@ -83,7 +83,7 @@ def chi_squared(freedom: int, deviations: float) -> float:
     return float(freedom * (1.0 - spread + deviations * np.sqrt(spread)) ** 3)
 
 
-def _uncorrected(arm: Arm, problem: Problem, others: Measurements, held: Measurements) -> Array:
+def _uncorrected(arm: Arm, problem: CalibrationProblem, others: Measurements, held: Measurements) -> Array:
     """Residuals (M, 3) [m] of the encoders' own forward kinematics, zero where nothing was measured."""
     pose = align(arm, others) if problem.layout.frame else problem.frame
     seen = (tcp_position(arm, held.position) - pose[:3, 3]) @ pose[:3, :3]

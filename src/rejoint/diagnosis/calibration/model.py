@@ -12,7 +12,7 @@ import numpy as np
 from rejoint.arms import Arm, Array, Displacement, frames, position_kinematics
 from rejoint.arms.displacement import FLOATING, direction
 from rejoint.arms.size import length_size
-from rejoint.diagnosis.calibration.parameters import Layout, displacement_of, gravity_of
+from rejoint.diagnosis.calibration.parameters import DisplacementLayout, displacement_of, gravity_of
 
 FLOOR = 0.5e-3
 """[m] standard deviation, over the reach of a myCobot 280, of what no displacement explains (chosen: runout of gears,
@@ -24,7 +24,7 @@ _STEP = 1e-6  # [rad] for the derivative of the direction of gravity
 
 
 def linearised(
-    arm: Arm, layout: Layout, vector: Array, position: Array, approach: Array | None = None
+    arm: Arm, layout: DisplacementLayout, vector: Array, position: Array, approach: Array | None = None
 ) -> tuple[Array, Array]:
     """Return the tool (M, 3) [m] at encoder positions (M, n) and its derivative (M, 3, k) by the arm's parameters.
 

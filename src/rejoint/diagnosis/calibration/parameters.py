@@ -46,7 +46,7 @@ KINDS = ("offset", "compliance", "play", "carry", "mass", "tilt", "twist")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Layout:
+class DisplacementLayout:
     """Places of the parameters of an arm of n joints in the vector."""
 
     joints: int
@@ -92,7 +92,7 @@ class Belief:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Case:
+class PriorCase:
     """What kind of arm one may have before oneself; the measurements decide which it is."""
 
     play: float = PLAY
@@ -109,7 +109,7 @@ class Case:
     """logarithm of how much more likely than others, before anything was measured"""
 
 
-def belief(arm: Arm, layout: Layout, case: Case, gravity: Array = GRAVITY) -> Belief:
+def belief(arm: Arm, layout: DisplacementLayout, case: PriorCase, gravity: Array = GRAVITY) -> Belief:
     """Return what is believed of an arm of some case; ``gravity`` (3,): where it is believed to pull, in the base."""
     n, sigma, mean = arm.joints, np.zeros(layout.size), np.zeros(layout.size)
     lower, upper = np.full(layout.size, -np.inf), np.full(layout.size, np.inf)
@@ -150,7 +150,7 @@ def gravity_of(tilt: Array) -> Array:
     return rotation_about(np.array([tilt[0], tilt[1], 0.0]) / angle, angle) @ GRAVITY
 
 
-def displacement_of(layout: Layout, vector: Array) -> Displacement:
+def displacement_of(layout: DisplacementLayout, vector: Array) -> Displacement:
     """Turn the vector (k,) into a displacement."""
     return Displacement(
         offset=vector[layout.at("offset")], compliance=vector[layout.at("compliance")], play=vector[layout.at("play")],
@@ -159,7 +159,7 @@ def displacement_of(layout: Layout, vector: Array) -> Displacement:
     )  # fmt: skip
 
 
-def vector_of(layout: Layout, displacement: Displacement) -> Array:
+def vector_of(layout: DisplacementLayout, displacement: Displacement) -> Array:
     """Turn a displacement into the vector; the pose of a frame is zero."""
     vector = np.zeros(layout.size)
     for name in ("offset", "compliance", "play", "carry"):

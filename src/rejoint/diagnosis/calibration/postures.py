@@ -21,7 +21,7 @@ from rejoint.arms.workspace import rising_frames
 from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.diagnosis.calibration.fit import earlier
 from rejoint.diagnosis.calibration.model import floor_of, linearised, scatter
-from rejoint.diagnosis.calibration.parameters import Belief, Case, Layout, belief, displacement_of
+from rejoint.diagnosis.calibration.parameters import Belief, DisplacementLayout, PriorCase, belief, displacement_of
 from rejoint.system.errors import InputError
 
 CANDIDATES = 300
@@ -57,7 +57,7 @@ class Suggestion:
 
 
 def suggest(
-    arm: Arm, count: int, *, visits: int = 1, sigma: float = 5e-4, prior: Calibration | None = None,
+    arm: Arm, count: int, *, visits: int = 2, sigma: float = 5e-4, prior: Calibration | None = None,
     gravity: Array = GRAVITY, seed: int = 0,
 ) -> Suggestion:  # fmt: skip
     """Choose ``count`` visits for measurements of standard deviation ``sigma`` [m] on each coordinate.
@@ -65,8 +65,8 @@ def suggest(
     Each posture is visited ``visits`` (1 or 2) times, from opposite sides. ``prior`` is what is known already.
     InputError where the region of targets has too few postures that are free.
     """
-    layout = Layout(joints=arm.joints)
-    known = earlier(arm, layout, prior) if prior is not None else belief(arm, layout, Case(twist=1.0), gravity)
+    layout = DisplacementLayout(joints=arm.joints)
+    known = earlier(arm, layout, prior) if prior is not None else belief(arm, layout, PriorCase(twist=1.0), gravity)
     postures = _candidates(arm, seed)
     if len(postures) * visits < count:
         raise InputError(
@@ -115,7 +115,7 @@ def _free(arm: Arm, q: Array) -> NDArray[np.bool_]:
 
 def _seen(arm: Arm, known: Belief, postures: Array, side: float, sigma: float) -> tuple[Array, Array]:
     """Return what measurements tell: derivatives (C, 3, k) and covariances (C, 3, 3) of the tool."""
-    layout = Layout(joints=arm.joints)
+    layout = DisplacementLayout(joints=arm.joints)
     _, slope = linearised(arm, layout, known.mean, postures, postures - BEFORE * side)
     noise = scatter(arm, displacement_of(layout, known.mean), postures)
     return slope, noise + (sigma**2 + floor_of(arm) ** 2) * np.eye(3)

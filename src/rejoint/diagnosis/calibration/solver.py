@@ -15,7 +15,7 @@ from rejoint.arms import Arm, Array
 from rejoint.arms.rotations import rotation_about
 from rejoint.diagnosis.calibration.measurements import Measurements
 from rejoint.diagnosis.calibration.model import floor_of, linearised, scatter
-from rejoint.diagnosis.calibration.parameters import Belief, Layout, displacement_of
+from rejoint.diagnosis.calibration.parameters import Belief, DisplacementLayout, displacement_of
 
 HUBER = 2.8
 """Length of a point's residual in standard deviations from which the loss grows linearly (95 % of three coordinates
@@ -31,7 +31,7 @@ _DIRECTIONS, _QUICK = 8, 4
 class Fitted:
     """A solution, and how sure it is."""
 
-    layout: Layout
+    layout: DisplacementLayout
     vector: Array
     """(k,)"""
     covariance: Array
@@ -45,11 +45,11 @@ class Fitted:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Problem:
+class CalibrationProblem:
     """Measurements and beliefs of one arm."""
 
     arm: Arm
-    layout: Layout
+    layout: DisplacementLayout
     belief: Belief
     measurements: Measurements
     frame: Array
@@ -98,7 +98,7 @@ class Problem:
         return np.where(both, spread, np.eye(3) * spread)
 
 
-def solve(problem: Problem, start: Array, iterations: int = ITERATIONS) -> Fitted:
+def solve(problem: CalibrationProblem, start: Array, iterations: int = ITERATIONS) -> Fitted:
     """Descend from ``start`` (k,)."""
     belief, vector, damping = problem.belief, np.clip(start, problem.belief.lower, problem.belief.upper), _START
     for _ in range(iterations):
@@ -121,7 +121,7 @@ def solve(problem: Problem, start: Array, iterations: int = ITERATIONS) -> Fitte
     return _fitted(problem, vector)
 
 
-def search(problem: Problem) -> Fitted:
+def search(problem: CalibrationProblem) -> Fitted:
     """Solve from upright and from askew bases: the side of a floating joint's play changes with the slightest tilt."""
     upright = solve(problem, problem.belief.mean)
     turns = np.linspace(0.0, 2 * np.pi, _DIRECTIONS, endpoint=False)
@@ -134,7 +134,7 @@ def search(problem: Problem) -> Fitted:
     return upright if best is upright else solve(problem, best.vector)
 
 
-def _cost(problem: Problem, vector: Array, whitener: Array) -> float:
+def _cost(problem: CalibrationProblem, vector: Array, whitener: Array) -> float:
     residual, _ = problem.residual(vector)
     length = np.linalg.norm(np.einsum("mij,mj->mi", whitener, residual), axis=1)
     loss = np.where(length < HUBER, 0.5 * length**2, HUBER * (length - 0.5 * HUBER))
@@ -142,7 +142,7 @@ def _cost(problem: Problem, vector: Array, whitener: Array) -> float:
     return float(loss.sum() + 0.5 * off @ problem.belief.precision @ off)
 
 
-def _system(problem: Problem, vector: Array, whitener: Array) -> tuple[float, Array, Array]:
+def _system(problem: CalibrationProblem, vector: Array, whitener: Array) -> tuple[float, Array, Array]:
     """Cost, its gradient (k,) and its curvature (k, k), with the weights of the loss as they are."""
     residual, derivative = problem.residual(vector)
     white = np.einsum("mij,mj->mi", whitener, residual)
@@ -157,7 +157,7 @@ def _system(problem: Problem, vector: Array, whitener: Array) -> tuple[float, Ar
     return cost, gradient, flat.T @ flat + problem.belief.precision
 
 
-def _fitted(problem: Problem, vector: Array) -> Fitted:
+def _fitted(problem: CalibrationProblem, vector: Array) -> Fitted:
     whitener = problem.whitener(vector)
     cost, _, curvature = _system(problem, vector, whitener)
     known = np.isfinite(problem.measurements.point)

@@ -13,8 +13,8 @@ from rejoint.research.evaluation.family import ArmFamily
 from rejoint.runs.report.numerals import interval, number
 from rejoint.system.statistics import Estimate, bootstrap_mean, clustered_share, wilson
 
-HEADERS = ("points", "true error [mm]", "95 % below [mm]", "expected [mm]", "in the interval [%]", "corrected arms [%]",
-           "worst arm, by how much farther off [mm]")  # fmt: skip
+HEADERS = ("points", "true error, mm", "95 % below, mm", "expected, mm", "in the interval, %", "corrected arms, %",
+           "worst arm, mm farther off")  # fmt: skip
 MM = 1e3
 
 
@@ -75,7 +75,7 @@ def tables(result: CalibrationEvaluation) -> list[tuple[str, list[str], list[lis
         cells = [_cells(row) for row in result.rows if row.condition == name]
         found.append((f"{meaning}: {result.family.arms}, {result.controller}", list(HEADERS), cells))
     wrong = [[name, _percent(result.named[name]), _percent(result.accused[name])] for name in result.meanings]
-    headers = ["condition", "wrong point named [% of arms]", "right point named [% of arms]"]
+    headers = ["condition", "wrong point named, % of arms", "right point named, % of arms"]
     return [*found, ("One wrong point among ten, 5 to 10 mm off", headers, wrong)]
 
 
@@ -91,7 +91,8 @@ def _row(name: str, before: Array, tried: Tried) -> CalibratedRow:
 
 
 def _cells(row: CalibratedRow) -> list[str]:
-    error = f"{number(row.error.value * MM, 3)} ({interval(row.error.low, row.error.high, 3, factor=MM)})"
+    known = interval(row.error.low, row.error.high, 3, factor=MM)
+    error = f"{number(row.error.value * MM, 3)} ({known})" if known else number(row.error.value * MM, 3)
     if row.expected is None or row.inside is None or row.used is None or row.harm is None:
         return ["none", error, number(row.p95 * MM, 3), "", "", "", ""]
     shares = [_percent(row.inside), number(100 * row.used, 3), f"{row.harm * MM:+.2f}"]
@@ -110,7 +111,9 @@ def _p95(errors: Array) -> float:
     return float(np.nanquantile(errors, 0.95))
 
 
-def conclude(arm: str, software: str, controller: str, family: ArmFamily, trials: Sequence[Trials]) -> CalibrationEvaluation:
+def conclude(
+    arm: str, software: str, controller: str, family: ArmFamily, trials: Sequence[Trials]
+) -> CalibrationEvaluation:
     """Put conditions together."""
     shares = {one.condition.name: shares_of(one) for one in trials}
     return CalibrationEvaluation(

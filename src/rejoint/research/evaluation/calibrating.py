@@ -159,7 +159,7 @@ def try_condition(
     on_progress: Progress,
 ) -> Trials:  # fmt: skip
     """Measure, calibrate and drive all arms of a condition."""
-    suggestion = suggest(arm, max(POINTS), sigma=SIGMA)
+    suggestion = suggest(arm, max(POINTS), visits=2, sigma=SIGMA)
     targets = draw_targets(arm, sets=family.arms, count=family.targets, seed=FAMILY_SIZE * (family.seed + 1) + 1)
     on_progress(0.0, f"{condition.name}: measuring")
     measured = measure(open_condition(arm, condition, family, threads), suggestion, family.seed)

@@ -22,7 +22,7 @@ from rejoint.diagnosis.calibration.camera.rig import Rig, tool_of
 from rejoint.diagnosis.calibration.camera.sighting import CORNER
 from rejoint.diagnosis.calibration.camera.views import BoardView
 from rejoint.diagnosis.calibration.model import SCATTER
-from rejoint.diagnosis.calibration.parameters import Belief, Layout, displacement_of
+from rejoint.diagnosis.calibration.parameters import Belief, DisplacementLayout, displacement_of
 
 LENS = {"f": 0.3, "cx": 0.03, "cy": 0.03, "k1": 0.3, "k2": 0.3, "p1": 0.005, "p2": 0.005}
 """Standard deviations of the lens around that of a usual web camera; the first three by the picture's width (chosen)"""
@@ -51,7 +51,7 @@ class Adjustment:
     """Views of one arm, and an estimate around which their unknowns are small."""
 
     arm: Arm
-    layout: Layout
+    layout: DisplacementLayout
     belief: Belief
     rig: Rig
     """the estimate"""
@@ -114,7 +114,7 @@ class Adjustment:
 
     def ties(self, x: Array) -> Array:
         """Residuals (V, 6) of the tool: seen less as the arm's kinematics say, whitened."""
-        off = difference(self._seen(x, self.sights_of(x)), self._told(x))
+        off = difference(self._seen(x, self.sights_of(x)), self._reported(x))
         return (self.whitener @ off[..., None])[..., 0]
 
     def derivative(self, x: Array) -> Array:
@@ -156,18 +156,18 @@ class Adjustment:
     def shared_ties(self, x: Array) -> Array:
         """Return the derivative (V, 6, shared) of `ties` by the unknowns that all views share."""
         n, sights = len(TERMS), self.sights_of(x)
-        seen, told = self._seen(x, sights), self._told(x)
+        seen, told = self._seen(x, sights), self._reported(x)
         base = difference(seen, told)
         raw = np.zeros((len(self.views), 6, self.shared))
         for i in range(n, n + 12):
             raw[..., i] = (difference(self._seen(_stepped(x, i), sights), told) - base) / _STEP
         for i in range(self.body.start, self.body.stop):
-            other = self._told(_stepped(x, i))
+            other = self._reported(_stepped(x, i))
             raw[..., i] = (difference(seen, other) - base) / _STEP
         return np.asarray(self.whitener @ raw)
 
     def _tie_derivative(self, x: Array) -> Array:
-        sights, told, every = self.sights_of(x), self._told(x), np.arange(len(self.views))
+        sights, told, every = self.sights_of(x), self._reported(x), np.arange(len(self.views))
         base = difference(self._seen(x, sights), told)
         whole = np.zeros((len(self.views), 6, self.size))
         whole[..., : self.shared] = self.shared_ties(x)
@@ -178,7 +178,7 @@ class Adjustment:
             whole[every, :, self.shared + 6 * every + i] = (self.whitener @ own[..., None])[..., 0]
         return whole
 
-    def _told(self, x: Array) -> Array:
+    def _reported(self, x: Array) -> Array:
         """Poses (V, 4, 4) of the tool by the arm's kinematics."""
         return self.displacement_of(x).tool_pose(self.arm, self.position, self.approach)
 

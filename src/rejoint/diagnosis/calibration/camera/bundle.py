@@ -19,7 +19,7 @@ from rejoint.diagnosis.calibration.camera.starting import first_lens, first_rig,
 from rejoint.diagnosis.calibration.camera.suspects import Judged, judge
 from rejoint.diagnosis.calibration.camera.views import BoardView, Unusable
 from rejoint.diagnosis.calibration.measurements import Measurements
-from rejoint.diagnosis.calibration.parameters import Belief, Case, Layout, belief, displacement_of
+from rejoint.diagnosis.calibration.parameters import Belief, DisplacementLayout, PriorCase, belief, displacement_of
 from rejoint.system.errors import InputError
 from rejoint.system.extras import require
 
@@ -27,8 +27,8 @@ FEWEST = 10
 """Views of which an arm is estimated (chosen: with fewer, a wrong one is not noticed)"""
 HUBER = 3.0
 """Standard deviations of a residual from which the loss grows linearly (chosen: 0.3 % of normal ones are larger)"""
-USUAL = Case(twist=0.5)
-"""What is believed of the arm before: that it may be worn and stands on a table (see `Case`)"""
+USUAL = PriorCase(twist=0.5)
+"""What is believed of the arm before: that it may be worn and stands on a table (see `PriorCase`)"""
 
 _ROUNDS = 4  # of the adjustment, at most; all but the first two only where a view was left out
 _STEPS = (15, 30)  # of the first round and of the others
@@ -59,7 +59,7 @@ class Bundle:
     vector: Array
     """(k,) its parameters"""
     covariance: Array
-    """(k, k) of them, see `rejoint.diagnosis.calibration.parameters.Layout`"""
+    """(k, k) of them, see `rejoint.diagnosis.calibration.parameters.DisplacementLayout`"""
     rig_covariance: Array
     """(19, 19) of the lens's `TERMS`, and of shift [m] and turn [rad] of `Rig.standing` and `Rig.mounted`"""
     residuals: tuple[Residual, ...]
@@ -81,7 +81,7 @@ class Bundle:
 
     def intervals(self) -> dict[str, tuple[float, float]]:
         """Name every number that was estimated, with its value and standard deviation, in SI units and px."""
-        layout = Layout(joints=self.arm.joints)
+        layout = DisplacementLayout(joints=self.arm.joints)
         told = dict(zip(layout.names(), zip(self.vector, _deviations(self.covariance), strict=True), strict=True))
         spread = _deviations(self.rig_covariance)
         what = ("camera", "board") if self.rig.carried == "board" else ("board", "camera")
@@ -129,7 +129,7 @@ def bundle(
     position = np.asarray(position, dtype=float)
     _check(arm, views, position, carried, tip)
     came = np.full_like(position, np.nan) if approach is None else np.broadcast_to(approach, position.shape)
-    layout = Layout(joints=arm.joints)
+    layout = DisplacementLayout(joints=arm.joints)
     believed = belief(arm, layout, USUAL) if prior is None else prior
     lens = Lens.usual(*size) if lens is None else lens
     first = first_lens(lens, board, views)

@@ -9,7 +9,7 @@ from rejoint.diagnosis.calibration.camera.adjustment import Adjustment, loosenes
 from rejoint.diagnosis.calibration.camera.bundle import USUAL
 from rejoint.diagnosis.calibration.camera.rig import Rig
 from rejoint.diagnosis.calibration.camera.views import BoardView
-from rejoint.diagnosis.calibration.parameters import Layout, belief, displacement_of
+from rejoint.diagnosis.calibration.parameters import DisplacementLayout, belief, displacement_of
 from rejoint.system.errors import InputError
 
 CANDIDATES = 240
@@ -35,7 +35,7 @@ def choose_postures(arm: Arm, rig: Rig, count: int, seed: int = 0) -> Array:
             f"the camera sees the board in {len(candidates)} of {_TRIES * _DRAWS} postures around the rest posture, "
             f"expected at least {count}; turn the camera to the tool, or the board to the camera"
         )
-    layout = Layout(joints=arm.joints)
+    layout = DisplacementLayout(joints=arm.joints)
     believed = belief(arm, layout, USUAL)
     displacement = displacement_of(layout, believed.mean)
     root = np.linalg.inv(np.linalg.cholesky(looseness(arm, displacement, candidates)))
