@@ -250,7 +250,7 @@ def test_measurements_of_another_arm_or_of_nothing_are_refused() -> None:
     m = measured(worn(), 2)
     with pytest.raises(InputError, match="6 joints"):
         fit(so101(), m)
-    with pytest.raises(InputError, match="no coordinate"):
+    with pytest.raises(InputError, match="at least one coordinate"):
         fit(ARM, replace(m, point=np.full((2, 3), np.nan)))
 
 
