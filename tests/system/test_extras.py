@@ -79,8 +79,10 @@ def test_an_import_that_nobody_foresaw_is_a_line_too(monkeypatch, capsys):
 
     monkeypatch.setattr("rejoint.cli.foreign.read_log", broken)
     monkeypatch.setattr(sys, "argv", ["rejoint", "export", "a.parquet", "a.csv"])
-    with pytest.raises(ModuleNotFoundError):  # it is installed: something else is wrong, and where it is must be seen
+    with pytest.raises(SystemExit) as stopped:  # it is installed: something else is wrong, and where it is must be seen
         main()
+    assert stopped.value.code == 1
+    assert "ModuleNotFoundError: No module named 'mcap.reader'; where it is: " in capsys.readouterr().err
     without(monkeypatch, "mcap")
     with pytest.raises(SystemExit) as stopped:
         main()

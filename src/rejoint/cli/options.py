@@ -50,6 +50,10 @@ Calibrate = Annotated[
         "not calibrated.",
     ),
 ]
+Camera = Annotated[
+    str | None,
+    typer.Option(help="What sees the tool: emulated, for an emulated arm. The last millimetres go by it."),
+]
 Targets = Annotated[Path | None, typer.Option(help="CSV file of targets in mm with the header x,y,z.")]
 Controllers = Annotated[
     str, typer.Option(help="Comma-separated controllers, or 'all'. The policy takes part where there is one.")

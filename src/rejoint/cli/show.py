@@ -151,6 +151,12 @@ def deployment(terminal: Terminal, within: float, done: Deployed) -> None:
     terminal.table(title, headers, rows)
     if done.missed:
         terminal.result(f"Not reached: {len(done.missed)} of {len(done.visits)} targets.")
+    seen = [visit.seen_error for visit in done.visits if visit.seen_error is not None]
+    if seen:
+        terminal.result(
+            f"Seen by the camera: {1e3 * sum(seen) / len(seen):.2f} mm off on average at the end of {len(seen)} of "
+            f"{len(done.visits)} targets, {1e3 * max(seen):.2f} mm at most."
+        )
     if done.gaps:
         terminal.result(
             f"The answers stayed away {len(done.gaps)} times, for up to {max(done.gaps):.1f} s; each time the arm held "

@@ -192,6 +192,7 @@ def deploy(
         1e3 * REACHED
     ),
     calibration: opt.Calibration = None,
+    camera: opt.Camera = None,
     period: opt.Period = None,
     seed: opt.RunSeed = None,
     json: opt.Json = False,
@@ -207,7 +208,8 @@ def deploy(
     with terminal.unsaved(tell), terminal.progress("deploying") as update:
         done = rejoint.deploy(
             robot, controller, targets, run=run, dwell=dwell, within=1e-3 * within,
-            calibration=calibration, period=opt.period_seconds(period), seed=seed, on_progress=update, on_end=tell,
+            calibration=calibration, eye=camera, period=opt.period_seconds(period), seed=seed,
+            on_progress=update, on_end=tell,
         )  # fmt: skip
     tell(done)
     errors = [None if visit.error is None else 1e3 * visit.error for visit in done.visits]

@@ -64,6 +64,10 @@ class Visit:
     reached: bool
     remark: str
     """why it was not reached, and what else is worth knowing; empty where there is nothing"""
+    sightings: int = 0
+    """of the tool near this target that were believed, where a camera watched"""
+    seen_error: float | None = None
+    """[m] error of the tool by the last of them, averaged; None where it was not seen"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

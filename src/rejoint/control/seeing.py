@@ -18,8 +18,8 @@ from rejoint.control.controller import ControlInput
 from rejoint.control.correction import MOST, Modelled
 from rejoint.control.robot import Mask
 
-SHARE = 0.4
-"""Weight of a new sighting against those before it (chosen: noise of single ones is halved, and four are enough)"""
+MEMORY = 0.12
+"""[s] over which sightings are averaged (chosen: noise of single ones is halved at 10 to 30 a second)"""
 NEAR = 0.015
 """[m] from its aim within which sightings count: the shift farther away is another one (chosen)"""
 CHANGE = 2e-4
@@ -29,6 +29,10 @@ JUMP = 0.015
 or another board)"""
 HISTORY = 64
 """Cycles in which the encoders are remembered (chosen: pictures come within a second)"""
+ENOUGH = 2
+"""sightings at a target before they are acted on otherwise than by the aim (chosen: one may be wrong)"""
+FRESH = 0.6
+"""[s] for which a sighting is news (chosen: a few pictures may be lost)"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -55,15 +59,21 @@ class Seen(Modelled):
     eye: Eye = field(kw_only=True)
     used: int = field(default=0, init=False)
     """sightings that were believed"""
-    _first: Array = field(default_factory=lambda: np.zeros((1, 3)), init=False)  # aim of the model
+    visits: list[tuple[int, float | None]] = field(default_factory=list, init=False)
+    """of each target so far: sightings that were believed, and the error [m] by the last of them, averaged; None where
+    the tool was not seen"""
+    _target: Array = field(default_factory=lambda: np.full(3, np.nan), init=False)
     _extra: Array = field(default_factory=lambda: np.zeros(3), init=False)  # [m] of shift that the model does not know
+    _count: int = field(default=0, init=False)  # sightings believed at this target
     _last: float = field(default=-np.inf, init=False)  # [s] of the newest sighting that was looked at
+    _believed: float = field(default=-np.inf, init=False)  # [s] of the newest that was believed
     _told: deque[tuple[float, Array]] = field(default_factory=lambda: deque(maxlen=HISTORY), init=False)
 
     def aim(self, target: Array, start: Array, where: Mask) -> Array:
         """Return the aims (1, 3) [m] of the model."""
-        self._first, self._extra = super().aim(target, start, where), np.zeros(3)
-        return self._first
+        self._target, self._extra, self._count = target[0].copy(), np.zeros(3), 0
+        self.visits.append((0, None))
+        return super().aim(target, start, where)
 
     def again(self, target: Array, inputs: ControlInput) -> Array | None:
         """Shift the aim by what the newest sighting tells."""
@@ -74,17 +84,28 @@ class Seen(Modelled):
         seen = self.eye.sighting(now)
         if seen is None or seen.time <= self._last or not self._remembered(seen.time):
             return None
-        self._last = seen.time
+        elapsed, self._last = seen.time - self._believed, seen.time
         then = self._position(seen.time)
         away = float(np.linalg.norm(inputs.target[0] - tcp_position(self.arm, then)))
         unknown = seen.place - tcp_position(self.arm, then) - self.shift(then)
         if away > NEAR or float(np.linalg.norm(unknown)) > JUMP:
             return None
-        self._extra += (SHARE if self.used else 1.0) * (unknown - self._extra)
+        self._count += 1
+        share = max(1.0 / self._count, 1.0 - np.exp(-elapsed / MEMORY))
+        self._extra, self._believed = self._extra + share * (unknown - self._extra), seen.time
         self.used += 1
-        fresh = self._first - self._extra
+        left = target[0] - tcp_position(self.arm, then) - self.shift(then) - self._extra
+        self.visits[-1] = self._count, float(np.linalg.norm(left))
+        fresh = target[0] - self.shift(position) - self._extra
         changed = float(np.linalg.norm(fresh - inputs.target)) > CHANGE
-        return fresh if changed and float(np.linalg.norm(fresh - target)) < MOST else None
+        return fresh[None] if changed and float(np.linalg.norm(fresh - target)) < MOST else None
+
+    def missing(self, inputs: ControlInput) -> Array | None:
+        """Return how far (3,) [m] the tool still has to go, by the eye; None where it has seen nothing of late."""
+        position, now = inputs.state.position[0], float(inputs.state.time[0])
+        if self._count < ENOUGH or now - self._believed > FRESH:
+            return None
+        return np.asarray(self._target - tcp_position(self.arm, position) - self.shift(position) - self._extra)
 
     def _remembered(self, time: float) -> bool:
         return self._told[0][0] <= time <= self._told[-1][0]

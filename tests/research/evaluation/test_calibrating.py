@@ -12,10 +12,10 @@ from rejoint.control.integrator import IntegratorController
 from rejoint.research.evaluation import calibrating
 from rejoint.research.evaluation.calibrated import conclude, tables
 from rejoint.research.evaluation.calibrating import find_condition, misdescribed, open_condition, try_condition
-from rejoint.research.evaluation.family import Family
+from rejoint.research.evaluation.family import ArmFamily
 from rejoint.system.errors import InputError
 
-ARM, FEW = mycobot280(), Family(arms=2, targets=1, seed=3)
+ARM, FEW = mycobot280(), ArmFamily(arms=2, targets=1, seed=3)
 
 
 def test_a_base_that_stands_askew_loads_the_base_joint() -> None:

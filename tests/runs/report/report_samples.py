@@ -21,7 +21,7 @@ from rejoint.control.comparison.result import (
 )
 from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.diagnosis.calibration.measurements import Measurements
-from rejoint.diagnosis.calibration.parameters import Layout
+from rejoint.diagnosis.calibration.parameters import DisplacementLayout
 from rejoint.logs.runlog import RunLog
 from rejoint.runs.report.contents import read_contents
 from rejoint.runs.report.gallery import Gallery
@@ -118,7 +118,7 @@ def make_calibration(arm):
     calibration = Calibration(
         arm=arm,
         displacement=found,
-        covariance=1e-6 * np.eye(Layout(joints=n).size),
+        covariance=1e-6 * np.eye(DisplacementLayout(joints=n).size),
         frame=np.eye(4),
         frame_name="base",
         source="touch",

@@ -39,6 +39,7 @@ from rejoint.runs.stages.driving import (
     stance_of,
     start_journal,
 )
+from rejoint.runs.stages.eyes import EyeLike, eye_of, watched, with_sightings
 from rejoint.system.errors import InputError
 from rejoint.system.files import require_space, saving
 from rejoint.system.progress import Progress, no_progress, paced
@@ -46,6 +47,7 @@ from rejoint.system.stopping import noted
 
 if TYPE_CHECKING:
     from rejoint.control.correction import Modelled
+    from rejoint.control.seeing import Eye, Seen
     from rejoint.diagnosis.calibration.calibration import Calibration
     from rejoint.twin.twin import Twin
 
@@ -60,6 +62,7 @@ def deploy(
     arm: ArmLike | None = None,
     twin: TwinLike | None = None,
     calibration: CalibrationLike | None = None,
+    eye: EyeLike | None = None,
     dwell: float = 4.0,
     within: float = REACHED,
     period: Period | None = None,
@@ -90,6 +93,9 @@ def deploy(
     calibration
         what lies behind the encoders, or its file: targets are aimed at by it; ``none`` for no correction. By default
         that of ``run``
+    eye
+        sees the tool (`rejoint.control.seeing.Eye`), or makes such a one for the open robot; ``emulated`` for a camera
+        that watches an emulated arm. The last millimetres are then corrected by what is seen
     dwell
         [s] per target
     within
@@ -150,6 +156,7 @@ def deploy(
                 twin=known,
                 correct=correct,
                 model=calibration_of(calibration, about, chosen, address_of(robot)),
+                eye=None if eye is None else eye_of(eye, connection, seed),
             )
             return drive.to_targets(rows, on_progress, on_end or (lambda _: None))
 
@@ -165,11 +172,14 @@ class _Drive:
     twin: Twin | None
     correct: Callable[[Arm], Modelled] | None
     model: Calibration | None
+    eye: Eye | None
 
     def to_targets(self, rows: int, on_progress: Progress, on_end: Callable[[Deployed], object]) -> Deployed:
         """Drive; in a run, what is recorded is kept as it comes, also where ``kill -9`` ends it."""
         arm, job, label = self.robot.arm, self.job, f"deploy/{self.job.controller}"
         journal = None if self.run is None else start_journal(self.run, "deploy", self.robot, label, rows)
+
+        controller, correction, seen = self._corrected()
 
         def watch(cycle: Cycle) -> None:
             if journal is not None:
@@ -180,9 +190,8 @@ class _Drive:
 
         try:
             recording, found = deploy_to(
-                self.robot, self.controller, job, limits=guard_limits(self.run, arm, self.robot.address),
-                stance=stance_of(self.twin), correction=self.correct and self.correct(arm), model=self.model,
-                on_cycle=watch,
+                self.robot, controller, job, limits=guard_limits(self.run, arm, self.robot.address),
+                stance=stance_of(self.twin), correction=correction, model=self.model, on_cycle=watch,
             )  # fmt: skip
         except BaseException as error:
             partial, done = recording_of(error), deployed_of(error, arm, job, self.model)
@@ -191,11 +200,19 @@ class _Drive:
             elif journal is not None:
                 journal.discard()
             if done is not None:
-                on_end(done)
+                on_end(with_sightings(done, seen))
             raise
         log = recording.log(0, label)
-        found = replace(found, log=log)
+        found = replace(with_sightings(found, seen), log=log)
         if journal is not None:
             with saving(found):
                 journal.finish(log)
         return found
+
+    def _corrected(self) -> tuple[Controller, Modelled | None, Seen | None]:
+        """Return what drives, what corrects the aims, and the latter where it goes by what is seen."""
+        model = self.correct and self.correct(self.robot.arm)
+        if self.eye is None:
+            return self.controller, model, None
+        controller, seen = watched(self.robot, self.controller, model, self.eye)
+        return controller, seen, seen

@@ -1,0 +1,86 @@
+"""How near the tool comes with and without a camera that watches it.
+
+    python -m benchmarks.seeing --arms 12 --first 1000 --policy runs/mine/policy.onnx
+
+Every emulated worn arm is calibrated from ten measured points, then goes to targets drawn by its seed. True errors,
+mean / 95th percentile over all targets [mm], each the mean of the last 0.2 s before a time since the target was set.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+
+import rejoint
+from rejoint.arms import Arm, Displacement, mycobot280
+from rejoint.control.catalogue import make_controller
+from rejoint.control.controller import Controller
+from rejoint.control.correction import Modelled
+from rejoint.control.loop import Schedule, move, run
+from rejoint.control.recording import Recording
+from rejoint.diagnosis.calibration.eye import EmulatedEye
+from rejoint.runs.stages.eyes import watched
+
+TIMES = (2.0, 3.0, 3.95)
+WINDOW = 0.2
+CASES: dict[str, dict[str, float] | None] = {
+    "model only": None,
+    "camera": {},
+    "camera, 30 1/s, 0.06 s": {"rate": 30.0, "late": 0.06},
+    "camera, 10 1/s, 0.15 s": {"rate": 10.0, "late": 0.15},
+}
+"""What watches: nothing, or an emulated eye with these settings"""
+
+
+def errors(recording: Recording) -> np.ndarray:
+    """Return the true errors (times, targets) [mm]."""
+    error = 1e3 * np.linalg.norm(recording.true_tcp - recording.target, axis=-1)[:, 0]
+    index, since = recording.target_index[:, 0], recording.since_target[:, 0]
+    return np.array(
+        [
+            [error[(index == k) & (since > at - WINDOW) & (since <= at)].mean() for k in range(index.max() + 1)]
+            for at in TIMES
+        ]
+    )
+
+
+def driven(arm: Arm, seed: int, controller: Controller, known: Displacement, eye: dict[str, float] | None, count: int):
+    """Return the true errors (times, targets) [mm] of the arm of one ``seed``."""
+    robot = rejoint.connect(f"emulated:worn?seed={seed}")
+    start = move(robot, arm.rest)
+    correction: Modelled = Modelled(arm, known)
+    if eye is not None:
+        controller, correction = watched(robot, controller, correction, EmulatedEye(robot, seed=seed, **eye))
+    targets = arm.targets.sample(np.random.default_rng(seed), (1, count))
+    schedule = Schedule(dwell=4.0, sent=start.command[-1])
+    return errors(run(robot, controller, targets, schedule, correction=correction))
+
+
+def main() -> None:
+    """Print one row for each case."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.seeing", description="True errors by a camera.")
+    parser.add_argument("--arms", type=int, default=4)
+    parser.add_argument("--first", type=int, default=1000, help="seed of the first arm")
+    parser.add_argument("--targets", type=int, default=8)
+    parser.add_argument("--policy", type=Path, help="policy file; the integrator without one")
+    parser.add_argument("--cases", type=int, default=len(CASES), help="how many of them, from the first")
+    options, _ = parser.parse_known_args()
+    arm, name = mycobot280(), "integrator" if options.policy is None else "policy"
+    found: dict[str, list[np.ndarray]] = {case: [] for case in list(CASES)[: options.cases]}
+    for seed in range(options.first, options.first + options.arms):
+        fit = rejoint.calibrate(f"emulated:worn?seed={seed}", count=10).calibration
+        known = fit.displacement if fit.used else Displacement.none(arm)
+        for case, rows in found.items():
+            controller = make_controller(name, arm, policy=options.policy)
+            rows.append(driven(arm, seed, controller, known, CASES[case], options.targets))
+    print(f"{options.arms} arms, {options.targets} targets each, {name}; after {', '.join(map(str, TIMES))} s")
+    for case, rows in found.items():
+        table = np.concatenate(rows, axis=1)
+        cells = (f"{row.mean():.2f} / {np.quantile(row, 0.95):.2f}" for row in table)
+        print(f"{case:24} | {' | '.join(cells)}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,130 @@
+"""Laws of the finish: the tool comes to where it is seen to be at its target, and stays there."""
+
+from collections import deque
+
+import numpy as np
+import pytest
+
+from rejoint.arms import Displacement, mycobot280, tcp_position
+from rejoint.control.default import DefaultController
+from rejoint.control.finishing import CALM, WIDEST, Finishing
+from rejoint.control.guard import TRIPS
+from rejoint.control.integrator import IntegratorController
+from rejoint.control.loop import Schedule, run
+from rejoint.control.seeing import Seen, Sighting
+from rejoint.lab.plant.wear import load_wear
+from rejoint.robots.emulated import EmulatedRobot
+
+ARM = mycobot280()
+TARGETS = ARM.targets.sample(np.random.default_rng(11), (1, 3))
+DWELL = 4.0
+
+
+class Watching:
+    """Sees the tool ``rate`` times a second, ``late`` [s]; hidden in an interval; every ``lost``-th is lost."""
+
+    def __init__(self, robot, *, rate=15.0, late=0.1, hidden=(np.inf, np.inf), lost=0, wrong=0):
+        self.robot, self.rate, self.late, self.hidden, self.lost, self.wrong = robot, rate, late, hidden, lost, wrong
+        self.rng, self.taken, self.count = np.random.default_rng(0), deque(maxlen=50), 0
+        self.last = -np.inf
+
+    def sighting(self, now):
+        if now - self.last >= 1.0 / self.rate:
+            self.last, self.count = now, self.count + 1
+            place = self.robot.true_tcp()[0] + self.rng.normal(0.0, 1e-4, 3)
+            if self.wrong and self.count % self.wrong == 0:
+                place = place + 0.04
+            gone = self.lost and self.count % self.lost
+            if not gone and not self.hidden[0] <= now < self.hidden[1]:
+                self.taken.append(Sighting(time=now, place=place))
+        ready = [one for one in self.taken if now - one.time >= self.late]
+        return ready[-1] if ready else None
+
+
+def driven(make=IntegratorController, *, wear="worn?seed=701", believed=None, **seeing):
+    robot = EmulatedRobot(ARM, [load_wear(wear, ARM)], seed=0)
+    seen = Seen(ARM, believed or Displacement.none(ARM), eye=Watching(robot, **seeing))
+    controller = Finishing(ARM, make(ARM), seen)
+    states = []
+    recording = run(
+        robot, controller, TARGETS, Schedule(dwell=DWELL), correction=seen,
+        on_cycle=lambda _: states.append(controller.state),
+    )  # fmt: skip
+    return recording, np.array(states), seen
+
+
+def true_errors(recording, end=DWELL):
+    at = (recording.since_target[:, 0] > end - 0.2) & (recording.since_target[:, 0] <= end)
+    error = np.linalg.norm(recording.true_tcp - recording.target, axis=-1)[:, 0]
+    return np.array([error[at & (recording.target_index[:, 0] == k)].mean() for k in range(TARGETS.shape[1])])
+
+
+def test_the_tool_of_a_worn_arm_comes_nearer_than_any_controller_brings_it():
+    robot = EmulatedRobot(ARM, [load_wear("worn?seed=701", ARM)], seed=0)
+    blind = true_errors(run(robot, IntegratorController(ARM), TARGETS, Schedule(dwell=DWELL)))
+    recording, states, seen = driven()
+    assert blind.mean() > 4e-3
+    assert true_errors(recording).mean() < 1e-3
+    assert {"far", "fine"} <= set(states)
+    assert len(seen.visits) == TARGETS.shape[1]
+    for (count, told), true in zip(seen.visits, true_errors(recording), strict=True):
+        assert count > 5
+        assert abs(told - true) < 0.6e-3
+
+
+@pytest.mark.parametrize("seeing", [{"rate": 30.0, "late": 0.05}, {"rate": 10.0, "late": 0.15}, {"lost": 2}])
+def test_rate_delay_and_lost_sightings_do_not_matter_much(seeing):
+    assert true_errors(driven(**seeing)[0]).mean() < 1.3e-3
+
+
+def test_wrong_sightings_are_not_believed():
+    assert true_errors(driven(wrong=4)[0]).mean() < 1.2e-3
+
+
+def test_a_hidden_tool_leaves_the_controller_alone():
+    recording, states, seen = driven(hidden=(0.0, np.inf))
+    assert set(states) == {"far"}
+    assert [count for count, _ in seen.visits] == [0] * TARGETS.shape[1]
+    robot = EmulatedRobot(ARM, [load_wear("worn?seed=701", ARM)], seed=0)
+    blind = run(robot, IntegratorController(ARM), TARGETS, Schedule(dwell=DWELL))
+    np.testing.assert_array_equal(recording.command, blind.command)
+
+
+def test_a_tool_that_is_hidden_on_the_way_is_left_where_it_is_held_or_to_the_controller():
+    recording, states, _ = driven(hidden=(2.0, np.inf))
+    time = recording.time[:, 0] - recording.time[0, 0]
+    assert "fine" in states[time < 2.0]
+    assert "fine" not in states[time > 3.0]
+    assert true_errors(recording).max() < 0.012
+
+
+def test_what_holds_does_not_drift_or_move():
+    recording, states, _ = driven(wear="healthy", believed=Displacement.none(ARM))
+    held = (states[1:] == "hold") & (states[:-1] == "hold")
+    assert held.sum() > 40
+    step = np.abs(np.diff(recording.command[:, 0], axis=0))[held & (np.diff(recording.target_index[:, 0]) == 0)]
+    assert step.max() == 0.0
+    assert true_errors(recording).mean() < 2.5 * CALM
+
+
+def test_commands_pass_the_guard_and_swing_no_wider_than_said():
+    recording, states, _ = driven()
+    fine = (states == "fine")[1:] & (states == "fine")[:-1]
+    step = np.abs(np.diff(recording.command[:, 0], axis=0))[fine]
+    assert step.max() < 2.0 * WIDEST + np.radians(2.0)
+    assert not (recording.reasons & np.uint16(TRIPS.value)).any()
+
+
+def test_a_perfect_arm_that_is_misjudged_is_corrected_without_friction():
+    class Ideal(EmulatedRobot):
+        """Tools 3 mm beside where the encoders see them."""
+
+        def true_tcp(self):
+            return tcp_position(ARM, self.read().position) + np.array([0.0, 0.002, -0.002])
+
+    robot = Ideal(ARM, [load_wear("healthy", ARM)], seed=0)
+    seen = Seen(ARM, Displacement.none(ARM), eye=Watching(robot))
+    recording = run(
+        robot, Finishing(ARM, DefaultController(ARM), seen), TARGETS, Schedule(dwell=DWELL), correction=seen
+    )
+    assert true_errors(recording).mean() < 0.7e-3

@@ -1,0 +1,67 @@
+"""The camera that watches an emulated arm: its noise, rate, delay and hidden intervals, and deployments by it."""
+
+import numpy as np
+import pytest
+
+import rejoint
+from rejoint.diagnosis.calibration.eye import DEPTH, LATERAL, EmulatedEye
+from rejoint.system.errors import InputError
+
+TARGETS = np.array([[0.17, 0.0, 0.2], [0.18, 0.03, 0.21]])
+
+
+class Still:
+    """An arm that stands."""
+
+    count, address, place = 1, "test:still", np.array([[0.1, 0.2, 0.3]])
+
+    def true_tcp(self):
+        return self.place
+
+
+def sightings(eye, until=100.0, period=0.025):
+    found = {}
+    for now in np.arange(0.0, until, period):
+        one = eye.sighting(now)
+        if one is not None:
+            assert one.time <= now - eye.late
+            found[one.time] = one.place
+    return np.array(list(found)), np.stack(list(found.values()))
+
+
+def test_noise_rate_and_delay_are_those_asked_for():
+    times, places = sightings(EmulatedEye(Still(), rate=10.0, late=0.15))
+    assert np.diff(times).min() > 0.1 - 0.025 - 1e-9  # at the next control cycle
+    assert abs(len(times) - 1000) < 20
+    spread = places.std(axis=0)
+    np.testing.assert_allclose(spread, [DEPTH, LATERAL, LATERAL], rtol=0.1)
+    np.testing.assert_allclose(places.mean(axis=0), Still.place[0], atol=5e-5)
+
+
+def test_a_hidden_interval_has_no_sightings_and_seeds_repeat():
+    times, places = sightings(EmulatedEye(Still(), hidden=((2.0, 4.0),), seed=3), until=6.0)
+    assert not ((times >= 2.0) & (times < 4.0)).any()
+    assert (times >= 4.0).any()
+    np.testing.assert_array_equal(places, sightings(EmulatedEye(Still(), hidden=((2.0, 4.0),), seed=3), until=6.0)[1])
+
+
+def test_a_robot_that_nobody_sees_through_is_refused():
+    class Real(Still):
+        """Nobody knows where its tool is."""
+
+        place = np.full((1, 3), np.nan)
+
+    with pytest.raises(InputError, match="test:still"):
+        EmulatedEye(Real())
+    with pytest.raises(InputError, match="expected emulated"):
+        rejoint.deploy("emulated:worn", "integrator", TARGETS, eye="elsewhere")
+
+
+def test_a_deployment_tells_what_was_seen():
+    blind = rejoint.deploy("emulated:worn?seed=3", "integrator", TARGETS)
+    seen = rejoint.deploy("emulated:worn?seed=3", "integrator", TARGETS, eye="emulated")
+    assert all(visit.seen_error is None and visit.sightings == 0 for visit in blind.visits)
+    assert all(visit.sightings > 10 and visit.seen_error < 1.5e-3 for visit in seen.visits)
+    assert all(visit.reached for visit in seen.visits)
+    own = rejoint.deploy("emulated:worn?seed=3", "integrator", TARGETS, eye=lambda robot: EmulatedEye(robot, seed=0))
+    assert [visit.seen_error for visit in own.visits] == [visit.seen_error for visit in seen.visits]
