@@ -156,6 +156,10 @@ def test_an_excitation_is_ended_by_a_blind_joint_where_the_load_tells():
     assert robot.plant.time[0] < 2.5
 
 
+def reading_at(clock, position):
+    return JointState(time=np.array([clock]), position=position.copy(), age=np.zeros(1))
+
+
 def follow(load_of, steps=120, knowledge=None, count=1):
     """Raise the command of joint 1 by 0.1 deg a cycle over a reading that stands; ``load_of`` (lead) is told."""
     state = JointState(time=np.zeros(count), position=np.tile(REST, (count, 1)), age=np.zeros(count))
@@ -197,6 +201,16 @@ def test_without_load_a_joint_that_hardly_ever_moved_is_bounded_and_not_judged()
     assert 0.03 < reach[0] < 0.3
     assert (watch.bound(wanted, REST[None], np.zeros(1, dtype=bool)) == wanted).all(), "no bound on a trajectory"
     assert TRAVEL < 0.030
+
+
+def test_an_arm_that_is_at_once_where_it_is_sent_and_stands_there_is_never_judged():
+    sent, clock = np.tile(REST, (1, 1)), 0.0
+    watcher, away = Following(ARM, reading_at(clock, sent), sent), sent + np.radians(30.0)
+    for goal in (away, sent) * 3:
+        for _ in range(100):
+            clock += 0.02
+            assert watcher.check(reading_at(clock, sent), sent, np.array([True])) is None
+            sent = sent + np.clip(goal - sent, -np.radians(8.0), np.radians(8.0))
 
 
 def test_a_repeated_answer_is_no_news():

@@ -55,6 +55,8 @@ yields)"""
 TURN_ROUND = 0.12
 """[s] for which a reading must stand before it is judged without load (chosen: a joint that is sent to and fro by a
 controller at its limits stands while it turns round)"""
+ARRIVED = np.radians(1.0)
+"""[rad] of lead within which a joint that stands is where it was sent (chosen)"""
 SETTLED = 30
 """changes of a reading after which it is known how far its joint sticks (chosen)"""
 GAIN, GAIN_SPREAD = 20.0, 2.0
@@ -196,7 +198,7 @@ class Following:
             return None
         bad: Mask = self._verdict >= _TURNING
         if self._bands is None:
-            bad = bad | (self._travelled(state.position) & aimed[:, None])
+            bad = bad | (self._travelled(state.position, sent) & aimed[:, None])
         return bad if bad.any() else None
 
     def bound(self, wanted: Array, position: Array, aimed: Mask) -> Array:
@@ -218,12 +220,13 @@ class Following:
         """Tell what was seen of the ``joints`` (n,) of arm ``b``, what it looks like, and what to do."""
         return "; ".join(self._describe(b, int(j)) for j in np.flatnonzero(joints))
 
-    def _travelled(self, position: Array) -> Mask:
+    def _travelled(self, position: Array, sent: Array) -> Mask:
         """Joints (B, n) whose commands have gone too far from a reading that stands, with no load to explain it."""
         tracks = self._tracks
         travel = np.abs(tracks["travel"])
         stands = self._last[:, None] - tracks["since"] > TURN_ROUND
-        asked = (self._verdict == _UNKNOWN) & (travel > _EARLIEST) & stands
+        away = np.abs(sent - position) > ARRIVED
+        asked = (self._verdict == _UNKNOWN) & (travel > _EARLIEST) & stands & away
         if not asked.any():
             return asked
         lever = self._levers(position)
