@@ -43,6 +43,17 @@ def test_the_command_line_ends_as_interrupted_whatever_the_compiled_code_makes_o
     assert ended.stderr.startswith("error: interrupted by SIGTERM"), ended.stderr
 
 
+def test_a_second_signal_does_not_cut_the_last_line_short():
+    ended = run(
+        "import rejoint.cli as cli\ntold = cli._say_notes\n"
+        "def again(error):\n    os.kill(os.getpid(), signal.SIGTERM)\n    told(error)\n"
+        "def app(**_):\n    os.kill(os.getpid(), signal.SIGTERM)\n    time.sleep(30)\n"
+        "cli.app, cli._say_notes = app, again\nsys.argv = ['rejoint']\ncli.main()\n"
+    )
+    assert ended.returncode == 143
+    assert ended.stderr == "error: interrupted by SIGTERM\n"
+
+
 def test_other_exceptions_that_nobody_sees_are_shown_as_before():
     ended = run("stopping.install()\n@ctypes.CFUNCTYPE(None)\ndef broken():\n    raise ValueError('seen')\nbroken()\n")
     assert ended.returncode == 0

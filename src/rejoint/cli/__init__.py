@@ -21,7 +21,7 @@ from rich.console import Console
 from rejoint.cli import boards, chain, evaluation, foreign, measuring, offline, reproducing, serving, stages
 from rejoint.system.errors import RejointError, first_line
 from rejoint.system.extras import explain
-from rejoint.system.stopping import Interrupted, install, interruption
+from rejoint.system.stopping import Interrupted, close, install, interruption
 
 BUG = 1
 """Exit code for what should never happen"""
@@ -84,6 +84,7 @@ RESUMED = ("repair", "train", "compare")
 
 
 def _interrupted(error: Interrupted, *, json: bool) -> int:
+    close()  # a signal that was swallowed is sent again, at a time of its own
     command = sys.argv[1] if len(sys.argv) > 1 else ""
     kept = f"; what is finished is kept: the same `rejoint {command}` goes on from there" if command in RESUMED else ""
     code = _fail(f"{error}{kept}", "Interrupted", error.exit_code, json=json)

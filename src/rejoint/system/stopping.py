@@ -63,6 +63,12 @@ def install() -> None:
         _note.hook, sys.unraisablehook = sys.unraisablehook, _unraisable
 
 
+def close() -> None:
+    """Be deaf from now on: the program is ending because it was asked to, and says so without being cut short."""
+    for signum in SIGNALS:
+        signal.signal(signum, signal.SIG_IGN)
+
+
 def ending() -> bool:
     """Tell whether the present work is what brings an arm to rest, see `shielded`."""
     return bool(_note.shielded)
