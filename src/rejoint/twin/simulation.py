@@ -10,6 +10,7 @@ own.
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,12 +18,15 @@ from numpy.typing import NDArray
 from rejoint.arms import Arm, Array
 from rejoint.control.robot import Mask
 from rejoint.twin.backlash import Backlash
-from rejoint.twin.batch import TwinBatch
+from rejoint.twin.chainbatch import ChainBatch
 from rejoint.twin.friction import DRY, dry_friction, friction_terms, is_steady
 from rejoint.twin.latency import Latency
 from rejoint.twin.model import TIMESTEP
 from rejoint.twin.parameters import TwinParameters
 from rejoint.twin.reference import LiveReference
+
+if TYPE_CHECKING:
+    from rejoint.twin.batch import TwinBatch
 
 SUBSTEPS = 6
 """Physics steps in a control cycle: 3 ms each at the shortest period, 9 ms at the longest."""
@@ -75,7 +79,7 @@ class Simulation:
     ) -> None:  # fmt: skip
         n = arm.joints
         self.arm, self.substeps = arm, substeps
-        self.twins = TwinBatch(arm, count, timestep, threads, table)
+        self.twins = _on_table(arm, count, timestep, threads) if table else ChainBatch(arm, count, timestep, threads)
         self.latency = Latency(count, n, substeps)
         self.reference = LiveReference(count, n)
         self.backlash = Backlash(arm, count)
@@ -118,6 +122,8 @@ class Simulation:
 
     def rollout(self, reference: Array) -> Array:
         """Advance by the servos' ``reference`` (N, steps, n) [rad], one row a step; return positions of that shape."""
+        if not self.backlash.present and isinstance(self.twins, ChainBatch):
+            return self.twins.rollout(reference, self._friction)
         if is_steady(self._friction) and not self.backlash.present:
             return self.twins.rollout(reference)
         positions = np.empty_like(reference)
@@ -142,3 +148,10 @@ class Simulation:
 
     def _quantised(self, position: Array) -> Array:
         return np.round(position / self.arm.encoder_step) * self.arm.encoder_step
+
+
+def _on_table(arm: Arm, count: int, timestep: float, threads: int) -> TwinBatch:
+    """Make twins that may touch a table, which MuJoCo steps."""
+    from rejoint.twin.batch import TwinBatch  # noqa: PLC0415 - free arms need no MuJoCo
+
+    return TwinBatch(arm, count, timestep, threads, table=True)
