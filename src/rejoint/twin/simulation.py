@@ -9,16 +9,18 @@ own.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Union
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array
 from rejoint.control.robot import Mask
+from rejoint.system.errors import InputError
 from rejoint.twin.backlash import Backlash
-from rejoint.twin.chainbatch import ChainBatch
+from rejoint.twin.chain.batch import ChainBatch
 from rejoint.twin.friction import DRY, dry_friction, friction_terms, is_steady
 from rejoint.twin.latency import Latency
 from rejoint.twin.model import TIMESTEP
@@ -27,6 +29,10 @@ from rejoint.twin.reference import LiveReference
 
 if TYPE_CHECKING:
     from rejoint.twin.batch import TwinBatch
+    from rejoint.twin.table import TablePlane
+
+Twins = Union["ChainBatch", "TwinBatch"]
+"""Free arms, and arms that may touch a table"""
 
 SUBSTEPS = 6
 """Physics steps in a control cycle: 3 ms each at the shortest period, 9 ms at the longest."""
@@ -79,7 +85,9 @@ class Simulation:
     ) -> None:  # fmt: skip
         n = arm.joints
         self.arm, self.substeps = arm, substeps
-        self.twins = _on_table(arm, count, timestep, threads) if table else ChainBatch(arm, count, timestep, threads)
+        self.twins: Twins = (
+            _on_table(arm, count, timestep, threads) if table else ChainBatch(arm, count, timestep, threads)
+        )
         self.latency = Latency(count, n, substeps)
         self.reference = LiveReference(count, n)
         self.backlash = Backlash(arm, count)
@@ -104,6 +112,12 @@ class Simulation:
         self._friction[:, where] = friction_terms(draw.twin, draw.stiction)
         self.time[where] = 0.0
         self.measured[where] = self._quantised(position)
+
+    def put_tables(self, tables: Sequence[TablePlane]) -> None:
+        """Put each arm of a simulation that was made with ``table`` on its own; after `place`."""
+        if isinstance(self.twins, ChainBatch):
+            raise InputError("simulation: made without a table, and cannot be put on one")
+        self.twins.put_tables(tables)
 
     def send(self, command: Array) -> None:
         """Send ``command`` (N, n) [rad] now."""
@@ -152,6 +166,6 @@ class Simulation:
 
 def _on_table(arm: Arm, count: int, timestep: float, threads: int) -> TwinBatch:
     """Make twins that may touch a table, which MuJoCo steps."""
-    from rejoint.twin.batch import TwinBatch  # noqa: PLC0415 - free arms need no MuJoCo
+    from rejoint.twin.batch import TwinBatch  # late: free arms need no MuJoCo
 
     return TwinBatch(arm, count, timestep, threads, table=True)

@@ -1,16 +1,15 @@
-"""One time step of free serial arms with position servos, compiled: sixteen arms at a time.
+"""Dynamics of sixteen serial arms at once, compiled: motion and forces joint by joint, inertia, and its inverse.
 
-The physics is that of `rejoint.twin.model`, which MuJoCo steps and which judges this one: bias forces by the recursive
-Newton-Euler method and inertia by composite bodies (Featherstone 2008, chapters 5 and 6), both in link frames whose z axis is
-the joint; damping is implicit, dry friction an impulse per joint within its limits that brings the joint to rest if it
-can, found by projected Gauss-Seidel sweeps from the impulse of the step before. It is as soft as the model says.
+Bias forces by the recursive Newton-Euler method and inertia by composite bodies (Featherstone 2008, chapters 5 and 6),
+both in link frames whose z axis is the joint.
 
-Arrays are (quantity, lane): what is done to a joint stands in one straight piece within a loop over the lanes, which the
-compiler turns into vector instructions. It does so only if it knows that no two arrays overlap (`_NoAlias`), and if
-nothing is called in the loop, so sine and cosine are polynomials here.
+Arrays are (quantity, lane): what is done to a joint stands in one straight piece within a loop over the lanes, which
+the compiler turns into vector instructions. It does so only if it knows that no two arrays overlap (`NoAlias`), and
+if nothing is called in the loop, so sine and cosine are polynomials here.
 """
 
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False, disallow-untyped-decorators=False
+# ruff: noqa: ANN001, ANN201, E741 - compiled functions take their types from their arguments; l is a lane
 from __future__ import annotations
 
 import numpy as np
@@ -19,34 +18,26 @@ from numba.core.compiler import Compiler
 
 LANES = 16
 """Arms that are stepped together (chosen: two vectors of eight numbers, or four of four)"""
-SWEEPS = 8
-"""Gauss-Seidel sweeps of a step (chosen: from the last step's impulses, more change nothing that an encoder shows)"""
-SOFTNESS = 1e-6
-"""What friction yields, by what a free joint would (`rejoint.twin.model.FRICTION_IMPEDANCE`, ``FRICTION_SOFTNESS``)"""
-KEPT = 1.0 - 1.0 / 0.9999
-"""Share of its speed that a joint keeps in a step that friction could stop it in (same place)"""
-STIFFNESS, OFFSET, LIMIT, DAMPING, ARMATURE, FRICTION = range(6)
-"""Rows of the parameters"""
-PARAMETERS = 6
 ROTATION, PLACE, MASS, MOMENT, INERTIA, CARRIED, LINK = 0, 9, 12, 13, 16, 22, 23
 """Where the constants of a link begin: rotation and place of its joint's frame in the frame before; mass, first moment
 and inertia about the joint; the mass of all behind it; and how many there are"""
-# What a block keeps per joint: rotation 9, angular velocity 3, accelerations 3 and 3, force 3, moment 3,
-# composite first moment 3 and inertia 6.
-_R, _W, _A, _F, _N, _H, _I, _JOINT = 0, 9, 12, 18, 21, 24, 27, 33
-ACCELERATION = _A + 3
-"""Where the linear acceleration of a joint stands in that; of the base it is minus gravity"""
+# What is kept of each joint: rotation 9, angular velocity 3, angular and linear acceleration 3 and 3, force 3, moment
+# 3, and of all that it carries the first moment 3 and the inertia 6.
+_W, _A, _F, _N, _H, _I, KEPT_ROWS = 9, 12, 18, 21, 24, 27, 33
+ACCELERATION, TORQUE = _A + 3, _N + 2
+"""Where the linear acceleration of a joint stands in that, of the base it is minus gravity; and its bias torque"""
 
 
-class _NoAlias(Compiler):
+class NoAlias(Compiler):  # type: ignore[misc]
     """Numba's compiler, told that the arrays it is given do not overlap."""
 
-    def define_pipelines(self):  # noqa: ANN201, D102
+    def define_pipelines(self):
+        """Set the flag that Numba's decorators have no option for."""
         self.state.flags.noalias = True
         return super().define_pipelines()
 
 
-OPTIONS = {"nogil": True, "cache": True, "pipeline_class": _NoAlias, "error_model": "numpy"}
+OPTIONS = {"nogil": True, "cache": True, "pipeline_class": NoAlias, "error_model": "numpy"}
 
 _PI_2A, _PI_2B = 1.5707963267341256, 6.077100506506192e-11
 _TWO_OVER_PI = 0.6366197723675814
@@ -54,18 +45,47 @@ _ROUND = 6755399441055744.0  # 1.5 * 2^52: adding it rounds to whole numbers
 
 
 @njit(**OPTIONS)
-def _turn(q, sine, cosine):  # noqa: ANN001, ANN202
+def turn(q, sine, cosine):
     """Sine and cosine of angles (LANES,) [rad] up to some thousand, to a few 1e-16."""
     for l in range(LANES):
         quarter = (q[l] * _TWO_OVER_PI + _ROUND) - _ROUND
         x = (q[l] - quarter * _PI_2A) - quarter * _PI_2B
         s = x * x
-        sin = x + x * s * (-1.66666666666666324348e-01 + s * (8.33333333332248946124e-03 + s * (
-            -1.98412698298579493134e-04 + s * (2.75573137070700676789e-06 + s * (
-                -2.50507602534068634195e-08 + s * 1.58969099521155010221e-10)))))
-        cos = 1.0 - 0.5 * s + s * s * (4.16666666666666019037e-02 + s * (-1.38888888888741095749e-03 + s * (
-            2.48015872894767294178e-05 + s * (-2.75573143513906633035e-07 + s * (
-                2.08757232129817482790e-09 + s * -1.13596475577881948265e-11)))))
+        sin = x + x * s * (
+            -1.66666666666666324348e-01
+            + s
+            * (
+                8.33333333332248946124e-03
+                + s
+                * (
+                    -1.98412698298579493134e-04
+                    + s
+                    * (2.75573137070700676789e-06 + s * (-2.50507602534068634195e-08 + s * 1.58969099521155010221e-10))
+                )
+            )
+        )
+        cos = (
+            1.0
+            - 0.5 * s
+            + s
+            * s
+            * (
+                4.16666666666666019037e-02
+                + s
+                * (
+                    -1.38888888888741095749e-03
+                    + s
+                    * (
+                        2.48015872894767294178e-05
+                        + s
+                        * (
+                            -2.75573143513906633035e-07
+                            + s * (2.08757232129817482790e-09 + s * -1.13596475577881948265e-11)
+                        )
+                    )
+                )
+            )
+        )
         half = quarter * 0.5
         odd = abs(half - ((half + _ROUND) - _ROUND)) > 0.25  # swap
         fourth = quarter * 0.25 - 0.125
@@ -78,9 +98,11 @@ def _turn(q, sine, cosine):  # noqa: ANN001, ANN202
 
 
 @njit(**OPTIONS)
-def _forward(links, j, kept, speed, sine, cosine):  # noqa: ANN001, ANN202
+def forward(links, j, kept, speed, sine, cosine):
     """Carry motion to joint ``j``: its rotation, velocity and acceleration, and the force and moment that it takes."""
-    r0, r1, r2, r3, r4, r5, r6, r7, r8 = links[j, 0], links[j, 1], links[j, 2], links[j, 3], links[j, 4], links[j, 5], links[j, 6], links[j, 7], links[j, 8]
+    r0, r1, r2 = links[j, 0], links[j, 1], links[j, 2]
+    r3, r4, r5 = links[j, 3], links[j, 4], links[j, 5]
+    r6, r7, r8 = links[j, 6], links[j, 7], links[j, 8]
     px, py, pz = links[j, 9], links[j, 10], links[j, 11]
     mass, hx, hy, hz = links[j, 12], links[j, 13], links[j, 14], links[j, 15]
     ixx, iyy, izz, ixy, ixz, iyz = links[j, 16], links[j, 17], links[j, 18], links[j, 19], links[j, 20], links[j, 21]
@@ -125,7 +147,7 @@ def _forward(links, j, kept, speed, sine, cosine):  # noqa: ANN001, ANN202
 
 
 @njit(**OPTIONS)
-def _backward(links, j, kept):  # noqa: ANN001, ANN202
+def backward(links, j, kept):
     """Add to what joint ``j`` hangs on the force and moment on it, and what it and all behind it weigh."""
     px, py, pz, mass = links[j, PLACE], links[j, PLACE + 1], links[j, PLACE + 2], links[j, CARRIED]
     for l in range(LANES):
@@ -162,7 +184,7 @@ def _backward(links, j, kept):  # noqa: ANN001, ANN202
 
 
 @njit(**OPTIONS)
-def _coupling(links, j, kept, reach, inertia):  # noqa: ANN001, ANN202
+def coupling(links, j, kept, reach, inertia):
     """Fill the row of joint ``j`` in the ``inertia`` (n, n, LANES): what its acceleration asks of those before it."""
     for l in range(LANES):
         reach[0, l], reach[1, l], reach[2, l] = -kept[j + 1, _H + 1, l], kept[j + 1, _H, l], 0.0
@@ -186,7 +208,7 @@ def _coupling(links, j, kept, reach, inertia):  # noqa: ANN001, ANN202
 
 
 @njit(**OPTIONS)
-def _invert(joints, inertia, half, inverse, scratch):  # noqa: ANN001, ANN202
+def invert(joints, inertia, half, inverse, scratch):
     """Invert symmetric matrices (n, n, LANES), of which the lower half is given, by their Cholesky factors."""
     for j in range(joints):
         for l in range(LANES):
@@ -234,77 +256,3 @@ def _invert(joints, inertia, half, inverse, scratch):  # noqa: ANN001, ANN202
                 inverse[i, j, l] = scratch[l]
             for l in range(LANES):
                 inverse[j, i, l] = scratch[l]
-
-
-@njit(**OPTIONS)
-def step_block(links, timestep, servo, reference, position, speed, impulse, work):  # noqa: ANN001, ANN201
-    """Advance LANES arms of n joints by a ``timestep`` (LANES,) [s].
-
-    ``servo`` (PARAMETERS, n, LANES), ``reference``, ``position``, ``speed`` and ``impulse`` (n, LANES) [rad], [rad],
-    [rad/s] and [N m s]; the last three are changed. ``work`` is what `workspace` gives; the first row of its first part
-    holds minus gravity.
-    """
-    kept, inertia, half, inverse, reach, free, next_speed, scratch, sine, cosine = work
-    joints = len(links)
-    for j in range(joints):
-        for l in range(LANES):
-            scratch[l] = position[j, l]
-        _turn(scratch, sine, cosine)
-        _forward(links, j, kept, speed, sine, cosine)
-    for j in range(joints - 1, -1, -1):
-        _coupling(links, j, kept, reach, inertia)
-        if j > 0:
-            _backward(links, j, kept)
-        for l in range(LANES):
-            h = timestep[l]
-            inertia[j, j, l] += servo[ARMATURE, j, l] + h * servo[DAMPING, j, l]
-            torque = servo[STIFFNESS, j, l] * (reference[j, l] + servo[OFFSET, j, l] - position[j, l])
-            limit = servo[LIMIT, j, l]
-            torque = limit if torque > limit else torque
-            torque = -limit if torque < -limit else torque
-            # The impulse of everything but friction, and with that of the step before as a first guess.
-            free[j, l] = h * (torque - kept[j + 1, _N + 2, l] - servo[DAMPING, j, l] * speed[j, l]) + impulse[j, l]
-    _invert(joints, inertia, half, inverse, scratch)
-    for i in range(joints):
-        for l in range(LANES):
-            scratch[l] = speed[i, l]
-        for k in range(joints):
-            for l in range(LANES):
-                scratch[l] += inverse[i, k, l] * free[k, l]
-        for l in range(LANES):
-            next_speed[i, l] = scratch[l]
-    _rest(joints, timestep, servo, speed, impulse, inverse, next_speed, scratch)
-    for j in range(joints):
-        for l in range(LANES):
-            v = next_speed[j, l]
-            speed[j, l] = v
-            position[j, l] += timestep[l] * v
-
-
-@njit(**OPTIONS)
-def _rest(joints, timestep, servo, speed, impulse, inverse, next_speed, scratch):  # noqa: ANN001, ANN202
-    """Find the impulses of dry friction; ``next_speed`` holds the speeds that those so far lead to."""
-    for _ in range(SWEEPS):
-        for j in range(joints):
-            for l in range(LANES):
-                own = inverse[j, j, l]
-                most = timestep[l] * servo[FRICTION, j, l]
-                old = impulse[j, l]
-                wrong = next_speed[j, l] - KEPT * speed[j, l] + SOFTNESS * own * old
-                new = old - wrong / (own * (1.0 + SOFTNESS))
-                new = most if new > most else new
-                new = -most if new < -most else new
-                impulse[j, l] = new
-                scratch[l] = new - old
-            for i in range(joints):
-                for l in range(LANES):
-                    next_speed[i, l] += inverse[i, j, l] * scratch[l]
-
-
-def workspace(joints):  # noqa: ANN001, ANN201
-    """Make what a block of arms of so many joints is stepped with."""
-    square = (joints, joints, LANES)
-    return (
-        np.zeros((joints + 1, _JOINT, LANES)), np.zeros(square), np.zeros(square), np.zeros(square),
-        np.zeros((6, LANES)), np.zeros((joints, LANES)), np.zeros((joints, LANES)), np.zeros(LANES), np.zeros(LANES), np.zeros(LANES),
-    )  # fmt: skip

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from rejoint.arms import Arm, Array
-from rejoint.twin.chainstep import CARRIED, INERTIA, LINK, MASS, MOMENT, PLACE, ROTATION
+from rejoint.twin.chain.dynamics import CARRIED, INERTIA, LINK, MASS, MOMENT, PLACE, ROTATION
 
 
 def chain_links(arm: Arm) -> Array:
-    """Return (n, LINK) the constants of each link, laid out as `rejoint.twin.chainstep` says, in SI units."""
+    """Return (n, LINK) the constants of each link, laid out as `rejoint.twin.chain.dynamics` says, in SI units."""
     links, before = np.zeros((arm.joints, LINK)), np.eye(3)
     for j, row in enumerate(links):
         turn = _z_frame(arm.axis[j])

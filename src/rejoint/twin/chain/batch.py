@@ -1,23 +1,25 @@
 """Many twins of one free arm in lockstep, each with its own parameters, time step and gravity: the compiled step.
 
-Same use as `rejoint.twin.batch.TwinBatch`, which steps the same physics by MuJoCo, several times slower, and knows tables.
+Same use as `rejoint.twin.batch.TwinBatch`, in which MuJoCo steps the same physics, several times slower, and knows
+tables.
 Every arm moves as it would alone, to the bit.
 """
 
-# mypy: disallow-untyped-defs=False, disallow-untyped-calls=False, disallow-untyped-decorators=False
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array
 from rejoint.arms.kinematics import GRAVITY
 from rejoint.system.errors import InputError
-from rejoint.twin.chainlinks import chain_links
-from rejoint.twin.chainstep import ACCELERATION, FRICTION, LANES, OPTIONS, step_block, workspace
+from rejoint.twin.chain.dynamics import LANES
+from rejoint.twin.chain.links import chain_links
+from rejoint.twin.chain.loop import advance
+from rejoint.twin.chain.step import workspace
 from rejoint.twin.friction import dry_friction, is_steady
 from rejoint.twin.model import TIMESTEP
 from rejoint.twin.parameters import TwinParameters, nominal_parameters
@@ -25,9 +27,7 @@ from rejoint.twin.parameters import TwinParameters, nominal_parameters
 Ids = NDArray[np.integer] | NDArray[np.bool_] | None
 
 ROWS = ("stiffness", "offset", "torque_limit", "damping", "armature", "coulomb")
-"""Parameters of a joint, in the order of `rejoint.twin.chainstep`"""
-
-_dry_friction = njit(inline="always")(dry_friction)
+"""Parameters of a joint, in the order of `rejoint.twin.chain.step`"""
 
 
 class ChainBatch:
@@ -46,9 +46,7 @@ class ChainBatch:
         self._gravity = np.zeros((nsim, 3))
         blocks = -(-nsim // LANES)
         bounds = np.linspace(0, blocks, min(threads, blocks) + 1).astype(int) * LANES
-        self._parts = [
-            (first, min(last, nsim), workspace(arm.joints)) for first, last in zip(bounds, bounds[1:], strict=False)
-        ]
+        self._parts = [(first, min(last, nsim), workspace(arm.joints)) for first, last in pairwise(bounds)]
         self._pool = ThreadPoolExecutor(len(self._parts)) if len(self._parts) > 1 else None
         self.write(nominal_parameters(arm).repeat(nsim))
 
@@ -109,9 +107,9 @@ class ChainBatch:
             self.qpos, self.qvel, self._impulse, path,
         )  # fmt: skip
         if self._pool is None:
-            _advance(*arrays, *self._parts[0])
+            advance(*arrays, *self._parts[0])
         else:
-            list(self._pool.map(lambda part: _advance(*arrays, *part), self._parts))
+            list(self._pool.map(lambda part: advance(*arrays, *part), self._parts))
         self.ctrl[:] = control[:, -1]
         return path
 
@@ -131,44 +129,3 @@ class ChainBatch:
     def _row(self, name: str) -> Array:
         row: Array = self._parameters[ROWS.index(name)]
         return row
-
-
-@njit(**OPTIONS)
-def _advance(links, parameters, terms, steady, gravity, timestep, control, qpos, qvel, impulse, path, first, last, work):  # noqa: ANN001, ANN202, E501
-    """Advance the arms from ``first`` to ``last``, a block after the other; the last is filled up with its last arm."""
-    joints = len(links)
-    h = np.empty(LANES)
-    servo = np.empty((len(parameters), joints, LANES))
-    friction = np.empty((len(terms), joints, LANES))
-    reference, position, speed, push = (
-        np.empty((joints, LANES)), np.empty((joints, LANES)), np.empty((joints, LANES)), np.empty((joints, LANES))
-    )
-    for begin in range(first, last, LANES):
-        for l in range(LANES):
-            i = min(begin + l, last - 1)
-            h[l] = timestep[i]
-            for axis in range(3):
-                work[0][0, ACCELERATION + axis, l] = -gravity[i, axis]
-            for j in range(joints):
-                for k in range(len(parameters)):
-                    servo[k, j, l] = parameters[k, i, j]
-                for k in range(len(terms)):
-                    friction[k, j, l] = terms[k, i, j]
-                if steady:
-                    servo[FRICTION, j, l] = friction[0, j, l]
-                position[j, l], speed[j, l], push[j, l] = qpos[i, j], qvel[i, j], impulse[i, j]
-        for k in range(control.shape[1]):
-            for l in range(LANES):
-                i = min(begin + l, last - 1)
-                for j in range(joints):
-                    reference[j, l] = control[i, k, j]
-                    if not steady:
-                        servo[FRICTION, j, l] = _dry_friction(friction[:, j, l], speed[j, l])
-            step_block(links, h, servo, reference, position, speed, push, work)
-            for l in range(min(LANES, last - begin)):
-                for j in range(joints):
-                    path[begin + l, k, j] = position[j, l]
-        for l in range(min(LANES, last - begin)):
-            for j in range(joints):
-                qpos[begin + l, j], qvel[begin + l, j] = position[j, l], speed[j, l]
-                impulse[begin + l, j] = push[j, l]
