@@ -11,8 +11,8 @@ from importlib import import_module
 from pathlib import Path
 
 BENCHMARKS = (
-    "plant", "control", "guard", "following", "training", "rivals", "agents", "policy", "diagnosis", "identification",
-    "emulator", "hostile", "journal", "kills", "family", "seeing",
+    "plant", "step", "control", "guard", "following", "training", "rivals", "agents", "policy", "diagnosis",
+    "identification", "emulator", "hostile", "journal", "kills", "family", "seeing",
 )  # fmt: skip
 """Modules beside this one; each has a `main`, that of `identification` takes a folder of logs."""
 

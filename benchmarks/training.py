@@ -1,58 +1,45 @@
 """What training costs beyond the simulation that it cannot do without: the very same physics steps, simulated alone."""
 
 import time
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
 from benchmarks.learners import ROLLOUT, begin
 from rejoint.arms import mycobot280
 from rejoint.training.task import ReachTask
-from rejoint.twin.batch import TwinBatch
-from rejoint.twin.simulation import SUBSTEPS
+from rejoint.twin.simulation import SUBSTEPS, Simulation
 
 ROUNDS, UPDATES = 6, 3
 
-DRIVEN = ("ctrl", "dof_frictionloss", "opt.timestep", "dof_solref")
-"""What a training changes before every step"""
-
 
 class Tape:
-    """Records every physics step of some agents: everything where arms are exchanged, else what drives them."""
+    """Records every control cycle of some agents: their state before it, and the references of their servos."""
 
     def __init__(self, task: ReachTask) -> None:
-        twins = task.simulation.twins
-        self._step, self._arms = twins.step, None
-        self._live = {**twins.state(), "ctrl": twins.ctrl}
-        self.steps: list[dict[str, np.ndarray]] = []
-        twins.step = self._record  # type: ignore[method-assign]
+        self._simulation, self._rollout = task.simulation, task.simulation.rollout
+        self.cycles: list[tuple[dict[str, np.ndarray], np.ndarray]] = []
+        task.simulation.rollout = self._record  # type: ignore[method-assign]
 
-    def _record(self, substeps: int = 1, ids: None = None) -> None:
-        arms = self._live["dof_armature"].copy()
-        known = self._arms is not None and np.array_equal(arms, self._arms)
-        self._arms = arms
-        self.steps.append({name: self._live[name].copy() for name in (DRIVEN if known else self._live)})
-        self._step(substeps, ids)
+    def _record(self, reference: np.ndarray) -> np.ndarray:
+        state = {name: value.copy() for name, value in self._simulation.state().items()}
+        self.cycles.append((state, reference.copy()))
+        return self._rollout(reference)
 
-
-def replay(twins: TwinBatch, tapes: list[Tape]) -> float:
-    """Simulate what was recorded, all agents in one batch; returns the time [s] of the steps alone."""
-    live, taken = {**twins.state(), "ctrl": twins.ctrl}, 0.0
-    for parts in zip(*(tape.steps for tape in tapes), strict=True):
-        first = 0
-        for part in parts:
-            after = first + len(part["ctrl"])
-            for name, value in part.items():
-                live[name][first:after] = value
-            first = after
-        start = time.perf_counter()
-        twins.step()
-        taken += time.perf_counter() - start
-    return taken
+    def replay(self) -> float:
+        """Simulate what was recorded; returns the time [s] of the steps alone."""
+        simulation, taken = Simulation(mycobot280(), len(self.cycles[0][1])), 0.0
+        for state, reference in self.cycles:
+            for name, value in simulation.state().items():
+                value[...] = state[name]
+            start = time.perf_counter()
+            simulation.rollout(reference)
+            taken += time.perf_counter() - start
+        return taken
 
 
 def main() -> None:
     learner = begin()
-    twins = TwinBatch(mycobot280(), learner.agents, threads=2)
     whole, raw = [], []
     for _ in range(ROUNDS):  # in turns, so that other load hits both alike
         start = time.perf_counter()
@@ -61,9 +48,10 @@ def main() -> None:
         whole.append((time.perf_counter() - start) / UPDATES)
         tapes = [Tape(worker.task) for worker in learner.workers]
         learner.iterate()
-        raw.append(replay(twins, tapes))
+        with ThreadPoolExecutor(len(tapes)) as pool:
+            raw.append(max(pool.map(Tape.replay, tapes)))
         for worker in learner.workers:
-            del worker.task.simulation.twins.step
+            del worker.task.simulation.rollout
     steps = learner.agents * ROLLOUT
     alone, training = float(np.median(raw)), float(np.median(whole))
     print(

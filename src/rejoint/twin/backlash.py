@@ -16,6 +16,7 @@ of the closing speed, until it is small (Nordin and Gutman 2002 review such mode
 from __future__ import annotations
 
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numba import njit
@@ -24,9 +25,11 @@ from numpy.typing import NDArray
 from rejoint.arms import Arm, Array, link_inertia
 from rejoint.arms.size import unloaded_joints
 from rejoint.control.robot import Mask
-from rejoint.twin.batch import TwinBatch
 from rejoint.twin.friction import dry_friction
 from rejoint.twin.parameters import TwinParameters
+
+if TYPE_CHECKING:
+    from rejoint.twin.simulation import Twins
 
 RESTITUTION = 0.5
 """Part of the closing speed with which motor and joint part again when they meet (chosen: steel teeth, some grease)."""
@@ -76,7 +79,7 @@ class Backlash:
         self._grease[where] = grease[:, None]
         self._motor[where] = np.stack([getattr(twin, name) for name in _MOTOR], axis=-1)
 
-    def part(self, twins: TwinBatch, terms: Array, friction: Array) -> None:
+    def part(self, twins: Twins, terms: Array, friction: Array) -> None:
         """Part motors from joints for one step of ``twins``, whose references are set.
 
         ``friction`` (N, n) [N m] is that of the joints at their speeds, by the ``terms`` (t, N, n) of

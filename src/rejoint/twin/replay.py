@@ -97,7 +97,7 @@ class Replay:
         simulation.place(Draw.of(parameters[which], self.stiction), start, start)
         simulation.twins.qvel[:] = velocity
         if self.on_table:
-            simulation.twins.put_tables([tables[i] for i in which])
+            simulation.put_tables([tables[i] for i in which])
         path = np.concatenate([start[:, None], simulation.rollout(self._control(parameters))], axis=1)
         return [
             _interpolate(path[i * m : (i + 1) * m], self.timestep, self._log(w).time[w.first : w.last])

@@ -9,20 +9,30 @@ own.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, Union
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array
 from rejoint.control.robot import Mask
+from rejoint.system.errors import InputError
 from rejoint.twin.backlash import Backlash
-from rejoint.twin.batch import TwinBatch
+from rejoint.twin.chain.batch import ChainBatch
 from rejoint.twin.friction import DRY, dry_friction, friction_terms, is_steady
 from rejoint.twin.latency import Latency
 from rejoint.twin.model import TIMESTEP
 from rejoint.twin.parameters import TwinParameters
 from rejoint.twin.reference import LiveReference
+
+if TYPE_CHECKING:
+    from rejoint.twin.batch import TwinBatch
+    from rejoint.twin.table import TablePlane
+
+Twins = Union["ChainBatch", "TwinBatch"]
+"""Free arms, and arms that may touch a table"""
 
 SUBSTEPS = 6
 """Physics steps in a control cycle: 3 ms each at the shortest period, 9 ms at the longest."""
@@ -75,7 +85,9 @@ class Simulation:
     ) -> None:  # fmt: skip
         n = arm.joints
         self.arm, self.substeps = arm, substeps
-        self.twins = TwinBatch(arm, count, timestep, threads, table)
+        self.twins: Twins = (
+            _on_table(arm, count, timestep, threads) if table else ChainBatch(arm, count, timestep, threads)
+        )
         self.latency = Latency(count, n, substeps)
         self.reference = LiveReference(count, n)
         self.backlash = Backlash(arm, count)
@@ -101,6 +113,12 @@ class Simulation:
         self.time[where] = 0.0
         self.measured[where] = self._quantised(position)
 
+    def put_tables(self, tables: Sequence[TablePlane]) -> None:
+        """Put each arm of a simulation that was made with ``table`` on its own; after `place`."""
+        if isinstance(self.twins, ChainBatch):
+            raise InputError("simulation: made without a table, and cannot be put on one")
+        self.twins.put_tables(tables)
+
     def send(self, command: Array) -> None:
         """Send ``command`` (N, n) [rad] now."""
         self.latency.send(command, self.time)
@@ -118,6 +136,8 @@ class Simulation:
 
     def rollout(self, reference: Array) -> Array:
         """Advance by the servos' ``reference`` (N, steps, n) [rad], one row a step; return positions of that shape."""
+        if not self.backlash.present and isinstance(self.twins, ChainBatch):
+            return self.twins.rollout(reference, self._friction)
         if is_steady(self._friction) and not self.backlash.present:
             return self.twins.rollout(reference)
         positions = np.empty_like(reference)
@@ -142,3 +162,10 @@ class Simulation:
 
     def _quantised(self, position: Array) -> Array:
         return np.round(position / self.arm.encoder_step) * self.arm.encoder_step
+
+
+def _on_table(arm: Arm, count: int, timestep: float, threads: int) -> TwinBatch:
+    """Make twins that may touch a table, which MuJoCo steps."""
+    from rejoint.twin.batch import TwinBatch  # late: free arms need no MuJoCo
+
+    return TwinBatch(arm, count, timestep, threads, table=True)

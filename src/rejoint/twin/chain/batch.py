@@ -1,0 +1,131 @@
+"""Many twins of one free arm in lockstep, each with its own parameters, time step and gravity: the compiled step.
+
+Same use as `rejoint.twin.batch.TwinBatch`, in which MuJoCo steps the same physics, several times slower, and knows
+tables.
+Every arm moves as it would alone, to the bit.
+"""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rejoint.arms import Arm, Array
+from rejoint.arms.kinematics import GRAVITY
+from rejoint.system.errors import InputError
+from rejoint.twin.chain.dynamics import LANES
+from rejoint.twin.chain.links import chain_links
+from rejoint.twin.chain.loop import advance
+from rejoint.twin.chain.step import workspace
+from rejoint.twin.friction import dry_friction, is_steady
+from rejoint.twin.model import TIMESTEP
+from rejoint.twin.parameters import TwinParameters, nominal_parameters
+
+Ids = NDArray[np.integer] | NDArray[np.bool_] | None
+
+ROWS = ("stiffness", "offset", "torque_limit", "damping", "armature", "coulomb")
+"""Parameters of a joint, in the order of `rejoint.twin.chain.step`"""
+
+
+class ChainBatch:
+    """``nsim`` simulations of one arm. The arrays ``qpos``, ``qvel``, ``ctrl`` (nsim, n) are live."""
+
+    def __init__(self, arm: Arm, nsim: int, timestep: float = TIMESTEP, threads: int = 1) -> None:
+        if nsim < 1 or threads < 1:
+            raise InputError(f"twin batch: {nsim} simulations on {threads} threads, expected at least one of each")
+        self.arm, self.nsim = arm, nsim
+        shape = (nsim, arm.joints)
+        self.qpos, self.qvel, self.ctrl = np.zeros((3, *shape))
+        self.timestep = np.full(nsim, float(timestep))
+        """(nsim,) [s]"""
+        self._links = chain_links(arm)
+        self._impulse, self._parameters = np.zeros(shape), np.zeros((len(ROWS), *shape))
+        self._gravity = np.zeros((nsim, 3))
+        blocks = -(-nsim // LANES)
+        bounds = np.linspace(0, blocks, min(threads, blocks) + 1).astype(int) * LANES
+        self._parts = [(first, min(last, nsim), workspace(arm.joints)) for first, last in pairwise(bounds)]
+        self._pool = ThreadPoolExecutor(len(self._parts)) if len(self._parts) > 1 else None
+        self.write(nominal_parameters(arm).repeat(nsim))
+
+    def write(
+        self,
+        parameters: TwinParameters,
+        ids: Ids = None,
+        *,
+        timestep: float | Array | None = None,
+        gravity_scale: float | Array = 1.0,
+    ) -> None:
+        """Give the simulations in ``ids`` (all by default) new parameters; their state stays.
+
+        ``parameters`` have the leading shape (m,) of the m simulations chosen, or none for the same twin everywhere.
+        ``ids`` are increasing indices or a mask (nsim,). ``timestep`` [s], a number or (m,), is kept where it is not
+        given; ``gravity_scale``, a number or (m,), is 1 where not given.
+        """
+        chosen = np.arange(self.nsim)[slice(None) if ids is None else ids]
+        if parameters.shape == ():
+            parameters = parameters.repeat(len(chosen))
+        expected = (len(chosen), self.arm.joints)
+        if parameters.stiffness_shape != expected:
+            raise InputError(f"twin batch: parameters of shape {parameters.stiffness_shape}, expected {expected}")
+        if timestep is not None:
+            self.timestep[chosen] = timestep
+        for row, name in zip(self._parameters, ROWS, strict=True):
+            row[chosen] = getattr(parameters, name)
+        self._gravity[chosen] = np.broadcast_to(gravity_scale, len(chosen))[:, None] * GRAVITY
+
+    def set_timestep(self, timestep: float | Array) -> None:
+        """Change the time step [s] of every simulation, a number or (nsim,)."""
+        self.timestep[:] = timestep
+
+    def set_friction(self, friction: Array) -> None:
+        """Change the dry friction (nsim, n) [N m] of every simulation."""
+        self._row("coulomb")[:] = friction
+
+    def set_motors(self, *, armature: Array, damping: Array) -> None:
+        """Change armature (nsim, n) [kg m^2] and damping (nsim, n) [N m s/rad] of every simulation."""
+        self._row("armature")[:], self._row("damping")[:] = armature, damping
+
+    def step(self) -> None:
+        """Advance all by one time step under the present ``ctrl``."""
+        self.rollout(self.ctrl[:, None])
+
+    def rollout(self, control: Array, terms: Array | None = None) -> Array:
+        """Advance by ``control`` (nsim, steps, n) [rad], one row a step; return positions (nsim, steps, n).
+
+        With ``terms`` (t, nsim, n) of `rejoint.twin.friction.friction_terms`, dry friction follows the speed.
+        """
+        path = np.empty_like(control)
+        control = np.ascontiguousarray(control)
+        steady = terms is None or is_steady(terms)
+        still = self._row("coulomb") if terms is None else dry_friction(terms, np.zeros_like(self.qvel))
+        given = np.ascontiguousarray(still[None] if steady else terms)
+        arrays = (
+            self._links, self._parameters, given, steady, self._gravity, self.timestep, control,
+            self.qpos, self.qvel, self._impulse, path,
+        )  # fmt: skip
+        if self._pool is None:
+            advance(*arrays, *self._parts[0])
+        else:
+            list(self._pool.map(lambda part: advance(*arrays, *part), self._parts))
+        self.ctrl[:] = control[:, -1]
+        return path
+
+    def restart(self, position: Array, velocity: Array | float = 0.0, ids: Ids = None) -> None:
+        """Put simulations at ``position`` (m, n) [rad] with ``velocity`` [rad/s], and forget what friction gave."""
+        chosen = np.arange(self.nsim)[slice(None) if ids is None else ids]
+        self.qpos[chosen] = self.ctrl[chosen] = position
+        self.qvel[chosen], self._impulse[chosen] = velocity, 0.0
+
+    def state(self) -> dict[str, Array]:
+        """Everything that a checkpoint must keep, as live arrays."""
+        return {
+            "qpos": self.qpos, "qvel": self.qvel, "ctrl": self.ctrl, "timestep": self.timestep,
+            "impulse": self._impulse, "parameters": self._parameters, "gravity": self._gravity,
+        }  # fmt: skip
+
+    def _row(self, name: str) -> Array:
+        row: Array = self._parameters[ROWS.index(name)]
+        return row

@@ -1,0 +1,107 @@
+"""One time step of free serial arms with position servos, compiled: sixteen arms at a time.
+
+The physics is that of `rejoint.twin.model`, by which MuJoCo judges this one. Damping is implicit. Dry friction is an
+impulse per joint within its limits that brings the joint to rest if it can, found by projected Gauss-Seidel sweeps
+from the impulse of the step before, and as soft as the model says.
+"""
+
+# mypy: disallow-untyped-defs=False, disallow-untyped-calls=False, disallow-untyped-decorators=False
+# ruff: noqa: ANN001, ANN201, ANN202, E741 - compiled functions take their types from their arguments; l is a lane
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from rejoint.twin.chain.dynamics import (
+    KEPT_ROWS,
+    LANES,
+    OPTIONS,
+    TORQUE,
+    backward,
+    coupling,
+    forward,
+    invert,
+    turn,
+)
+
+SWEEPS = 5
+"""Gauss-Seidel sweeps of a step (chosen: from the last step's impulses, four are as good as 64 to 1e-9 rad/s)"""
+SOFTNESS = 1e-6
+"""What friction yields, by what a free joint would (`rejoint.twin.model.FRICTION_IMPEDANCE`, ``FRICTION_SOFTNESS``)"""
+KEPT = 1.0 - 1.0 / 0.9999
+"""Share of its speed that a joint keeps in a step in which friction could stop it (same place)"""
+STIFFNESS, OFFSET, LIMIT, DAMPING, ARMATURE, FRICTION = range(6)
+"""Rows of the parameters of servos"""
+
+
+@njit(**OPTIONS)
+def step_block(links, timestep, servo, reference, position, speed, impulse, work):
+    """Advance LANES arms of n joints by a ``timestep`` (LANES,) [s].
+
+    ``servo`` (6, n, LANES), ``reference``, ``position``, ``speed`` and ``impulse`` (n, LANES) [rad], [rad],
+    [rad/s] and [N m s]; the last three are changed. ``work`` is what `workspace` gives; the first row of its first part
+    holds minus gravity.
+    """
+    kept, inertia, half, inverse, reach, free, next_speed, scratch, sine, cosine = work
+    joints = len(links)
+    for j in range(joints):
+        for l in range(LANES):
+            scratch[l] = position[j, l]
+        turn(scratch, sine, cosine)
+        forward(links, j, kept, speed, sine, cosine)
+    for j in range(joints - 1, -1, -1):
+        coupling(links, j, kept, reach, inertia)
+        if j > 0:
+            backward(links, j, kept)
+        for l in range(LANES):
+            h = timestep[l]
+            inertia[j, j, l] += servo[ARMATURE, j, l] + h * servo[DAMPING, j, l]
+            torque = servo[STIFFNESS, j, l] * (reference[j, l] + servo[OFFSET, j, l] - position[j, l])
+            limit = servo[LIMIT, j, l]
+            torque = limit if torque > limit else torque
+            torque = -limit if torque < -limit else torque
+            # The impulse of everything but friction, and with that of the step before as a first guess.
+            free[j, l] = h * (torque - kept[j + 1, TORQUE, l] - servo[DAMPING, j, l] * speed[j, l]) + impulse[j, l]
+    invert(joints, inertia, half, inverse, scratch)
+    for i in range(joints):
+        for l in range(LANES):
+            scratch[l] = speed[i, l]
+        for k in range(joints):
+            for l in range(LANES):
+                scratch[l] += inverse[i, k, l] * free[k, l]
+        for l in range(LANES):
+            next_speed[i, l] = scratch[l]
+    _rest(joints, timestep, servo, speed, impulse, inverse, next_speed, scratch)
+    for j in range(joints):
+        for l in range(LANES):
+            v = next_speed[j, l]
+            speed[j, l] = v
+            position[j, l] += timestep[l] * v
+
+
+@njit(**OPTIONS)
+def _rest(joints, timestep, servo, speed, impulse, inverse, next_speed, scratch):
+    """Find the impulses of dry friction; ``next_speed`` holds the speeds that those so far lead to."""
+    for _ in range(SWEEPS):
+        for j in range(joints):
+            for l in range(LANES):
+                own = inverse[j, j, l]
+                most = timestep[l] * servo[FRICTION, j, l]
+                old = impulse[j, l]
+                wrong = next_speed[j, l] - KEPT * speed[j, l] + SOFTNESS * own * old
+                new = old - wrong / (own * (1.0 + SOFTNESS))
+                new = most if new > most else new
+                new = -most if new < -most else new
+                impulse[j, l] = new
+                scratch[l] = new - old
+            for i in range(joints):
+                for l in range(LANES):
+                    next_speed[i, l] += inverse[i, j, l] * scratch[l]
+
+
+def workspace(joints: int) -> tuple[NDArray[np.float64], ...]:
+    """Make what a block of arms of so many joints is stepped with."""
+    square, row = (joints, joints, LANES), (joints, LANES)
+    shapes = ((joints + 1, KEPT_ROWS, LANES), square, square, square, (6, LANES), row, row, LANES, LANES, LANES)
+    return tuple(np.zeros(shape) for shape in shapes)

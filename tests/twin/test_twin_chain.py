@@ -1,0 +1,162 @@
+"""The compiled step of free twins: MuJoCo is its judge, and every arm moves as if it were alone."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
+
+from rejoint.arms import frames, mycobot280, so101
+from rejoint.twin.batch import TwinBatch
+from rejoint.twin.chain.batch import ChainBatch
+from rejoint.twin.chain.dynamics import LANES, turn
+from rejoint.twin.parameters import nominal_parameters
+
+ARMS = {"mycobot280": mycobot280(), "so101": so101()}
+
+
+def drawn(arm, count, rng, **changes):
+    """Twins that differ, states of fast motion and references beside them."""
+    twins = nominal_parameters(arm).repeat(count)
+    names = ("stiffness", "damping", "armature", "torque_limit", "coulomb")
+    shape = (count, arm.joints)
+    spread = {name: getattr(twins, name) * rng.uniform(0.5, 2.0, shape) for name in names}
+    twins = replace(twins, **spread, offset=rng.normal(0.0, 0.01, shape))
+    position, velocity = rng.uniform(-2.0, 2.0, shape), rng.normal(0.0, 2.0, shape)
+    return (
+        replace(twins, **{name: value + 0.0 * twins.stiffness for name, value in changes.items()}),
+        position,
+        velocity,
+    )
+
+
+def both(arm, twins, position, velocity, timestep=0.005, gravity_scale=1.0):
+    pair = TwinBatch(arm, len(position)), ChainBatch(arm, len(position))
+    for batch in pair:
+        batch.write(twins, timestep=timestep, gravity_scale=gravity_scale)
+        batch.restart(position, velocity)
+    return pair
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_a_step_without_friction_is_that_of_mujoco(name):
+    arm, rng = ARMS[name], np.random.default_rng(1)
+    twins, position, velocity = drawn(arm, 40, rng, coulomb=1e-12)
+    judge, chain = both(
+        arm, twins, position, velocity, timestep=rng.uniform(0.002, 0.009, 40), gravity_scale=rng.uniform(0.8, 1.2, 40)
+    )
+    for batch in (judge, chain):
+        batch.ctrl[:] = position + np.random.default_rng(2).normal(0.0, 0.3, position.shape)
+    for _ in range(20):
+        judge.step(), chain.step()
+    assert np.abs(chain.qvel - velocity).max() > 1.0
+    assert_allclose(chain.qvel, judge.qvel, rtol=0.0, atol=1e-11)
+    assert_allclose(chain.qpos, judge.qpos, rtol=0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_joints_that_stick_and_slip_are_those_of_mujoco_where_its_own_law_is_exact(name):
+    """Without damping both solve the same regularised law; MuJoCo takes the damping out of what friction meets."""
+    arm, rng = ARMS[name], np.random.default_rng(3)
+    twins, _, _ = drawn(arm, 40, rng, damping=1e-12)
+    start = np.tile(arm.rest, (40, 1))
+    judge, chain = both(arm, twins, start, 0.0)
+    reference = start + rng.normal(0.0, 0.05, start.shape)
+    stuck = 0
+    for _ in range(30):
+        for batch in (judge, chain):
+            batch.ctrl[:] = reference
+            batch.step()
+        stuck += np.count_nonzero(np.abs(chain.qvel) < 1e-6)
+        assert_allclose(chain.qvel, judge.qvel, rtol=0.0, atol=1e-5)
+    assert 50 < stuck < 30 * start.size / 2
+
+
+def test_friction_holds_a_joint_for_ten_minutes_and_lets_it_go_at_its_limit():
+    arm = ARMS["mycobot280"]
+    start = np.tile(arm.rest, (2, 1))
+    twins = replace(nominal_parameters(arm).repeat(2), armature=np.full((2, 6), 0.02))
+    load = np.zeros((2, 6))
+    load[:, 0] = np.array([0.999, 1.001]) * twins.coulomb[:, 0] / twins.stiffness[:, 0]  # joint 1 carries no weight
+    chain = ChainBatch(arm, 2, timestep=0.01)
+    chain.write(twins, gravity_scale=0.0)
+    chain.restart(start)
+    chain.rollout(np.repeat((start + load)[:, None], 60_000, axis=1))
+    assert abs(chain.qpos[0, 0] - start[0, 0]) < arm.encoder_step
+    assert chain.qpos[1, 0] - start[1, 0] > 0.0
+
+
+def test_a_frictionless_arm_keeps_its_energy():
+    arm = ARMS["mycobot280"]
+    twins = nominal_parameters(arm).repeat(1)
+    none = np.zeros((1, 6))
+    twins = replace(twins, stiffness=none + 1e-9, damping=none + 1e-12, coulomb=none + 1e-12, armature=none + 0.01)
+    drift = []
+    for timestep in (2e-4, 1e-4):
+        chain = ChainBatch(arm, 1, timestep=timestep)
+        chain.write(twins)
+        chain.restart(arm.rest + 0.3)
+        path = chain.rollout(np.tile(arm.rest, (1, round(0.5 / timestep), 1)))
+        before, after = (energy(arm, q, v) for q, v in ((path[0, 0], 0.0 * arm.rest), (chain.qpos[0], chain.qvel[0])))
+        drift.append(abs(after - before))
+    assert drift[0] < 2e-3
+    assert drift[1] < 0.6 * drift[0]  # of first order in the time step
+
+
+def energy(arm, position, velocity, armature=0.01):
+    """Potential and kinetic energy [J] from the frames of the links, by differences."""
+
+    def places(q):
+        turned, joints = frames(arm, q)[:2]
+        return turned, joints + np.einsum("nij,nj->ni", turned, arm.com)
+
+    step = 1e-6
+    (_, there), (turned, here), (back, before) = (places(position + s * step * velocity) for s in (1.0, 0.0, -1.0))
+    forward = places(position + step * velocity)[0]
+    speed = (there - before) / (2.0 * step)
+    spin = np.einsum("nji,njk->nik", turned, (forward - back) / (2.0 * step))
+    omega = np.stack([spin[:, 2, 1], spin[:, 0, 2], spin[:, 1, 0]], axis=-1)
+    kinetic = 0.5 * (arm.mass * (speed**2).sum(axis=-1)).sum()
+    kinetic += 0.5 * np.einsum("ni,nij,nj->", omega, arm.inertia, omega) + 0.5 * armature * (velocity**2).sum()
+    return kinetic + 9.81 * (arm.mass * here[:, 2]).sum()
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+def test_every_arm_moves_to_the_bit_as_it_does_alone(threads):
+    arm, rng, count = ARMS["mycobot280"], np.random.default_rng(4), 3 * LANES + 5
+    twins, position, velocity = drawn(arm, count, rng)
+    control = position[:, None] + rng.normal(0.0, 0.2, (count, 12, 6))
+    terms = np.stack([twins.coulomb, rng.uniform(1.0, 2.0, (count, 6))])
+    together = ChainBatch(arm, count, threads=threads)
+    together.write(twins)
+    together.restart(position, velocity)
+    path = together.rollout(control, terms)
+    for i in (0, LANES - 1, LANES, count - 1):
+        alone = ChainBatch(arm, 1)
+        alone.write(twins[i : i + 1])
+        alone.restart(position[i : i + 1], velocity[i : i + 1])
+        assert_array_equal(alone.rollout(control[i : i + 1], terms[:, i : i + 1])[0], path[i])
+
+
+def test_a_state_that_is_put_back_goes_on_to_the_bit():
+    arm, rng = ARMS["so101"], np.random.default_rng(5)
+    twins, position, velocity = drawn(arm, 7, rng)
+    control = position[:, None] + rng.normal(0.0, 0.1, (7, 20, arm.joints))
+    whole, resumed = ChainBatch(arm, 7), ChainBatch(arm, 7)
+    whole.write(twins)
+    whole.restart(position, velocity)
+    whole.rollout(control)
+    for name, value in resumed.state().items():
+        value[...] = whole.state()[name]
+    assert_array_equal(resumed.rollout(control[:, ::-1]), whole.rollout(control[:, ::-1]))
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.lists(st.floats(-1e3, 1e3), min_size=LANES, max_size=LANES))
+def test_sine_and_cosine_are_those_of_numpy(angles):
+    angle, sine, cosine = np.array(angles), np.empty(LANES), np.empty(LANES)
+    turn(angle, sine, cosine)
+    assert_allclose(sine, np.sin(angle), rtol=0.0, atol=2e-13)  # the rounding of large angles; 3e-16 within a turn
+    assert_allclose(cosine, np.cos(angle), rtol=0.0, atol=2e-13)
