@@ -129,10 +129,10 @@ def test_targets_end_as_time_outs_and_arms_are_exchanged_after_three():
     task.reset()
     exchanged = np.zeros(40, dtype=int)
     for _ in range(30):
-        stiffness = task.simulation.twins._batch.expanded("actuator_gainprm")[:, 0, 0].copy()
+        stiffness = task.simulation.twins.row("stiffness")[:, 0].copy()
         transition = task.step(np.zeros((40, 6)))
         assert not transition.terminated.any()
-        changed = task.simulation.twins._batch.expanded("actuator_gainprm")[:, 0, 0] != stiffness
+        changed = task.simulation.twins.row("stiffness")[:, 0] != stiffness
         assert (transition.truncated | ~changed).all()
         exchanged += changed
     assert (exchanged == 2).all()  # 30 cycles are two episodes of 15, wherever an agent began
@@ -158,9 +158,7 @@ def test_what_is_prepared_is_what_agents_are_given(monkeypatch):
         now = transition.truncated & leaving
         states = task._prepared.rows(task._prepared_row[now])
         np.testing.assert_array_equal(task._sent[now], states.command)
-        np.testing.assert_array_equal(
-            task.simulation.twins._batch.expanded("dof_damping")[now], states.draw.twin.damping
-        )
+        np.testing.assert_array_equal(task.simulation.twins.row("damping")[now], states.draw.twin.damping)
     np.testing.assert_array_equal(ended, due)
     np.testing.assert_array_equal(task._target[due], target[due])
     np.testing.assert_array_equal(task.commander.memory()["goal"][due], goals[due])

@@ -82,11 +82,11 @@ class ChainBatch:
 
     def set_friction(self, friction: Array) -> None:
         """Change the dry friction (nsim, n) [N m] of every simulation."""
-        self._row("coulomb")[:] = friction
+        self.row("coulomb")[:] = friction
 
     def set_motors(self, *, armature: Array, damping: Array) -> None:
         """Change armature (nsim, n) [kg m^2] and damping (nsim, n) [N m s/rad] of every simulation."""
-        self._row("armature")[:], self._row("damping")[:] = armature, damping
+        self.row("armature")[:], self.row("damping")[:] = armature, damping
 
     def step(self) -> None:
         """Advance all by one time step under the present ``ctrl``."""
@@ -100,7 +100,7 @@ class ChainBatch:
         path = np.empty_like(control)
         control = np.ascontiguousarray(control)
         steady = terms is None or is_steady(terms)
-        still = self._row("coulomb") if terms is None else dry_friction(terms, np.zeros_like(self.qvel))
+        still = self.row("coulomb") if terms is None else dry_friction(terms, np.zeros_like(self.qvel))
         given = np.ascontiguousarray(still[None] if steady else terms)
         arrays = (
             self._links, self._parameters, given, steady, self._gravity, self.timestep, control,
@@ -126,6 +126,7 @@ class ChainBatch:
             "impulse": self._impulse, "parameters": self._parameters, "gravity": self._gravity,
         }  # fmt: skip
 
-    def _row(self, name: str) -> Array:
+    def row(self, name: str) -> Array:
+        """Live (nsim, n) values of one of `ROWS`, in SI units."""
         row: Array = self._parameters[ROWS.index(name)]
         return row
