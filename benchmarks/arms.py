@@ -96,7 +96,7 @@ ARMS = (
     Given(name="SO-101", package=_EXAMPLE, path="so_arm_description/urdf/so101.urdf"),
     Given(name="GR-1, right", package=_SUITE, path="robots/gr1/robot.xml", tip="right_hand_eef"),
     Given(name="G1, left", package=_EXAMPLE, path="g1_29dof_rev_1_0.urdf", tip="left_rubber_hand"),
-    Given(name="R8.6, right", package="scikit_robot", path="urdf/r8_6.urdf", tip="r_wrist_r_link"),
+    Given(name="R8.6, right", package="scikit_robot", path="urdf/r8_6.urdf", tip="r_wrist_link"),
 )  # fmt: skip
 
 

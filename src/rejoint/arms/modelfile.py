@@ -2,13 +2,16 @@
 
 MuJoCo is imported when a file is read, not before: running a policy on the arm's own computer needs
 the modules beside this one, and no simulator. Meshes, textures, actuators, sensors, tendons and
-constraints are removed before compiling, so that the files they name need not be there.
+constraints are removed before compiling, so that the files they name need not be there. Of a URDF only joints and
+masses are handed to MuJoCo at all.
 """
 
 from __future__ import annotations
 
 import re
 import xml.etree.ElementTree as ET
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -16,26 +19,34 @@ from typing import Any
 import numpy as np
 
 from rejoint.arms.arm import Array
-from rejoint.arms.chain import Body, Joint, Site, Tree
-from rejoint.arms.inertia import NOTHING, SpatialInertia, ball, inertia_matrix, usable
+from rejoint.arms.ends import unknown
+from rejoint.arms.inertia import NOTHING, SpatialInertia, ball, ball_radius, inertia_matrix, usable
 from rejoint.arms.rotations import pose_of, rotation_of
-from rejoint.system.errors import FileError
+from rejoint.arms.tree import Body, Joint, Site, Tree
+from rejoint.system.errors import FileError, InputError
 from rejoint.system.extras import require
 from rejoint.system.files import MODEL_MOST, read_bounded
 
 _KINDS = {0: "free", 1: "ball", 2: "slide", 3: "hinge"}
 """mjtJoint"""
 
+_JOINT_PARTS = ("parent", "child", "origin", "axis", "limit", "mimic")
+"""What of a URDF's joint is read."""
+
 _PREFIX = re.compile(r"(</?|\s)([A-Za-z_][\w.-]*):(?=[A-Za-z_][\w.-]*[\s=/>])")
 """namespace prefix of an element or attribute"""
 
 
-def read_tree(path: Path) -> Tree:
-    """Read a URDF or MJCF file. FileError names what is wrong with it, MissingExtraError a missing installation."""
-    root = _parse(path)
+def read_tree(path: Path, hold: Mapping[str, float] | None = None) -> Tree:
+    """Read a URDF or MJCF file, with the joints of ``hold`` held at those positions, [rad] or [m].
+
+    FileError names what is wrong with the file, InputError a joint that cannot be held, MissingExtraError a
+    missing installation.
+    """
+    root, hold = _parse(path), hold or {}
     mujoco = _mujoco()
     try:
-        spec = mujoco.MjSpec.from_file(str(path))
+        spec = mujoco.MjSpec.from_string(_bare(root)) if root.tag == "robot" else mujoco.MjSpec.from_file(str(path))
     except (ValueError, mujoco.FatalError) as error:
         raise FileError(path, f"MuJoCo cannot read it: {_line(error)}", "correct the file") from error
     urdf = root.tag == "robot"
@@ -47,13 +58,15 @@ def read_tree(path: Path) -> Tree:
         model = spec.compile()
     except (ValueError, mujoco.FatalError) as error:
         raise FileError(path, f"MuJoCo cannot compile it: {_line(error)}", "correct the file") from error
-    bodies, data = _bodies(mujoco, model, contents)
+    bodies, data = _bodies(mujoco, model, contents, hold)
     drives = _drives(model, coupled)
     speeds = _urdf_speeds(root) if urdf else {}
+    joints = tuple(_joint(model, data, j, speeds, coupled, drives) for j in range(model.njnt))
+    notes += [f"joint {name}: held at {position:g}, as given" for name, position in hold.items()]
     return Tree(
         name=root.get("name") or root.get("model") or path.stem,
         bodies=bodies,
-        joints=tuple(_joint(model, data, j, speeds, coupled, drives) for j in range(model.njnt)),
+        joints=tuple(replace(joint, kind="held") if joint.name in hold else joint for joint in joints),
         sites=_sites(model, data),
         notes=tuple(notes),
     )
@@ -70,11 +83,47 @@ def _parse(path: Path) -> ET.Element:
         raise FileError(path, f"it cannot be read ({error})", "check the path of the arm") from error
     except ET.ParseError as error:
         raise FileError(path, f"it is not XML: {error}", "correct the file") from error
+    if root.tag == "mujocoinclude":
+        raise FileError(path, "it is a fragment that other MJCF files include", f"give a whole one{_including(path)}")
     if root.tag not in ("robot", "mujoco"):
         raise FileError(path, f"its root element is <{root.tag}>", "give a URDF (<robot>) or an MJCF (<mujoco>) file")
     if any(element.tag.startswith("xacro_") for element in root.iter()):
-        raise FileError(path, "it is a xacro file", "expand it to URDF first: xacro FILE.xacro > FILE.urdf")
+        raise xacro_error(path)
     return root
+
+
+def xacro_error(path: Path) -> FileError:
+    """Say that a file is no URDF yet, and what makes one of it."""
+    name = path.name.split(".")[0]
+    made = f"{name}.urdf" if path.suffix == ".xacro" else f"{name}-expanded.urdf"
+    return FileError(
+        path,
+        "it is a xacro file, from which a URDF is made",
+        f"make that and give it: xacro {path.name} > {made} (xacro comes with ROS, or with: pip install xacro)",
+    )
+
+
+def _including(path: Path) -> str:
+    """Name files beside a fragment, or one folder up, that include it, as a hint."""
+    files = sorted({*path.parent.glob("*.xml"), *path.parent.parent.glob("*.xml")} - {path})
+    wanted = re.compile(rb"<mujoco\b.*<include\s[^>]*" + re.escape(path.name.encode()), re.DOTALL)
+    found = [file.name for file in files[:100] if wanted.search(file.read_bytes()[:MODEL_MOST])]
+    return f", such as {', '.join(found[:3])}" if found else ""
+
+
+def _bare(root: ET.Element) -> str:
+    """Keep of a URDF its links with their masses and its joints, as text: shapes, and what programs add, go."""
+    kept = ET.Element("robot", {"name": root.get("name") or "robot"})
+    for element in root:
+        if element.tag not in ("link", "joint", "mujoco"):
+            continue
+        copy = ET.SubElement(kept, element.tag, element.attrib)
+        for part in element:
+            if element.tag == "link" and (part.tag != "inertial" or part.find("mass") is None):
+                continue
+            if element.tag != "joint" or (part.tag in _JOINT_PARTS and copy.find(part.tag) is None):
+                copy.append(part)
+    return ET.tostring(kept, encoding="unicode")
 
 
 def _mujoco() -> ModuleType:
@@ -91,22 +140,39 @@ def _strip(mujoco: ModuleType, spec: Any, *, every_geom: bool, notes: list[str])
             spec.delete(element)
     from_files = (mujoco.mjtGeom.mjGEOM_MESH, mujoco.mjtGeom.mjGEOM_HFIELD, mujoco.mjtGeom.mjGEOM_SDF)
     for body in spec.bodies:
-        dropped = 0
+        dropped = weighed = 0
         for geom in list(body.geoms):
             if every_geom or geom.type in from_files or geom.meshname:
-                spec.delete(geom)
-                dropped += 1
+                if not every_geom and geom.mass > 0.0:
+                    _as_ball(mujoco, geom)
+                    weighed += 1
+                else:
+                    spec.delete(geom)
+                    dropped += 1
             else:
                 geom.material = ""
         for site in body.sites:
             site.material = ""
         if dropped and body.geoms and not body.explicitinertial:
             notes.append(f"body {body.name}: no inertial; its mass is that of its primitive shapes, without its meshes")
+        elif weighed and not body.explicitinertial:
+            notes.append(f"body {body.name}: no inertial; the masses of its meshes are taken as balls at their places")
     for kind in ("meshes", "hfields", "materials", "textures"):
         for element in list(getattr(spec, kind)):
             spec.delete(element)
     spec.compiler.fusestatic = False
     spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO
+
+
+def _as_ball(mujoco: ModuleType, geom: Any) -> None:  # noqa: ANN401
+    """Put a ball of its mass in place of a mesh that the file gives a mass."""
+    geom.type, geom.meshname, geom.material = mujoco.mjtGeom.mjGEOM_SPHERE, "", ""
+    geom.size = np.array([ball_radius(float(geom.mass)), 0.0, 0.0])
+
+
+def _weightless(geom: Any) -> bool:  # noqa: ANN401
+    """Whether a shape is there to be seen alone."""
+    return bool(geom.mass == 0.0 or (not geom.mass > 0.0 and geom.density == 0.0))
 
 
 def _contents(spec: Any, notes: list[str]) -> dict[str, SpatialInertia | None]:  # noqa: ANN401
@@ -121,7 +187,7 @@ def _contents(spec: Any, notes: list[str]) -> dict[str, SpatialInertia | None]: 
         result[body.name] = None
         if body is spec.worldbody or body.name == "world":
             continue
-        if not body.explicitinertial and body.geoms:
+        if not body.explicitinertial and not all(map(_weightless, body.geoms)):
             continue
         full = np.array(body.fullinertia, dtype=float)
         inertia = inertia_matrix(full) if np.isfinite(full[0]) else np.diag(np.array(body.inertia, dtype=float))
@@ -161,13 +227,20 @@ def _drives(model: Any, coupled: dict[str, str]) -> set[str]:  # noqa: ANN401
     return {leader for follower, leader in pairs if not hangs_below(body[follower], body[leader])}
 
 
-def _bodies(mujoco: ModuleType, model: Any, contents: dict[str, SpatialInertia | None]) -> tuple[tuple[Body, ...], Any]:  # noqa: ANN401
+def _bodies(
+    mujoco: ModuleType,
+    model: Any,  # noqa: ANN401
+    contents: dict[str, SpatialInertia | None],
+    hold: Mapping[str, float],
+) -> tuple[tuple[Body, ...], Any]:
     """Bodies in the reference posture, or the nearest within the limits, and MuJoCo's data of that posture."""
     data = mujoco.MjData(model)
     for j in range(model.njnt):
         if model.jnt_limited[j] and _KINDS[int(model.jnt_type[j])] in ("hinge", "slide"):
             address = model.jnt_qposadr[j]
             data.qpos[address] = np.clip(data.qpos[address], *model.jnt_range[j])
+    for name, position in hold.items():
+        data.qpos[model.jnt_qposadr[_holdable(model, name, position)]] = position
     mujoco.mj_kinematics(model, data)
     bodies = []
     for b in range(model.nbody):
@@ -182,6 +255,21 @@ def _bodies(mujoco: ModuleType, model: Any, contents: dict[str, SpatialInertia |
             )
         )
     return tuple(bodies), data
+
+
+def _holdable(model: Any, name: str, position: float) -> int:  # noqa: ANN401
+    """Index of a joint that can be held at ``position`` [rad] or [m]."""
+    names = [model.joint(j).name for j in range(model.njnt)]
+    if name not in names:
+        raise InputError(unknown(name, "joint", names))
+    j = names.index(name)
+    kind, (low, high) = _KINDS[int(model.jnt_type[j])], model.jnt_range[j]
+    if kind not in ("hinge", "slide"):
+        raise InputError(f"joint {name} is a {kind} joint; only hinges and slides can be held")
+    if model.jnt_limited[j] and not low - 1e-9 <= position <= high + 1e-9:
+        unit = "m" if kind == "slide" else "rad"
+        raise InputError(f"joint {name} cannot be held at {position:g} {unit}: it goes from {low:g} to {high:g}")
+    return j
 
 
 def _sites(model: Any, data: Any) -> tuple[Site, ...]:  # noqa: ANN401
@@ -212,7 +300,7 @@ def _joint(
         body=int(model.jnt_bodyid[j]),
         anchor=data.xanchor[j].copy(),
         axis=data.xaxis[j].copy(),
-        angle=float(data.qpos[model.jnt_qposadr[j]]) if kind == "hinge" else 0.0,
+        position=float(data.qpos[model.jnt_qposadr[j]]) if kind in ("hinge", "slide") else 0.0,
         lower=float(model.jnt_range[j, 0]) if limited else np.nan,
         upper=float(model.jnt_range[j, 1]) if limited else np.nan,
         speed=speeds.get(name, np.nan),
