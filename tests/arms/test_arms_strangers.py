@@ -57,6 +57,13 @@ def names_and_notes(path: Path, **choice: str) -> tuple[tuple[str, ...], str]:
     return draft.joint_names, "\n".join(draft.notes)
 
 
+def upside_down(text: str) -> str:
+    """Hang the robot of a URDF from a ceiling two metres up."""
+    joint = '<joint name="ceiling" type="fixed"><parent link="world"/><child link="base"/>'
+    hung = f'<link name="world"/>{joint}<origin xyz="0.3 0 2" rpy="3.141592653589793 0 0"/></joint></robot>'
+    return text.replace("</robot>", hung)
+
+
 def check_can_be_diagnosed(arm: Arm) -> None:
     """The rest posture that was derived, and every excitation about it, are safe."""
     assert is_safe(arm, arm.rest)
@@ -83,11 +90,16 @@ def test_a_frame_that_no_posture_lifts_high_enough_may_be_low(tmp_path: Path) ->
 
 def test_a_rest_posture_without_room_gives_way_to_the_next(tmp_path: Path) -> None:
     # the best-scored posture of an arm with a narrow waist lies nearer to its limit than an excitation may come
-    waist = ("revolute", "0 0 0.1", Y, (-0.23, 0.73))
+    waist = ("revolute", "0 0 0.1", Y, (-0.1, 0.6))
     arm = load_arm(written(tmp_path, urdf((SIX[0], waist, ("revolute", "0 0.068 0.1", Y, (-2.5, 2.5)), *SIX[2:]))))
     share, spread = room(arm)
     assert min(share, spread) >= 0.25
     check_can_be_diagnosed(arm)
+
+
+def test_an_arm_that_hangs_is_said_to_be_taken_as_standing(tmp_path: Path) -> None:
+    _, notes = names_and_notes(written(tmp_path, upside_down(urdf(SIX))))
+    assert "base: base is tilted by 180 deg in the file; gravity, floor and targets are taken as if it stood" in notes
 
 
 def test_a_posture_that_is_not_safe_says_why(tmp_path: Path) -> None:

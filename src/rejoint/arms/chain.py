@@ -33,7 +33,11 @@ def cut(tree: Tree, base: str | None, tip: str | None) -> Draft:
     joints = _hinges(tree, tree.joints_of(links), f"{tree.bodies[start].name} and {tree.bodies[end].name}", notes)
     frame = tree.bodies[start].pose
     if frame[2, 2] < 1 - 1e-9:
-        notes.append(f"base: {tree.bodies[start].name} is tilted in the file; gravity is taken along its own -z axis")
+        tilt = np.degrees(np.arccos(np.clip(frame[2, 2], -1.0, 1.0)))
+        notes.append(
+            f"base: {tree.bodies[start].name} is tilted by {tilt:.0f} deg in the file; gravity, floor and targets are "
+            "taken as if it stood upright, which is right only where the arm itself does"
+        )
     return _draft(tree, joints, frame, pose, notes)
 
 
