@@ -73,8 +73,13 @@ def check_can_be_diagnosed(arm: Arm) -> None:
         assert is_safe(arm, excitation.command(np.arange(0.0, excitation.duration, 0.1))).all()
 
 
-def test_a_shoulder_that_never_rises_may_be_low(tmp_path: Path) -> None:
-    arm = load_arm(written(tmp_path, urdf(SIX)))  # its shoulder moves sideways, 45 mm above the base
+@pytest.fixture(scope="module")
+def six(tmp_path_factory: pytest.TempPathFactory) -> Arm:
+    return load_arm(written(tmp_path_factory.mktemp("six"), urdf(SIX)))
+
+
+def test_a_shoulder_that_never_rises_may_be_low(six: Arm) -> None:
+    arm = six  # its shoulder moves sideways, 45 mm above the base
     assert arm.offset[0, 2, 3] < arm.floor + 0.05
     np.testing.assert_array_equal(rising_frames(arm), [False, False, True, True, True, True])
     check_can_be_diagnosed(arm)
@@ -102,8 +107,8 @@ def test_an_arm_that_hangs_is_said_to_be_taken_as_standing(tmp_path: Path) -> No
     assert "base: base is tilted by 180 deg in the file; gravity, floor and targets are taken as if it stood" in notes
 
 
-def test_a_posture_that_is_not_safe_says_why(tmp_path: Path) -> None:
-    arm = load_arm(written(tmp_path, urdf(SIX)))
+def test_a_posture_that_is_not_safe_says_why(six: Arm) -> None:
+    arm = six
     assert unsafe(arm, arm.rest) == ""
     assert "j3 within 10 deg of a limit" in unsafe(arm, np.where(np.arange(6) == 2, 3.1, arm.rest))
     fallen = unsafe(arm, arm.rest + np.array([0, 1.2, 0, 0, 0, 0]))

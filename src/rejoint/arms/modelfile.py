@@ -170,7 +170,7 @@ def _as_ball(mujoco: ModuleType, geom: Any) -> None:  # noqa: ANN401
     geom.size = np.array([ball_radius(float(geom.mass)), 0.0, 0.0])
 
 
-def _weightless(geom: Any) -> bool:  # noqa: ANN401
+def _massless(geom: Any) -> bool:  # noqa: ANN401
     """Whether a shape is there to be seen alone."""
     return bool(geom.mass == 0.0 or (not geom.mass > 0.0 and geom.density == 0.0))
 
@@ -187,7 +187,7 @@ def _contents(spec: Any, notes: list[str]) -> dict[str, SpatialInertia | None]: 
         result[body.name] = None
         if body is spec.worldbody or body.name == "world":
             continue
-        if not body.explicitinertial and not all(map(_weightless, body.geoms)):
+        if not body.explicitinertial and not all(map(_massless, body.geoms)):
             continue
         full = np.array(body.fullinertia, dtype=float)
         inertia = inertia_matrix(full) if np.isfinite(full[0]) else np.diag(np.array(body.inertia, dtype=float))
