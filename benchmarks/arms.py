@@ -7,8 +7,8 @@
 
 Every arm is loaded as its user would, without options where it is the only one in its file, and diagnosed with
 `quick`; the healthy arms that it is compared with are excited in full. With ``--plan`` they are only loaded and the
-excitations planned. With ``--all`` every URDF and MJCF file of the folder is read instead, and how each ends is
-counted: there may be wrong files, but no error without a name.
+excitations planned. With ``--all`` a chain is cut out of every URDF and MJCF file of the folder instead, and how each
+ends is counted: there may be wrong files, but no error without a name.
 """
 
 from __future__ import annotations
@@ -21,6 +21,8 @@ from pathlib import Path
 
 import rejoint
 from rejoint.arms import Loaded, read_arm
+from rejoint.arms.chain import cut
+from rejoint.arms.modelfile import read_tree
 from rejoint.diagnosis.excitation import FULL, SHORT, plan_excitation
 from rejoint.system.errors import RejointError
 
@@ -145,13 +147,15 @@ def _planned(loaded: Loaded) -> str:
 
 
 def read_all(folder: Path) -> None:
-    """Read every description below ``folder``; each is an arm, or an error with a name in one line."""
+    """Read every description below ``folder``; each holds a chain, or ends in one line with a name."""
     ends: Counter[str] = Counter()
     files = sorted(path for path in folder.rglob("*") if path.suffix.lower() in (".urdf", ".xml", ".mjcf", ".xacro"))
     for file in files:
         try:
-            read_arm(file)
-            ends["an arm"] += 1
+            if file.suffix == ".xacro":
+                read_arm(file)
+            cut(read_tree(file), None, None)
+            ends["a chain"] += 1
         except RejointError as error:
             line = str(error)
             assert "\n" not in line, line

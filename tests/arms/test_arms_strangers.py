@@ -210,8 +210,7 @@ def test_what_an_arm_does_not_need_may_be_wrong(tmp_path: Path) -> None:
     shapes = '<visual><geometry/></visual><collision><geometry><mesh filename="package://a/b.stl" scale="1 1 1 1"/>'
     text = urdf(SIX, '<transmission name="t"/><gazebo><plugin/></gazebo><link name="sheet"><inertial/></link>')
     text = text.replace("</inertial></link>", f"</inertial>{shapes}</geometry></collision></link>", 3)
-    text = text.replace(f'<axis xyz="{Y}"/>', f'<axis xyz="{Y}"/><axis xyz="{Y}"/><dynamics damping="x"/>')
-    text += fixed("base", "ground")
+    text = text.replace(f'<axis xyz="{Y}"/>', f'<axis xyz="{Y}"/><dynamics damping="x"/>')
     text = (
         text.replace("</robot>", "")
         + '<joint name="s" type="fixed"><parent link="l2"/><child link="sheet"/></joint></robot>'
@@ -221,6 +220,24 @@ def test_what_an_arm_does_not_need_may_be_wrong(tmp_path: Path) -> None:
     for one, other in zip(found.links, plain.links, strict=True):
         assert one.mass == other.mass
         np.testing.assert_array_equal(one.inertia, other.inertia)
+
+
+def test_warnings_are_notes_and_leave_nothing_behind(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    stiff = urdf(SIX).replace('lower="-3.14" upper="3.14"', 'lower="0.2" upper="0.2"')
+    _, notes = names_and_notes(written(tmp_path, stiff))
+    assert "MuJoCo: joint 'j3' has equal lower and upper limits, limit ignored" in notes
+    assert capfd.readouterr() == ("", "")
+    assert [path.name for path in tmp_path.iterdir()] == ["arm.urdf"]
+
+
+def test_a_mistake_is_named_with_the_line_of_the_file(tmp_path: Path) -> None:
+    lines = urdf(SIX).replace("<joint", "\n<joint").replace('xyz="0 0.068 0"', 'xyz="0 0.068"')
+    found = 1 + lines.split("\n").index(next(line for line in lines.split("\n") if 'xyz="0 0.068"' in line))
+    with pytest.raises(FileError, match=rf"MuJoCo cannot read it: .*'xyz'.*line {found}; correct the file"):
+        read_arm(written(tmp_path, "\n".join(lines.split("\n"))))
 
 
 def test_meshes_with_masses_keep_them_and_shapes_to_be_seen_have_none(tmp_path: Path) -> None:

@@ -8,7 +8,8 @@ from pathlib import Path
 from rejoint.arms.arm import Arm
 from rejoint.arms.chain import cut
 from rejoint.arms.draft import Loaded, finish
-from rejoint.arms.modelfile import read_tree, xacro_error
+from rejoint.arms.modelfile import read_tree
+from rejoint.arms.modeltext import xacro_error
 from rejoint.arms.mycobot280 import mycobot280
 from rejoint.arms.so101 import so101
 from rejoint.arms.tomlfile import read_draft

@@ -9,8 +9,9 @@ masses are handed to MuJoCo at all.
 from __future__ import annotations
 
 import re
-import xml.etree.ElementTree as ET
-from collections.abc import Mapping
+import warnings
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
@@ -21,20 +22,14 @@ import numpy as np
 from rejoint.arms.arm import Array
 from rejoint.arms.ends import unknown
 from rejoint.arms.inertia import NOTHING, SpatialInertia, ball, ball_radius, inertia_matrix, usable
+from rejoint.arms.modeltext import bare, parse, urdf_speeds
 from rejoint.arms.rotations import pose_of, rotation_of
 from rejoint.arms.tree import Body, Joint, Site, Tree
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.extras import require
-from rejoint.system.files import MODEL_MOST, read_bounded
 
 _KINDS = {0: "free", 1: "ball", 2: "slide", 3: "hinge"}
 """mjtJoint"""
-
-_JOINT_PARTS = ("parent", "child", "origin", "axis", "limit", "mimic")
-"""What of a URDF's joint is read."""
-
-_PREFIX = re.compile(r"(</?|\s)([A-Za-z_][\w.-]*):(?=[A-Za-z_][\w.-]*[\s=/>])")
-"""namespace prefix of an element or attribute"""
 
 
 def read_tree(path: Path, hold: Mapping[str, float] | None = None) -> Tree:
@@ -43,24 +38,26 @@ def read_tree(path: Path, hold: Mapping[str, float] | None = None) -> Tree:
     FileError names what is wrong with the file, InputError a joint that cannot be held, MissingExtraError a
     missing installation.
     """
-    root, hold = _parse(path), hold or {}
+    root, hold = parse(path), hold or {}
     mujoco = _mujoco()
-    try:
-        spec = mujoco.MjSpec.from_string(_bare(root)) if root.tag == "robot" else mujoco.MjSpec.from_file(str(path))
-    except (ValueError, mujoco.FatalError) as error:
-        raise FileError(path, f"MuJoCo cannot read it: {_line(error)}", "correct the file") from error
     urdf = root.tag == "robot"
     notes: list[str] = []
-    coupled = _coupled(mujoco, spec)
-    _strip(mujoco, spec, every_geom=urdf, notes=notes)
-    contents = _contents(spec, notes)
-    try:
-        model = spec.compile()
-    except (ValueError, mujoco.FatalError) as error:
-        raise FileError(path, f"MuJoCo cannot compile it: {_line(error)}", "correct the file") from error
+    with _warnings_noted(mujoco, notes):
+        try:
+            spec = mujoco.MjSpec.from_string(bare(root)) if urdf else mujoco.MjSpec.from_file(str(path))
+        except (ValueError, mujoco.FatalError) as error:
+            said = _in_the_file(mujoco, path, error) if urdf else _line(error)
+            raise FileError(path, f"MuJoCo cannot read it: {said}", "correct the file") from error
+        coupled = _coupled(mujoco, spec)
+        _strip(mujoco, spec, every_geom=urdf, notes=notes)
+        contents = _contents(spec, notes)
+        try:
+            model = spec.compile()
+        except (ValueError, mujoco.FatalError) as error:
+            raise FileError(path, f"MuJoCo cannot compile it: {_line(error)}", "correct the file") from error
     bodies, data = _bodies(mujoco, model, contents, hold)
     drives = _drives(model, coupled)
-    speeds = _urdf_speeds(root) if urdf else {}
+    speeds = urdf_speeds(root) if urdf else {}
     joints = tuple(_joint(model, data, j, speeds, coupled, drives) for j in range(model.njnt))
     notes += [f"joint {name}: held at {position:g}, as given" for name, position in hold.items()]
     return Tree(
@@ -72,65 +69,36 @@ def read_tree(path: Path, hold: Mapping[str, float] | None = None) -> Tree:
     )
 
 
-def _parse(path: Path) -> ET.Element:
-    try:
-        text = read_bounded(path, MODEL_MOST, "check the path of the arm").decode("utf-8-sig")
-        # Prefixes such as drake: are often used without being declared, which MuJoCo does not mind.
-        root = ET.fromstring(_PREFIX.sub(r"\1\2_", text))  # noqa: S314 - expat expands no external entities
-    except FileNotFoundError as error:
-        raise FileError(path, "there is no such file", "check the path of the arm") from error
-    except (OSError, UnicodeDecodeError) as error:
-        raise FileError(path, f"it cannot be read ({error})", "check the path of the arm") from error
-    except ET.ParseError as error:
-        raise FileError(path, f"it is not XML: {error}", "correct the file") from error
-    if root.tag == "mujocoinclude":
-        raise FileError(path, "it is a fragment that other MJCF files include", f"give a whole one{_including(path)}")
-    if root.tag not in ("robot", "mujoco"):
-        raise FileError(path, f"its root element is <{root.tag}>", "give a URDF (<robot>) or an MJCF (<mujoco>) file")
-    if any(element.tag.startswith("xacro_") for element in root.iter()):
-        raise xacro_error(path)
-    return root
-
-
-def xacro_error(path: Path) -> FileError:
-    """Say that a file is no URDF yet, and what makes one of it."""
-    name = path.name.split(".")[0]
-    made = f"{name}.urdf" if path.suffix == ".xacro" else f"{name}-expanded.urdf"
-    return FileError(
-        path,
-        "it is a xacro file, from which a URDF is made",
-        f"make that and give it: xacro {path.name} > {made} (xacro comes with ROS, or with: pip install xacro)",
-    )
-
-
-def _including(path: Path) -> str:
-    """Name files beside a fragment, or one folder up, that include it, as a hint."""
-    files = sorted({*path.parent.glob("*.xml"), *path.parent.parent.glob("*.xml")} - {path})
-    wanted = re.compile(rb"<mujoco\b.*<include\s[^>]*" + re.escape(path.name.encode()), re.DOTALL)
-    found = [file.name for file in files[:100] if wanted.search(file.read_bytes()[:MODEL_MOST])]
-    return f", such as {', '.join(found[:3])}" if found else ""
-
-
-def _bare(root: ET.Element) -> str:
-    """Keep of a URDF its links with their masses and its joints, as text: shapes, and what programs add, go."""
-    kept = ET.Element("robot", {"name": root.get("name") or "robot"})
-    for element in root:
-        if element.tag not in ("link", "joint", "mujoco"):
-            continue
-        copy = ET.SubElement(kept, element.tag, element.attrib)
-        for part in element:
-            if element.tag == "link" and (part.tag != "inertial" or part.find("mass") is None):
-                continue
-            if element.tag != "joint" or (part.tag in _JOINT_PARTS and copy.find(part.tag) is None):
-                copy.append(part)
-    return ET.tostring(kept, encoding="unicode")
-
-
 def _mujoco() -> ModuleType:
     require("reading a URDF or MJCF file (a TOML file would do without)", "mujoco")
     import mujoco
 
     return mujoco
+
+
+@contextmanager
+def _warnings_noted(mujoco: ModuleType, notes: list[str]) -> Iterator[None]:
+    """Make notes of what MuJoCo warns of, which it otherwise prints and writes to a file in the working folder."""
+    before = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(lambda text: notes.append(f"MuJoCo: {' '.join(text.split())}"))
+    try:
+        with warnings.catch_warnings(record=True) as said:
+            warnings.simplefilter("always")
+            yield
+        notes += [f"MuJoCo: {' '.join(str(warning.message).split())}" for warning in said]
+    finally:
+        mujoco.set_mju_user_warning(before)
+
+
+def _in_the_file(mujoco: ModuleType, path: Path, error: BaseException) -> str:
+    """Say what is wrong with a URDF, with the line of its file where MuJoCo finds the same there."""
+    line = re.compile(r",? line \d+")
+    said = line.sub("", _line(error))
+    try:
+        mujoco.MjSpec.from_file(str(path))
+    except (ValueError, mujoco.FatalError) as other:
+        return _line(other) if line.sub("", _line(other)) == said else said
+    return said
 
 
 def _strip(mujoco: ModuleType, spec: Any, *, every_geom: bool, notes: list[str]) -> None:  # noqa: ANN401
@@ -312,18 +280,6 @@ def _compiled(model: Any, b: int) -> SpatialInertia:  # noqa: ANN401
     turn = rotation_of(model.body_iquat[b])
     inertia = (turn * model.body_inertia[b]) @ turn.T
     return SpatialInertia(mass=float(model.body_mass[b]), com=model.body_ipos[b].copy(), inertia=inertia)
-
-
-def _urdf_speeds(root: ET.Element) -> dict[str, float]:
-    """Speed limits [rad/s] by joint; MuJoCo does not read them."""
-    result = {}
-    for joint in root.findall("joint"):
-        limit = joint.find("limit")
-        try:
-            result[joint.get("name", "")] = float(limit.get("velocity", "nan")) if limit is not None else np.nan
-        except ValueError:
-            result[joint.get("name", "")] = np.nan
-    return result
 
 
 def _moments(inertia: Array) -> str:
