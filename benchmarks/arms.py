@@ -114,6 +114,7 @@ def main() -> None:
         return
     here = [(given, _file(options.folder, given)) for given in ARMS if options.name in given.name]
     here = [(given, file) for given, file in here if file is not None]
+    print("| arm | package | file | options | joints | worn, and a healthy one | s |\n|---|---|---|---|---|---|---|")
     ends = [diagnosed(given, file, planned_only=options.plan) for given, file in here]
     print(f"{sum(ends)} of {len(ends)} passed")
 
@@ -128,8 +129,8 @@ def diagnosed(given: Given, file: Path, *, planned_only: bool) -> bool:
     except RejointError as error:
         passed, joints, end = False, "", str(error).removeprefix(f"{file}: ")
     words = " ".join(f"--{key} {value}" for key, value in (("base", given.base), ("tip", given.tip)) if value)
-    row = (given.name, given.package, file.suffix[1:], words, joints, end if passed else f"REFUSED {end}")
-    print(f"| {' | '.join(row)} | {time.perf_counter() - began:.0f} s |", flush=True)
+    row = (given.name, given.package, file.suffix[1:], words, joints, end if passed else f"refused: {end}")
+    print(f"| {' | '.join(row)} | {time.perf_counter() - began:.0f} |", flush=True)
     return passed
 
 
@@ -137,8 +138,8 @@ def _errors(loaded: Loaded) -> str:
     found = rejoint.diagnose("emulated:worn", arm=loaded.arm, quick=True).diagnosis
     loop, healthy = found.open_loop, found.healthy
     assert loop is not None
-    usual = "" if healthy is None else f", a healthy one {healthy.error_mm.value:.1f} mm"
-    return f"{loop.error_mm.value:.0f} mm{usual}; {len(found.findings)} findings"
+    usual = "" if healthy is None else f", {healthy.error_mm.value:.1f}"
+    return f"{loop.error_mm.value:.0f}{usual} mm"
 
 
 def _planned(loaded: Loaded) -> str:

@@ -92,11 +92,22 @@ def _hinges(tree: Tree, joints: list[Joint], between: str, notes: list[str]) -> 
         elif joint.kind not in ("hinge", "held"):
             raise InputError(
                 f"{tree.name}: joint {joint.name} between {between} is a {joint.kind} joint, and only revolute joints "
-                "of their own can be driven; choose a base and a tip with it outside of the chain"
+                f"of their own can be driven; choose a base and a tip with it outside of the chain{_follower(joint)}"
+            )
+        elif joint.follows in {other.name for other in driven}:
+            raise InputError(
+                f"{tree.name}: joint {joint.name} cannot be held alone: it follows {joint.follows}, which is driven"
+                f"{_follower(joint)}"
             )
     if not driven:
         raise InputError(f"{tree.name}: there is no revolute joint between {between}; choose another base or tip")
     return driven
+
+
+def _follower(joint: Joint) -> str:
+    if not joint.follows:
+        return ""
+    return f", or hold it with the joint that it follows: --hold {joint.name}=0deg,{joint.follows}=0deg"
 
 
 def _slide_held(joint: Joint) -> str:

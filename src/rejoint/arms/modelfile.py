@@ -272,6 +272,7 @@ def _joint(
         lower=float(model.jnt_range[j, 0]) if limited else np.nan,
         upper=float(model.jnt_range[j, 1]) if limited else np.nan,
         speed=speeds.get(name, np.nan),
+        follows=coupled.get(name, ""),
         drives=name in drives,
     )
 

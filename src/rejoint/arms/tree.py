@@ -44,6 +44,8 @@ class Joint:
     """[rad] limits, NaN where there is none; [m] of a slide"""
     speed: float
     """[rad/s] speed limit, NaN where there is none"""
+    follows: str = ""
+    """joint that moves it where it is coupled, empty where none does"""
     drives: bool = False
     """whether joints of other branches follow it, as the fingers of a gripper follow its motor"""
 
