@@ -271,7 +271,7 @@ def test_a_joint_that_follows_another_is_no_joint_of_the_chain(tmp_path: Path) -
     )
     with pytest.raises(InputError, match="joint j4 between base and l4 is a coupled joint"):
         read_arm(written(tmp_path, text, "bare.urdf"), tip="l4")
-    with pytest.raises(InputError, match="joint j4 cannot be held alone: it follows j2, .* --hold j4=0deg,j2=0deg"):
+    with pytest.raises(InputError, match=r"joint j4 cannot be held alone: it follows j2, .* --hold j4=0deg,j2=0deg"):
         read_arm(written(tmp_path, text, "bare.urdf"), tip="l4", hold={"j4": 0.2})
     both = cut(read_tree(Path(written(tmp_path, text, "bare.urdf")), {"j4": 0.2, "j2": 0.2}), None, "l4")
     assert both.joint_names == ("j1", "j3")

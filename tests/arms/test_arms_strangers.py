@@ -1,5 +1,6 @@
 """Descriptions as other people write them, each small and with one thing that kept an arm from being used."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -115,6 +116,11 @@ def test_a_posture_that_is_not_safe_says_why(six: Arm) -> None:
     assert "mm above the base" in fallen
     for q in np.random.default_rng(0).uniform(arm.lower, arm.upper, (50, 6)):
         assert bool(is_safe(arm, q)) == (unsafe(arm, q) == "")
+    stretched = replace(arm, rest=np.where(np.arange(6) == 2, 3.1, arm.rest))
+    with pytest.raises(
+        InputError, match=r"rest posture is not safe .*: j3 within 10 deg of a limit.*; give another rest_deg"
+    ):
+        plan_excitation(stretched, seed=0)
 
 
 def test_a_slide_is_held_and_its_place_can_be_given(tmp_path: Path) -> None:
