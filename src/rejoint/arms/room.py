@@ -105,18 +105,24 @@ def unsafe(arm: Arm, q: Array) -> str:
 
 
 def room(arm: Arm, seed: int = 0) -> tuple[float, float]:
-    """Shares, from 0 to 1, of the excursion about rest and of the spread of postures around it that are safe."""
+    """Shares, from 0 to 1, of the excursion about rest and of the spread of postures around it that are safe.
+
+    The second is not looked for, and 0, where the first is too small.
+    """
     corners = np.array(list(product((-1.0, 1.0), repeat=min(arm.joints, 7))))
     if arm.joints > 7:
         corners = np.random.default_rng(seed).choice((-1.0, 1.0), (_CORNERS, arm.joints))
     whole = is_safe(arm, arm.rest + EXCURSION * _STEPS[:, None, None] * corners).all(axis=-1)
+    excursion = float(max(_STEPS[whole], default=0.0))
+    if excursion < _LEAST:
+        return excursion, 0.0
     held = (
         share
         for share in _STEPS
         if len(postures_to_hold(arm, np.random.default_rng(seed), spread=share * HOLD_SPREAD))
         >= _LEAST_HOLDS * POSTURES
     )
-    return float(max(_STEPS[whole], default=0.0)), float(next(held, 0.0))
+    return excursion, float(next(held, 0.0))
 
 
 def postures_to_hold(
