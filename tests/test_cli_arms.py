@@ -115,11 +115,15 @@ def test_held_joints_are_given_with_their_units() -> None:
             held_positions(wrong)
 
 
-def test_a_held_joint_is_no_joint_of_the_run(tmp_path: Path) -> None:
+def test_what_is_to_be_held_reaches_the_file(tmp_path: Path) -> None:
     path = tmp_path / "arm.urdf"
-    path.write_text(BACKWARDS.replace('"2.3"', '"-2.3"'), encoding="utf-8")
-    with pytest.raises(InputError, match="its 2 joints move the TCP on a line or a surface only"):
-        choose_arm(Terminal(json=False), str(path), None, None, hold="elbow=40deg")
+    path.write_text(BACKWARDS, encoding="utf-8")
+    for hold, message in (
+        ("elbo=40deg", "no joint called 'elbo'; did you mean elbow"),
+        ("elbow=180deg", "joint elbow cannot be held at 3.14159 rad: it goes from 0 to 2.6"),
+    ):
+        with pytest.raises(InputError, match=message):
+            choose_arm(Terminal(json=False), str(path), None, None, hold=hold)
 
 
 @pytest.mark.parametrize(
