@@ -140,7 +140,7 @@ def test_a_held_hinge_turns_what_it_carries(tmp_path: Path) -> None:
     path = written(tmp_path, urdf(SIX))
     whole, held = cut(read_tree(path), None, None), cut(read_tree(path, {"j4": 0.7}), None, None)
     assert held.joint_names == ("j1", "j2", "j3", "j5", "j6")
-    assert any("joint j4: held at 0.7" in note for note in held.notes)
+    assert any("joint j4: held at 40.11 deg" in note for note in held.notes)
     assert held.links[2].mass == pytest.approx(whole.links[2].mass + whole.links[3].mass)
     q = np.array([0.3, -0.4, 0.9, 0.2, 0.5])
     five, six = (chain_tcp(draft, angles) for draft, angles in ((held, q), (whole, np.insert(q, 3, 0.7))))

@@ -59,7 +59,7 @@ def read_tree(path: Path, hold: Mapping[str, float] | None = None) -> Tree:
     drives = _drives(model, coupled)
     speeds = urdf_speeds(root) if urdf else {}
     joints = tuple(_joint(model, data, j, speeds, coupled, drives) for j in range(model.njnt))
-    notes += [f"joint {name}: held at {position:g}, as given" for name, position in hold.items()]
+    notes += [f"joint {joint.name}: held at {_place(joint)}, as given" for joint in joints if joint.name in hold]
     return Tree(
         name=root.get("name") or root.get("model") or path.stem,
         bodies=bodies,
@@ -238,6 +238,10 @@ def _holdable(model: Any, name: str, position: float) -> int:  # noqa: ANN401
         unit = "m" if kind == "slide" else "rad"
         raise InputError(f"joint {name} cannot be held at {position:g} {unit}: it goes from {low:g} to {high:g}")
     return j
+
+
+def _place(joint: Joint) -> str:
+    return f"{1e3 * joint.position:g} mm" if joint.kind == "slide" else f"{np.degrees(joint.position):.4g} deg"
 
 
 def _sites(model: Any, data: Any) -> tuple[Site, ...]:  # noqa: ANN401
