@@ -173,7 +173,7 @@ def test_no_arm_is_kept_from_its_work_by_the_thickness_that_its_links_are_guesse
 
 def test_base_and_tip_are_found_where_there_is_one_choice() -> None:
     loaded = read_arm(str(file_of("ur5e-urdf")))
-    assert any("tool0 taken, the end of the longest chain (6 joints)" in note for note in loaded.notes)
+    assert any("tool0 taken, the end of the longest chain" in note for note in loaded.notes)
     assert any("base_link taken" in note for note in loaded.notes)
     q = np.random.default_rng(5).uniform(-1, 1, (20, 6))
     np.testing.assert_allclose(tcp_pose(loaded.arm, q), tcp_pose(arm_of("ur5e-urdf"), q), atol=1e-15)

@@ -15,13 +15,13 @@ from rejoint.arms import (
     solve_position,
     tcp_position,
 )
+from rejoint.arms.room import derive_workspace
 from rejoint.arms.workspace import (
     AXIS_CLEARANCE,
     EDGES,
     LIMIT_MARGIN,
     REST_HEIGHT,
     derive_targets,
-    derive_workspace,
     reach,
     rising_frames,
 )

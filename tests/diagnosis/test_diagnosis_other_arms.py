@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from rejoint.arms import Arm, gravity_torque, load_arm, mycobot280, so101
+from rejoint.arms.room import is_safe
 from rejoint.arms.size import heaviest_load, torque_size
 from rejoint.diagnosis.diagnosis import judge
-from rejoint.diagnosis.excitation import SHORT, is_safe, plan_excitation
+from rejoint.diagnosis.excitation import SHORT, plan_excitation
 from rejoint.diagnosis.healthy import healthy_reference, load_healthy
 from rejoint.diagnosis.record import record
 from rejoint.robots import open_robot

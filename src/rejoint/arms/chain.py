@@ -2,118 +2,42 @@
 
 from __future__ import annotations
 
-import difflib
-import re
-from collections.abc import Iterable
-from dataclasses import dataclass
-
 import numpy as np
 
 from rejoint.arms.arm import Array
 from rejoint.arms.draft import Draft
+from rejoint.arms.ends import body_called, longest, root_of, tip_called
 from rejoint.arms.inertia import SpatialInertia, combined
 from rejoint.arms.rotations import inverse, pose_of, rotation_about
+from rejoint.arms.tree import WORLD, Joint, Tree
 from rejoint.system.errors import InputError
-
-_GRIPPER = re.compile("grip|jaw|finger|claw", re.IGNORECASE)
-"""In the name of a joint: it opens and closes a gripper (as named in the URDFs of SO-100, WidowX and Koch arms)."""
-
-WORLD = 0
-"""Index of the world, the parent of every root body."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Body:
-    """A rigid body of a tree."""
-
-    name: str
-    parent: int
-    pose: Array
-    """(4, 4) in the world, in the posture of the tree's joints"""
-    content: SpatialInertia
-    """mass, centre and inertia in the body's frame"""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Joint:
-    """A joint between a body and its parent."""
-
-    name: str
-    kind: str
-    """``hinge``, ``slide``, ``ball``, ``free``, or ``coupled`` where it follows another joint"""
-    body: int
-    anchor: Array
-    """(3,) [m] a point of the axis, in the world"""
-    axis: Array
-    """(3,) unit vector in the world"""
-    angle: float
-    """[rad] joint position in the tree's posture"""
-    lower: float
-    upper: float
-    """[rad] limits, NaN where there is none"""
-    speed: float
-    """[rad/s] speed limit, NaN where there is none"""
-    drives: bool = False
-    """whether joints of other branches follow it, as the fingers of a gripper follow its motor"""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Site:
-    """A named frame on a body."""
-
-    name: str
-    body: int
-    pose: Array
-    """(4, 4) in the world"""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Tree:
-    """A whole model in one posture; body 0 is the world, parents come before children."""
-
-    name: str
-    bodies: tuple[Body, ...]
-    joints: tuple[Joint, ...]
-    """in the order in which they act on their body"""
-    sites: tuple[Site, ...] = ()
-    notes: tuple[str, ...] = ()
-
-    def path(self, body: int) -> list[int]:
-        """Bodies from a root down to ``body``, without the world."""
-        found = []
-        while body != WORLD:
-            found.append(body)
-            body = self.bodies[body].parent
-        return found[::-1]
-
-    def joints_of(self, bodies: Iterable[int]) -> list[Joint]:
-        """Joints of the given bodies, in their order."""
-        return [joint for body in bodies for joint in self.joints if joint.body == body]
 
 
 def cut(tree: Tree, base: str | None, tip: str | None) -> Draft:
     """Make a draft of the chain from the body ``base`` to the body or site ``tip``.
 
     Without ``tip`` it is the last link of the longest chain of hinges, a gripper's left out, without ``base`` the
-    root that the tip hangs on. Bodies beside the chain are frozen where they are and add their mass to the link
-    that carries them. InputError when a name is unknown, the choice is ambiguous, or a joint
-    of the chain is not a hinge.
+    root that the tip hangs on. Slides of the chain are held where they are; bodies beside it are frozen where they
+    are and add their mass to the link that carries them. InputError when a name is unknown, the choice is
+    ambiguous, or a joint of the chain can be neither driven nor held.
     """
     notes = list(tree.notes)
-    start = None if base is None else _body(tree, base)
-    end, pose = _longest(tree, start, notes) if tip is None else _tip(tree, tip)
+    start = None if base is None else body_called(tree, base)
+    end, pose = longest(tree, start, notes) if tip is None else tip_called(tree, tip)
     if start is None:
-        start = _root(tree, end)
-        notes.append(f"base: none given; {tree.bodies[start].name} taken, the root of the tree")
+        start = root_of(tree, end, notes)
     path = tree.path(end)
     if start != WORLD and start not in path:
-        raise InputError(f"{tip} does not hang below {base}; the bodies above it are: {_names(tree, path)}")
+        raise InputError(f"{tip} does not hang below {base}; the bodies above it are: {tree.names(path)}")
     links = path if start == WORLD else path[path.index(start) + 1 :]
-    joints = tree.joints_of(links)
-    _check_hinges(tree, joints, start, end)
+    joints = _hinges(tree, tree.joints_of(links), f"{tree.bodies[start].name} and {tree.bodies[end].name}", notes)
     frame = tree.bodies[start].pose
     if frame[2, 2] < 1 - 1e-9:
-        notes.append(f"base: {tree.bodies[start].name} is tilted in the file; gravity is taken along its own -z axis")
+        tilt = np.degrees(np.arccos(np.clip(frame[2, 2], -1.0, 1.0)))
+        notes.append(
+            f"base: {tree.bodies[start].name} is tilted by {tilt:.0f} deg in the file; gravity, floor and targets are "
+            "taken as if it stood upright, which is right only where the arm itself does"
+        )
     return _draft(tree, joints, frame, pose, notes)
 
 
@@ -124,7 +48,7 @@ def _draft(tree: Tree, joints: list[Joint], frame: Array, tip: Array, notes: lis
     for joint in joints:
         pose = pose_of(tree.bodies[joint.body].pose[:3, :3], joint.anchor)
         axis = pose[:3, :3].T @ joint.axis
-        back = pose_of(rotation_about(axis, -joint.angle), np.zeros(3))
+        back = pose_of(rotation_about(axis, -joint.position), np.zeros(3))
         offsets.append(inverse(before) @ pose @ back)
         axes.append(axis)
         poses.append(pose)
@@ -159,109 +83,38 @@ def _links(tree: Tree, joints: list[Joint], poses: list[Array]) -> tuple[Spatial
     return tuple(combined(piece) for piece in pieces)
 
 
-def _body(tree: Tree, name: str) -> int:
-    names = [body.name for body in tree.bodies]
-    if name not in names:
-        raise InputError(_unknown(name, "body", names))
-    return names.index(name)
-
-
-def _tip(tree: Tree, name: str) -> tuple[int, Array]:
-    names = [body.name for body in tree.bodies]
-    if name in names:
-        return names.index(name), tree.bodies[names.index(name)].pose
-    for site in tree.sites:
-        if site.name == name:
-            return site.body, site.pose
-    raise InputError(_unknown(name, "body or site", names + [site.name for site in tree.sites]))
-
-
-def _root(tree: Tree, end: int) -> int:
-    """Root body above ``end``; the world where the root itself turns on a hinge."""
-    first = tree.path(end)[0] if end != WORLD else WORLD
-    return WORLD if any(joint.kind != "free" for joint in tree.joints_of([first])) else first
-
-
-def _longest(tree: Tree, start: int | None, notes: list[str]) -> tuple[int, Array]:
-    """Last link of the single longest chain of hinges below ``start`` (anywhere if None), and its pose."""
-    hinges: dict[int, int] = {}
-    for index, body in enumerate(tree.bodies):
-        if index in (WORLD, start):
-            if start is None or index == start:
-                hinges[index] = 0
-            continue
-        own = tree.joints_of([index])
-        floating = start is None and body.parent == WORLD and [joint.kind for joint in own] == ["free"]
-        if body.parent in hinges and (floating or all(map(_of_the_arm, own))):
-            hinges[index] = hinges[body.parent] + (0 if floating else len(own))
-    parents = {tree.bodies[index].parent for index in hinges if index != start and index != WORLD}
-    leaves = [index for index in hinges if index not in parents]
-    most = max((hinges[index] for index in leaves), default=0)
-    longest = [index for index in leaves if hinges[index] == most]
-    if most == 0:
-        hint = _behind_others(tree, most)
-        raise InputError(f"{tree.name}: no chain of hinges was found; the bodies are: {_names(tree, hinges)}{hint}")
-    if len(longest) > 1:
-        hint = _behind_others(tree, most) or f"; name the tip that you mean{_parting(tree, longest)}"
-        ends = _names(tree, longest)
-        raise InputError(f"{tree.name}: several links could be the tip of the arm ({most} joints each): {ends}{hint}")
-    end = longest[0]
-    sites = [site.name for site in tree.sites if site.body == end]
-    more = f" (it carries the sites {', '.join(sites)}, which can be named instead)" if sites else ""
-    notes.append(f"tip: none given; {tree.bodies[end].name} taken, the end of the longest chain ({most} joints){more}")
-    beyond = [joint.name for joint in tree.joints if joint.kind == "hinge" and tree.bodies[joint.body].parent == end]
-    if beyond:
-        notes.append(f"tip: {', '.join(beyond)} behind it taken for a gripper's and held; name a tip to drive it")
-    return end, tree.bodies[end].pose
-
-
-def _of_the_arm(joint: Joint) -> bool:
-    """Tell a hinge that an arm turns by from a gripper's."""
-    return joint.kind == "hinge" and not joint.drives and not _GRIPPER.search(joint.name)
-
-
-def _behind_others(tree: Tree, most: int) -> str:
-    """Where a chain of more than ``most`` hinges begins behind a joint of another kind, as a hint."""
-    start, hinges = {WORLD: WORLD}, {WORLD: 0}
-    for index, body in enumerate(tree.bodies[1:], start=1):
-        own = tree.joints_of([index])
-        whole = all(map(_of_the_arm, own))
-        start[index] = start[body.parent] if whole else index
-        hinges[index] = hinges[body.parent] + len(own) if whole else 0
-    end = max(hinges, key=lambda index: hinges[index])
-    if hinges[end] <= most:
-        return ""
-    base = start[end]
-    kinds = ", ".join(f"{joint.name} is a {joint.kind} joint" for joint in tree.joints_of([base]))
-    return f"; a chain of {hinges[end]} hinges begins behind {tree.bodies[base].name} ({kinds}): give that as the base"
-
-
-def _parting(tree: Tree, ends: list[int]) -> str:
-    """Where the paths to ``ends`` part, as a hint: a gripper's fingers part at its palm."""
-    shared = [bodies[0] for bodies in zip(*map(tree.path, ends), strict=False) if len(set(bodies)) == 1]
-    if not tree.joints_of(shared):
-        return ""
-    return f", such as {tree.bodies[shared[-1]].name}, where they part"
-
-
-def _check_hinges(tree: Tree, joints: list[Joint], start: int, end: int) -> None:
-    names = f"{tree.bodies[start].name} and {tree.bodies[end].name}"
-    if not joints:
-        raise InputError(f"{tree.name}: there is no joint between {names}; choose another base or tip")
+def _hinges(tree: Tree, joints: list[Joint], between: str, notes: list[str]) -> list[Joint]:
+    """Joints that are driven; those that are held instead are noted."""
+    driven = [joint for joint in joints if joint.kind == "hinge"]
     for joint in joints:
-        if joint.kind != "hinge":
+        if joint.kind == "slide":
+            notes.append(_slide_held(joint))
+        elif joint.kind not in ("hinge", "held"):
             raise InputError(
-                f"{tree.name}: joint {joint.name} between {names} is a {joint.kind} joint, and only revolute joints "
-                "of their own can be driven; choose a base and a tip with it outside of the chain"
+                f"{tree.name}: joint {joint.name} between {between} is a {joint.kind} joint, and only revolute joints "
+                f"of their own can be driven; choose a base and a tip with it outside of the chain{_follower(joint)}"
             )
+        elif joint.follows in {other.name for other in driven}:
+            raise InputError(
+                f"{tree.name}: joint {joint.name} cannot be held alone: it follows {joint.follows}, which is driven"
+                f"{_follower(joint)}"
+            )
+    if not driven:
+        raise InputError(f"{tree.name}: there is no revolute joint between {between}; choose another base or tip")
+    return driven
 
 
-def _unknown(name: str, kind: str, names: list[str]) -> str:
-    close = difflib.get_close_matches(name, names, n=1)
-    hint = f"did you mean {close[0]}? " if close else ""
-    shown = [known for known in names if known][:40]
-    return f"the model has no {kind} called {name!r}; {hint}it has: {', '.join(shown)}"
+def _follower(joint: Joint) -> str:
+    if not joint.follows:
+        return ""
+    return f", or hold it with the joint that it follows: --hold {joint.name}=0deg,{joint.follows}=0deg"
 
 
-def _names(tree: Tree, bodies: Iterable[int]) -> str:
-    return ", ".join(tree.bodies[index].name for index in bodies)
+def _slide_held(joint: Joint) -> str:
+    ends = (joint.lower, joint.upper)
+    span = f" ({1e3 * ends[0]:.0f} to {1e3 * ends[1]:.0f} mm)" if np.isfinite(ends).all() else ""
+    place = f"{1e3 * joint.position:.0f}"
+    return (
+        f"joint {joint.name} slides{span} and is not driven, only revolute joints are; it is taken as fixed at {place} "
+        f"mm, which the arm has to keep; if it stands elsewhere: --hold {joint.name}={place}mm"
+    )

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from rejoint.arms.arm import Arm, Array, Box
 from rejoint.arms.inertia import SpatialInertia, link_ends, plausible_links
-from rejoint.arms.workspace import derive_targets, derive_workspace, reach
+from rejoint.arms.room import derive_workspace
+from rejoint.arms.workspace import NoPostureError, derive_targets, reach
 from rejoint.system.errors import InputError
 
 DEFAULT_SPEED = np.radians(90.0)
@@ -34,6 +35,16 @@ class Loaded:
     arm: Arm
     notes: tuple[str, ...] = ()
     """one sentence for each value that the file did not give, or gave wrongly"""
+
+
+class UnfinishedArmError(NoPostureError):
+    """An arm that its file describes, but for a rest posture and targets, which could not be derived."""
+
+    def __init__(self, error: NoPostureError, arm: Arm, notes: Sequence[str]) -> None:
+        super().__init__(str(error))
+        self.arm = arm
+        """with placeholders for the rest posture and the targets"""
+        self.notes = tuple(notes)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -61,7 +72,7 @@ class Draft:
 def finish(draft: Draft, seed: int = 0) -> Loaded:
     """Complete a draft; ``seed`` is that of the sampling in :mod:`rejoint.arms.workspace`.
 
-    InputError when no rest posture or target region can be found.
+    UnfinishedArmError when no rest posture or target region can be found.
     """
     notes = list(draft.notes)
     lower, upper = _limits(draft, notes)
@@ -92,7 +103,10 @@ def finish(draft: Draft, seed: int = 0) -> Loaded:
     if floor is None:
         arm = replace(arm, floor=round(FLOOR_RATIO * reach(arm), 3))
         notes.append(f"floor: none given; {1e3 * arm.floor:.0f} mm above the base's origin assumed")
-    arm = _with_workspace(arm, draft, seed, notes)
+    try:
+        arm = _with_workspace(arm, draft, seed, notes)
+    except NoPostureError as error:
+        raise UnfinishedArmError(error, arm, notes) from error
     return Loaded(arm=arm, notes=tuple(notes))
 
 

@@ -98,6 +98,11 @@ def ball(mass: float) -> Array:
     return _ball_moment(mass, LINK_DENSITY) * np.eye(3)
 
 
+def ball_radius(mass: float) -> float:
+    """Radius [m] of that ball."""
+    return float((3 * mass / (4 * np.pi * LINK_DENSITY)) ** (1 / 3))
+
+
 def usable(inertia: Array) -> bool:
     """Tell whether (3, 3) [kg m^2] can belong to any rigid body: positive, and no moment above the other two's sum."""
     if not np.isfinite(inertia).all() or not np.abs(inertia - inertia.T).max() <= 1e-6 * np.abs(inertia).max():

@@ -2,13 +2,17 @@
 
 MuJoCo is imported when a file is read, not before: running a policy on the arm's own computer needs
 the modules beside this one, and no simulator. Meshes, textures, actuators, sensors, tendons and
-constraints are removed before compiling, so that the files they name need not be there.
+constraints are removed before compiling, so that the files they name need not be there. Of a URDF only joints and
+masses are handed to MuJoCo at all.
 """
 
 from __future__ import annotations
 
 import re
-import xml.etree.ElementTree as ET
+import warnings
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -16,65 +20,53 @@ from typing import Any
 import numpy as np
 
 from rejoint.arms.arm import Array
-from rejoint.arms.chain import Body, Joint, Site, Tree
-from rejoint.arms.inertia import NOTHING, SpatialInertia, ball, inertia_matrix, usable
+from rejoint.arms.ends import unknown
+from rejoint.arms.inertia import NOTHING, SpatialInertia, ball, ball_radius, inertia_matrix, usable
+from rejoint.arms.modeltext import bare, parse, urdf_speeds
 from rejoint.arms.rotations import pose_of, rotation_of
-from rejoint.system.errors import FileError
+from rejoint.arms.tree import Body, Joint, Site, Tree
+from rejoint.system.errors import FileError, InputError
 from rejoint.system.extras import require
-from rejoint.system.files import MODEL_MOST, read_bounded
 
 _KINDS = {0: "free", 1: "ball", 2: "slide", 3: "hinge"}
 """mjtJoint"""
 
-_PREFIX = re.compile(r"(</?|\s)([A-Za-z_][\w.-]*):(?=[A-Za-z_][\w.-]*[\s=/>])")
-"""namespace prefix of an element or attribute"""
 
+def read_tree(path: Path, hold: Mapping[str, float] | None = None) -> Tree:
+    """Read a URDF or MJCF file, with the joints of ``hold`` held at those positions, [rad] or [m].
 
-def read_tree(path: Path) -> Tree:
-    """Read a URDF or MJCF file. FileError names what is wrong with it, MissingExtraError a missing installation."""
-    root = _parse(path)
+    FileError names what is wrong with the file, InputError a joint that cannot be held, MissingExtraError a
+    missing installation.
+    """
+    root, hold = parse(path), hold or {}
     mujoco = _mujoco()
-    try:
-        spec = mujoco.MjSpec.from_file(str(path))
-    except (ValueError, mujoco.FatalError) as error:
-        raise FileError(path, f"MuJoCo cannot read it: {_line(error)}", "correct the file") from error
     urdf = root.tag == "robot"
     notes: list[str] = []
-    coupled = _coupled(mujoco, spec)
-    _strip(mujoco, spec, every_geom=urdf, notes=notes)
-    contents = _contents(spec, notes)
-    try:
-        model = spec.compile()
-    except (ValueError, mujoco.FatalError) as error:
-        raise FileError(path, f"MuJoCo cannot compile it: {_line(error)}", "correct the file") from error
-    bodies, data = _bodies(mujoco, model, contents)
+    with _warnings_noted(mujoco, notes):
+        try:
+            spec = mujoco.MjSpec.from_string(bare(root)) if urdf else mujoco.MjSpec.from_file(str(path))
+        except (ValueError, mujoco.FatalError) as error:
+            said = _in_the_file(mujoco, path, error) if urdf else _line(error)
+            raise FileError(path, f"MuJoCo cannot read it: {said}", "correct the file") from error
+        coupled = _coupled(mujoco, spec)
+        _strip(mujoco, spec, every_geom=urdf, notes=notes)
+        contents = _contents(spec, notes)
+        try:
+            model = spec.compile()
+        except (ValueError, mujoco.FatalError) as error:
+            raise FileError(path, f"MuJoCo cannot compile it: {_line(error)}", "correct the file") from error
+    bodies, data = _bodies(mujoco, model, contents, hold)
     drives = _drives(model, coupled)
-    speeds = _urdf_speeds(root) if urdf else {}
+    speeds = urdf_speeds(root) if urdf else {}
+    joints = tuple(_joint(model, data, j, speeds, coupled, drives) for j in range(model.njnt))
+    notes += [f"joint {joint.name}: held at {_place(joint)}, as given" for joint in joints if joint.name in hold]
     return Tree(
         name=root.get("name") or root.get("model") or path.stem,
         bodies=bodies,
-        joints=tuple(_joint(model, data, j, speeds, coupled, drives) for j in range(model.njnt)),
+        joints=tuple(replace(joint, kind="held") if joint.name in hold else joint for joint in joints),
         sites=_sites(model, data),
         notes=tuple(notes),
     )
-
-
-def _parse(path: Path) -> ET.Element:
-    try:
-        text = read_bounded(path, MODEL_MOST, "check the path of the arm").decode("utf-8-sig")
-        # Prefixes such as drake: are often used without being declared, which MuJoCo does not mind.
-        root = ET.fromstring(_PREFIX.sub(r"\1\2_", text))  # noqa: S314 - expat expands no external entities
-    except FileNotFoundError as error:
-        raise FileError(path, "there is no such file", "check the path of the arm") from error
-    except (OSError, UnicodeDecodeError) as error:
-        raise FileError(path, f"it cannot be read ({error})", "check the path of the arm") from error
-    except ET.ParseError as error:
-        raise FileError(path, f"it is not XML: {error}", "correct the file") from error
-    if root.tag not in ("robot", "mujoco"):
-        raise FileError(path, f"its root element is <{root.tag}>", "give a URDF (<robot>) or an MJCF (<mujoco>) file")
-    if any(element.tag.startswith("xacro_") for element in root.iter()):
-        raise FileError(path, "it is a xacro file", "expand it to URDF first: xacro FILE.xacro > FILE.urdf")
-    return root
 
 
 def _mujoco() -> ModuleType:
@@ -84,6 +76,31 @@ def _mujoco() -> ModuleType:
     return mujoco
 
 
+@contextmanager
+def _warnings_noted(mujoco: ModuleType, notes: list[str]) -> Iterator[None]:
+    """Make notes of what MuJoCo warns of, which it otherwise prints and writes to a file in the working folder."""
+    before = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(lambda text: notes.append(f"MuJoCo: {' '.join(text.split())}"))
+    try:
+        with warnings.catch_warnings(record=True) as said:
+            warnings.simplefilter("always")
+            yield
+        notes += [f"MuJoCo: {' '.join(str(warning.message).split())}" for warning in said]
+    finally:
+        mujoco.set_mju_user_warning(before)
+
+
+def _in_the_file(mujoco: ModuleType, path: Path, error: BaseException) -> str:
+    """Say what is wrong with a URDF, with the line of its file where MuJoCo finds the same there."""
+    line = re.compile(r",? line \d+")
+    said = line.sub("", _line(error))
+    try:
+        mujoco.MjSpec.from_file(str(path))
+    except (ValueError, mujoco.FatalError) as other:
+        return _line(other) if line.sub("", _line(other)) == said else said
+    return said
+
+
 def _strip(mujoco: ModuleType, spec: Any, *, every_geom: bool, notes: list[str]) -> None:  # noqa: ANN401
     """Remove what is not kinematics or mass; the mass of primitive shapes stays."""
     for kind in ("keys", "sensors", "actuators", "tendons", "equalities", "pairs", "excludes", "skins", "flexes"):
@@ -91,22 +108,39 @@ def _strip(mujoco: ModuleType, spec: Any, *, every_geom: bool, notes: list[str])
             spec.delete(element)
     from_files = (mujoco.mjtGeom.mjGEOM_MESH, mujoco.mjtGeom.mjGEOM_HFIELD, mujoco.mjtGeom.mjGEOM_SDF)
     for body in spec.bodies:
-        dropped = 0
+        dropped = weighed = 0
         for geom in list(body.geoms):
             if every_geom or geom.type in from_files or geom.meshname:
-                spec.delete(geom)
-                dropped += 1
+                if not every_geom and geom.mass > 0.0:
+                    _as_ball(mujoco, geom)
+                    weighed += 1
+                else:
+                    spec.delete(geom)
+                    dropped += 1
             else:
                 geom.material = ""
         for site in body.sites:
             site.material = ""
         if dropped and body.geoms and not body.explicitinertial:
             notes.append(f"body {body.name}: no inertial; its mass is that of its primitive shapes, without its meshes")
+        elif weighed and not body.explicitinertial:
+            notes.append(f"body {body.name}: no inertial; the masses of its meshes are taken as balls at their places")
     for kind in ("meshes", "hfields", "materials", "textures"):
         for element in list(getattr(spec, kind)):
             spec.delete(element)
     spec.compiler.fusestatic = False
     spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO
+
+
+def _as_ball(mujoco: ModuleType, geom: Any) -> None:  # noqa: ANN401
+    """Put a ball of its mass in place of a mesh that the file gives a mass."""
+    geom.type, geom.meshname, geom.material = mujoco.mjtGeom.mjGEOM_SPHERE, "", ""
+    geom.size = np.array([ball_radius(float(geom.mass)), 0.0, 0.0])
+
+
+def _massless(geom: Any) -> bool:  # noqa: ANN401
+    """Whether a shape is there to be seen alone."""
+    return bool(geom.mass == 0.0 or (not geom.mass > 0.0 and geom.density == 0.0))
 
 
 def _contents(spec: Any, notes: list[str]) -> dict[str, SpatialInertia | None]:  # noqa: ANN401
@@ -121,7 +155,7 @@ def _contents(spec: Any, notes: list[str]) -> dict[str, SpatialInertia | None]: 
         result[body.name] = None
         if body is spec.worldbody or body.name == "world":
             continue
-        if not body.explicitinertial and body.geoms:
+        if not body.explicitinertial and not all(map(_massless, body.geoms)):
             continue
         full = np.array(body.fullinertia, dtype=float)
         inertia = inertia_matrix(full) if np.isfinite(full[0]) else np.diag(np.array(body.inertia, dtype=float))
@@ -161,13 +195,20 @@ def _drives(model: Any, coupled: dict[str, str]) -> set[str]:  # noqa: ANN401
     return {leader for follower, leader in pairs if not hangs_below(body[follower], body[leader])}
 
 
-def _bodies(mujoco: ModuleType, model: Any, contents: dict[str, SpatialInertia | None]) -> tuple[tuple[Body, ...], Any]:  # noqa: ANN401
+def _bodies(
+    mujoco: ModuleType,
+    model: Any,  # noqa: ANN401
+    contents: dict[str, SpatialInertia | None],
+    hold: Mapping[str, float],
+) -> tuple[tuple[Body, ...], Any]:
     """Bodies in the reference posture, or the nearest within the limits, and MuJoCo's data of that posture."""
     data = mujoco.MjData(model)
     for j in range(model.njnt):
         if model.jnt_limited[j] and _KINDS[int(model.jnt_type[j])] in ("hinge", "slide"):
             address = model.jnt_qposadr[j]
             data.qpos[address] = np.clip(data.qpos[address], *model.jnt_range[j])
+    for name, position in hold.items():
+        data.qpos[model.jnt_qposadr[_holdable(model, name, position)]] = position
     mujoco.mj_kinematics(model, data)
     bodies = []
     for b in range(model.nbody):
@@ -182,6 +223,25 @@ def _bodies(mujoco: ModuleType, model: Any, contents: dict[str, SpatialInertia |
             )
         )
     return tuple(bodies), data
+
+
+def _holdable(model: Any, name: str, position: float) -> int:  # noqa: ANN401
+    """Index of a joint that can be held at ``position`` [rad] or [m]."""
+    names = [model.joint(j).name for j in range(model.njnt)]
+    if name not in names:
+        raise InputError(unknown(name, "joint", names))
+    j = names.index(name)
+    kind, (low, high) = _KINDS[int(model.jnt_type[j])], model.jnt_range[j]
+    if kind not in ("hinge", "slide"):
+        raise InputError(f"joint {name} is a {kind} joint; only hinges and slides can be held")
+    if model.jnt_limited[j] and not low - 1e-9 <= position <= high + 1e-9:
+        unit = "m" if kind == "slide" else "rad"
+        raise InputError(f"joint {name} cannot be held at {position:g} {unit}: it goes from {low:g} to {high:g}")
+    return j
+
+
+def _place(joint: Joint) -> str:
+    return f"{1e3 * joint.position:g} mm" if joint.kind == "slide" else f"{np.degrees(joint.position):.4g} deg"
 
 
 def _sites(model: Any, data: Any) -> tuple[Site, ...]:  # noqa: ANN401
@@ -212,10 +272,11 @@ def _joint(
         body=int(model.jnt_bodyid[j]),
         anchor=data.xanchor[j].copy(),
         axis=data.xaxis[j].copy(),
-        angle=float(data.qpos[model.jnt_qposadr[j]]) if kind == "hinge" else 0.0,
+        position=float(data.qpos[model.jnt_qposadr[j]]) if kind in ("hinge", "slide") else 0.0,
         lower=float(model.jnt_range[j, 0]) if limited else np.nan,
         upper=float(model.jnt_range[j, 1]) if limited else np.nan,
         speed=speeds.get(name, np.nan),
+        follows=coupled.get(name, ""),
         drives=name in drives,
     )
 
@@ -224,18 +285,6 @@ def _compiled(model: Any, b: int) -> SpatialInertia:  # noqa: ANN401
     turn = rotation_of(model.body_iquat[b])
     inertia = (turn * model.body_inertia[b]) @ turn.T
     return SpatialInertia(mass=float(model.body_mass[b]), com=model.body_ipos[b].copy(), inertia=inertia)
-
-
-def _urdf_speeds(root: ET.Element) -> dict[str, float]:
-    """Speed limits [rad/s] by joint; MuJoCo does not read them."""
-    result = {}
-    for joint in root.findall("joint"):
-        limit = joint.find("limit")
-        try:
-            result[joint.get("name", "")] = float(limit.get("velocity", "nan")) if limit is not None else np.nan
-        except ValueError:
-            result[joint.get("name", "")] = np.nan
-    return result
 
 
 def _moments(inertia: Array) -> str:

@@ -61,9 +61,17 @@ _DH_KEYS = ("d_m", "a_m", "alpha_deg", "offset_deg")
 
 def write_arm_toml(path: Path, arm: Arm, notes: Sequence[str] = ()) -> None:
     """Write an arm so that reading it gives the same numbers to 1e-12; ``notes`` become comments at the top."""
-    blocks = ["".join(f"# {note}\n" for note in notes) + _head(arm)]
-    blocks += [_joint_block(arm, i) for i in range(arm.joints)]
-    write_whole(path, lambda temporary: temporary.write_text("\n".join(blocks), encoding="utf-8"))
+    text = _text(arm, notes, f"rest_deg = {_listed(np.degrees(arm.rest))}", _targets_block(arm))
+    write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+
+
+def write_unfinished(path: Path, arm: Arm, notes: Sequence[str] = ()) -> int:
+    """Write an arm whose owner is to give its rest posture; returns the number of the line to do so, from 1."""
+    zeros = ", ".join(["0"] * arm.joints)
+    line = f"# rest_deg = [{zeros}]  # take away the first #: tool in front, elbow up, no joint near a limit"
+    text = _text(arm, notes, line, "")
+    write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+    return text.split("\n").index(line) + 1
 
 
 def read_draft(path: Path) -> Draft:
@@ -106,17 +114,23 @@ def read_draft(path: Path) -> Draft:
     )
 
 
-def _head(arm: Arm) -> str:
+def _text(arm: Arm, notes: Sequence[str], rest: str, targets: str) -> str:
     known = np.isfinite(arm.servo_acceleration)
     limit = f"servo_acceleration_rad_s2 = {float(arm.servo_acceleration)!r}\n" if known else ""
-    return (
+    head = (
         f"name = {_quoted(arm.name)}\n"
         f"floor_m = {arm.floor!r}\n"
         f"encoder_counts_per_turn = {float(2 * np.pi / arm.encoder_step)!r}\n{limit}"
-        f"rest_deg = {_listed(np.degrees(arm.rest))}\n"
-        f"\n[targets]\nlower_m = {_listed(arm.targets.lower)}\nupper_m = {_listed(arm.targets.upper)}\n"
-        f"\n[tip]\nposition_m = {_listed(arm.tip[:3, 3])}\nquaternion = {_listed(quaternion_of(arm.tip[:3, :3]))}\n"
+        f"{rest}\n"
     )
+    tip = f"[tip]\nposition_m = {_listed(arm.tip[:3, 3])}\nquaternion = {_listed(quaternion_of(arm.tip[:3, :3]))}\n"
+    blocks = ["".join(f"# {note}\n" for note in notes) + head, targets, tip]
+    blocks += [_joint_block(arm, i) for i in range(arm.joints)]
+    return "\n".join(block for block in blocks if block)
+
+
+def _targets_block(arm: Arm) -> str:
+    return f"[targets]\nlower_m = {_listed(arm.targets.lower)}\nupper_m = {_listed(arm.targets.upper)}\n"
 
 
 def _joint_block(arm: Arm, i: int) -> str:

@@ -1,14 +1,15 @@
 """Where an arm works well: a rest posture and a region of reachable targets, derived by sampling.
 
 Rest. Postures are drawn uniformly within the joint limits with a fixed seed. Those with the TCP in
-front of the base (x > 0, the axis that REP 103 calls forward) and well above the floor, every moving joint frame clear
-of the floor and every joint clear of its limits are scored by the sum of five terms between 0 and 1:
+front of the base (x > 0, the axis that REP 103 calls forward) and well above the floor, every joint frame that can rise
+clear of the floor and every joint clear of its limits are scored by the sum of five terms between 0 and 1:
 manipulability (Yoshikawa 1985, det(JJ')^1/2 over the largest seen), nearness to mid-range, an elbow
 above the TCP, a TCP straight ahead, and little holding torque against gravity. Weights are equal
-(chosen). The best are improved by a random local search and then by one in whole degrees.
+(chosen). The best are improved by a random local search and then by one in whole degrees. Which of them is taken is
+decided in :mod:`rejoint.arms.room`.
 
 Targets. Inverse kinematics is solved from the rest posture on a grid around the rest TCP. A grid
-point is good when it is reached, every joint keeps a margin from its limits, the moving joint
+point is good when it is reached, every joint keeps a margin from its limits, the rising joint
 frames are clear of the floor, the TCP stays away from the base's axis and no joint is near
 the arm's largest holding torque. The region is the largest box of good points that holds the rest
 TCP and has at most the edges that Park et al. 2024 (section IV-A) use, in proportion to the arm:
@@ -20,6 +21,7 @@ Self-collision is not looked at.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import product
@@ -59,6 +61,10 @@ AXIS_CLEARANCE = 0.15
 TORQUE_SHARE = 0.9
 """part of the largest holding torque that targets may need (chosen)"""
 
+_RISING = 0.2
+"""Share of postures that lifts a joint frame that is to be above the floor (chosen: frames beyond a shoulder have 0.3
+and more on the 53 arms of `python -m benchmarks.arms`, those that a waist can tilt by some degrees have less)"""
+
 _FLAT = 1e-6
 """manipulability by the cube of the summed link lengths below which no posture moves the TCP in space (rounding)"""
 
@@ -74,10 +80,14 @@ def reach(arm: Arm) -> float:
 
 
 @lru_cache(maxsize=32)
-def rising_frames(arm: Arm) -> NDArray[np.bool_]:
-    """Tell which joint frames (n,) have a height that depends on the posture: a shoulder on a column has not."""
+def rising_frames(arm: Arm, above: float = -np.inf) -> NDArray[np.bool_]:
+    """Tell which joint frames (n,) have a height that depends on the posture: a shoulder on a column has not.
+
+    Only those count that a fair share of postures lifts ``above`` a height [m]: of the others that cannot be asked.
+    """
     postures = np.random.default_rng(0).uniform(arm.lower, arm.upper, (64, arm.joints))
-    rising: NDArray[np.bool_] = np.ptp(frames(arm, postures).position[..., 2], axis=0) > 1e-6
+    height = frames(arm, postures).position[..., 2]
+    rising: NDArray[np.bool_] = (np.ptp(height, axis=0) > 1e-6) & ((height > above).mean(axis=0) > _RISING)
     rising.setflags(write=False)
     return rising
 
@@ -86,41 +96,36 @@ def derive_targets(arm: Arm, seed: int = 0) -> Box:
     """Find the region of reachable targets around the TCP of ``arm.rest``; InputError if there is none."""
     found = _largest_box(_survey(arm, seed))
     if found is None:
-        raise InputError(
+        raise NoPostureError(
             f"arm {arm.name}: no region of reachable targets around the rest posture was found; "
-            "give targets in the arm's TOML file, or rest for another posture"
+            "give targets in the arm's TOML file, or another rest_deg"
         )
     return found
 
 
-def derive_workspace(arm: Arm, seed: int = 0) -> tuple[Array, Box]:
-    """Find a rest posture (n,) [rad] and its region of targets together.
+def workspaces(
+    arm: Arm, seed: int = 0, *, apart: float = 0.0, margin: float = 0.0
+) -> Iterator[tuple[Array, Box, bool]]:
+    """Rest postures (n,) [rad] with their regions of targets, the best-scored first, and whether a region is wide.
 
-    The best-scored posture whose region has at least half of the largest edges is taken, else the
-    one with the largest region. InputError if no posture has any.
+    A wide region has at least half of the largest edges. Postures keep farther from the floor, by ``apart`` of the
+    summed link lengths, and ``margin`` [rad] from the limits of every joint. InputError where the arm cannot move its
+    TCP in space, or has no such posture.
     """
-    survey = _survey(arm, seed)
+    survey = replace(_survey(arm, seed), apart=apart, margin=margin)
     if survey.manipulability < _FLAT * survey.reach**3:
         raise InputError(
             f"arm {arm.name}: its {arm.joints} joints move the TCP on a line or a surface only, and targets are points "
             "in space; choose a base and a tip with at least three joints between them that do not all lie in parallel"
         )
-    best: tuple[float, Array, Box] | None = None
     for rest in _rest_candidates(survey, seed):
-        box = _largest_box(replace(survey, arm=replace(arm, rest=rest)))
-        if box is None:
-            continue
-        edges = box.upper - box.lower
-        if (edges >= 0.5 * EDGES * survey.reach).all():
-            return rest, box
-        if best is None or edges.prod() > best[0]:
-            best = float(edges.prod()), rest, box
-    if best is None:
-        raise InputError(
-            f"arm {arm.name}: no posture with a region of reachable targets was found; give rest and targets "
-            "in the arm's TOML file"
-        )
-    return best[1], best[2]
+        box = _largest_box(replace(survey, arm=replace(arm, rest=rest), apart=0.0))
+        if box is not None:
+            yield rest, box, bool((box.upper - box.lower >= 0.5 * EDGES * survey.reach).all())
+
+
+class NoPostureError(InputError):
+    """No rest posture with a region of targets could be derived; an owner who knows one can give it."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -135,16 +140,18 @@ class _Survey:
     """(n,) [rad] limits, no wider than half a turn each way"""
     postures: Array
     """(S, n) [rad]"""
-    moving: NDArray[np.bool_]
-    """(n,) which joint frames have a place that depends on the posture"""
     manipulability: float
     torque: float
     """[N m] the largest values over the samples"""
+    apart: float = 0.0
+    """share of the reach by which rest postures keep farther from the floor"""
+    margin: float = 0.0
+    """[rad] that they keep from the joint limits at least"""
 
     def clear(self, f: Frames) -> NDArray[np.bool_]:
-        """Tell whether the moving joint frames and the TCP are a link's radius above the floor; ``(...)``."""
-        height = self.arm.floor + LINK_RADIUS_RATIO * self.reach
-        frames_clear = (f.position[..., self.moving, 2] > height).all(axis=-1)
+        """Tell whether the rising joint frames and the TCP are a link's radius above the floor; ``(...)``."""
+        height = self.arm.floor + (LINK_RADIUS_RATIO + self.apart) * self.reach
+        frames_clear = (f.position[..., rising_frames(self.arm, height), 2] > height).all(axis=-1)
         return frames_clear & (f.tcp_position[..., 2] > height)
 
 
@@ -152,15 +159,12 @@ def _survey(arm: Arm, seed: int) -> _Survey:
     low, high = np.maximum(arm.lower, -np.pi), np.minimum(arm.upper, np.pi)
     low, high = np.where(low < high, low, arm.lower), np.where(low < high, high, arm.upper)
     postures = np.random.default_rng(seed).uniform(low, high, (SAMPLES, arm.joints))
-    f = frames(arm, postures)
-    moving = np.ptp(f.position, axis=0).max(axis=-1) > 1e-6
     return _Survey(
         arm=arm,
         reach=reach(arm),
         low=low,
         high=high,
         postures=postures,
-        moving=moving,
         manipulability=float(_manipulability(arm, postures).max()),
         torque=float(np.abs(gravity_torque(arm, postures)).max()),
     )
@@ -187,8 +191,9 @@ def _score(survey: _Survey, q: Array) -> Array:
         + 1.0 - load / max(survey.torque, 1e-12)
     )  # fmt: skip
     ahead = (tcp[..., 0] > 0) & (distance > 2 * AXIS_CLEARANCE * survey.reach)
-    inside = (np.abs(q - middle) <= (1 - 2 * REST_MARGIN) * half).all(axis=-1)
-    high = tcp[..., 2] > arm.floor + REST_HEIGHT * survey.reach
+    most = np.minimum((1 - 2 * REST_MARGIN) * half, np.maximum(half - survey.margin, 2 * LIMIT_MARGIN * half))
+    inside = (np.abs(q - middle) <= most).all(axis=-1)
+    high = tcp[..., 2] > arm.floor + (REST_HEIGHT + 2 * survey.apart) * survey.reach
     return np.where(survey.clear(f) & ahead & inside & high, score, -np.inf)
 
 
@@ -210,9 +215,9 @@ def _rest_candidates(survey: _Survey, seed: int) -> list[Array]:
     value = _score(survey, rounded)
     ranked = [rounded[i] for i in np.argsort(-value, kind="stable") if np.isfinite(value[i])]
     if not ranked:
-        raise InputError(
+        raise NoPostureError(
             f"arm {survey.arm.name}: no posture has the TCP in front (x > 0), every joint frame above the floor "
-            "and room in every joint; give rest and targets in the arm's TOML file"
+            "and room in every joint; give rest_deg in the arm's TOML file"
         )
     return ranked
 

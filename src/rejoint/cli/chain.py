@@ -37,6 +37,7 @@ def repair(
     arm: opt.ArmOption = None,
     base: opt.Base = None,
     tip: opt.Tip = None,
+    hold: opt.Hold = None,
     preset: opt.Preset = "default",
     targets: opt.Targets = None,
     controllers: opt.Controllers = "all",
@@ -56,7 +57,7 @@ def repair(
     """
     require("rejoint repair", "train", "report")
     terminal = Terminal(json=json)
-    chosen = opt.choose_arm(terminal, arm, base, tip, robot)
+    chosen = opt.choose_arm(terminal, arm, base, tip, robot, hold)
     path, resumed = (run, run.exists()) if run else newest_or_new(robot, chosen, seed)
     job = Run.plan(path, robot, chosen, seed)
     terminal.say(f"{'Going on with' if resumed else 'Starting'} the repair of {robot} in {path}")

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from rejoint.cli.console import Terminal
-from rejoint.cli.options import ArmOption, Base, Json, Tip, choose_arm
+from rejoint.cli.options import ArmOption, Base, Hold, Json, Tip, choose_arm
 from rejoint.logs import ANGLE_UNITS, FORMATS, STAMPS, TIME_UNITS, ImportOptions, export_log, import_logs
 from rejoint.logs.runlog import read_log
 from rejoint.system.errors import InputError
@@ -20,6 +20,7 @@ def import_(
     arm: ArmOption = None,
     base: Base = None,
     tip: Tip = None,
+    hold: Hold = None,
     kind: Annotated[
         str | None, typer.Option("--format", help=f"One of {', '.join(FORMATS)}; by default found from the content.")
     ] = None,
@@ -44,7 +45,7 @@ def import_(
         angle_unit=angle_unit, time_unit=time_unit, joint_map=_pairs(joints), joint_order=_names(order),
         state_topic=state_topic, command_topic=command_topic, stamp=stamp, calibration=calibration,
     )  # fmt: skip
-    chosen = choose_arm(terminal, arm, base, tip)
+    chosen = choose_arm(terminal, arm, base, tip, hold=hold)
     with terminal.progress("importing") as update:
         imported = import_logs(source, chosen, out=out, format=kind, options=options, on_progress=update)
     for note in imported.notes:

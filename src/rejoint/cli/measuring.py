@@ -48,6 +48,7 @@ def calibrate(
     arm: opt.ArmOption = None,
     base: opt.Base = None,
     tip: opt.Tip = None,
+    hold: opt.Hold = None,
     period: opt.Period = None,
     seed: opt.RunSeed = None,
     json: opt.Json = False,
@@ -65,7 +66,7 @@ def calibrate(
     if run.exists():
         job = Run.open(run).seeded(seed)
     else:
-        job = Run.plan(run, robot, opt.choose_arm(terminal, arm, base, tip, robot), seed or 0)
+        job = Run.plan(run, robot, opt.choose_arm(terminal, arm, base, tip, robot, hold), seed or 0)
     prior = "none" if afresh else None
     if points is not None:
         measured = read_measurements(points, job.arm, frame=frame)

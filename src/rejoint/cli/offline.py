@@ -13,7 +13,7 @@ import rejoint
 from rejoint.arms import Arm
 from rejoint.cli import show
 from rejoint.cli.console import Terminal
-from rejoint.cli.options import ArmOption, Base, Json, Tip, choose_arm
+from rejoint.cli.options import ArmOption, Base, Hold, Json, Tip, choose_arm
 from rejoint.runs.run import Run
 from rejoint.system.extras import require
 
@@ -60,6 +60,7 @@ def replay(
     arm: ArmOption = None,
     base: Base = None,
     tip: Tip = None,
+    hold: Hold = None,
     published: Published = None,
     out: Annotated[Path, typer.Option(help="Folder for the page and its figures.")] = Path("replay"),
     json: Json = False,
@@ -71,7 +72,7 @@ def replay(
     require("rejoint replay", "train", "report")
     terminal = Terminal(json=json)
     found = rejoint.Twin.load(twin)
-    chosen = choose_arm(terminal, arm or found.arm, base, tip)
+    chosen = choose_arm(terminal, arm or found.arm, base, tip, hold=hold)
     found.require(chosen)
     replayed = rejoint.replay(twin, logs, arm=chosen, beside=read_sets(published, chosen), out=out)
     show_errors(terminal, replayed.judgement)

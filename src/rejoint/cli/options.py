@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import math
+import re
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from rejoint.arms import Arm
+from rejoint.arms.draft import UnfinishedArmError
 from rejoint.arms.loading import read_arm
+from rejoint.arms.tomlfile import write_unfinished
 from rejoint.cli.console import Terminal
 from rejoint.robots import DEFAULT_ARM, place_of
 from rejoint.runs.folder import LOGS
@@ -33,6 +37,13 @@ ArmOption = Annotated[
 ]
 Base = Annotated[str | None, typer.Option(help="Body of the file at which the arm begins; by default its root.")]
 Tip = Annotated[str | None, typer.Option(help="Body or site of the file at which the arm ends.")]
+Hold = Annotated[
+    str | None,
+    typer.Option(
+        help="Joints of the file that are not driven, and where they stand: torso_lift_joint=200mm,waist=30deg. Joints "
+        "that slide are never driven; they stand at zero where nothing is said."
+    ),
+]
 Seed = Annotated[int, typer.Option(help="Seed of everything random.", min=0)]
 RunSeed = Annotated[int | None, typer.Option("--seed", help="Seed; by default that of the run.", min=0)]
 Quick = Annotated[bool, typer.Option("--quick", help="Do little of everything, for a first try; no result.")]
@@ -64,13 +75,46 @@ Period = Annotated[
 
 
 def choose_arm(
-    terminal: Terminal, source: str | None, base: str | None, tip: str | None, robot: str | None = None
+    terminal: Terminal,
+    source: str | None,
+    base: str | None,
+    tip: str | None,
+    robot: str | None = None,
+    hold: str | None = None,
 ) -> Arm:
-    """Load an arm, by default the one that ``robot`` is, and tell what its description left open."""
-    loaded = read_arm(source or (DEFAULT_ARM if robot is None else place_of(robot).default_arm), base=base, tip=tip)
+    """Load an arm, by default the one that ``robot`` is, and tell what its description left open.
+
+    Where that is its rest posture, the arm is written to a TOML file in the working folder, for its owner to give it.
+    """
+    source = source or (DEFAULT_ARM if robot is None else place_of(robot).default_arm)
+    try:
+        loaded = read_arm(source, base=base, tip=tip, hold=held_positions(hold))
+    except UnfinishedArmError as error:
+        if source.endswith(".toml"):
+            raise
+        path = Path(f"{re.sub(r'[^A-Za-z0-9_-]+', '-', error.arm.name)}.toml")
+        if path.exists():
+            raise InputError(f"{error}, and that as --arm; {path} is there already, so none was written") from error
+        line = write_unfinished(path, error.arm, error.notes)
+        raise InputError(f"{error}: {path} is written, give it in line {line}, and the file as --arm") from error
     for note in loaded.notes:
         terminal.say(f"arm {loaded.arm.name}: {note}")
     return loaded.arm
+
+
+_HOLD_UNITS = {"mm": 1e-3, "m": 1.0, "deg": math.pi / 180, "rad": 1.0}
+
+
+def held_positions(text: str | None) -> dict[str, float]:
+    """Read ``torso_lift_joint=200mm,waist=30deg`` as positions in metres and radians; InputError for anything else."""
+    found = {}
+    for part in text.split(",") if text else []:
+        name, _, place = part.strip().partition("=")
+        number = re.fullmatch(r"\s*([-+]?(?:\d+\.?\d*|\.\d+))\s*(mm|m|deg|rad)", place)
+        if not name or number is None:
+            raise InputError(f"--hold {text!r}: expected joints with places, as torso_lift_joint=200mm,waist=30deg")
+        found[name] = float(number[1]) * _HOLD_UNITS[number[2]]
+    return found
 
 
 def run_of_logs(arm: Arm, logs: Path, path: Path | None, seed: int) -> OpenRun:

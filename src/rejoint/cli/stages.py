@@ -33,6 +33,7 @@ def diagnose(
     arm: opt.ArmOption = None,
     base: opt.Base = None,
     tip: opt.Tip = None,
+    hold: opt.Hold = None,
     period: opt.Period = None,
     healthy: Annotated[
         Path | None, typer.Option(help="Run folder of an arm known to be good, instead of an emulated healthy one.")
@@ -50,11 +51,11 @@ def diagnose(
     if logs is not None:
         if robot is not None or period is not None:
             raise InputError("diagnose takes either a robot or --logs FOLDER, and --logs no --period")
-        job = opt.run_of_logs(opt.choose_arm(terminal, arm, base, tip), logs, run, seed)
+        job = opt.run_of_logs(opt.choose_arm(terminal, arm, base, tip, hold=hold), logs, run, seed)
         offline.diagnose_from_logs(terminal, job, logs, healthy)
         return
     robot = robot or "emulated:worn"
-    chosen = opt.choose_arm(terminal, arm, base, tip, robot)
+    chosen = opt.choose_arm(terminal, arm, base, tip, robot, hold)
     path = run or newest_or_new(robot, chosen, seed)[0]
     job = Run.plan(path, robot, chosen, seed)
     with terminal.unsaved(partial(show.stage, terminal, "diagnose")), terminal.progress("diagnosing") as update:
@@ -76,6 +77,7 @@ def identify(
     arm: opt.ArmOption = None,
     base: opt.Base = None,
     tip: opt.Tip = None,
+    hold: opt.Hold = None,
     seed: opt.RunSeed = None,
     quick: opt.Quick = False,
     json: opt.Json = False,
@@ -89,7 +91,7 @@ def identify(
         raise InputError("identify takes either a run folder or --logs FOLDER")
     require("rejoint identify", "train", *(() if logs is None else ("report",)))  # logs end in a report at once
     if logs is not None:
-        job = opt.run_of_logs(opt.choose_arm(terminal, arm, base, tip), logs, folder, seed or 0)
+        job = opt.run_of_logs(opt.choose_arm(terminal, arm, base, tip, hold=hold), logs, folder, seed or 0)
         offline.identify_from_logs(terminal, job, logs, published)
         return
     if folder is not None or published:

@@ -21,11 +21,20 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rejoint.arms import Arm, Array, frames, gravity_torque, tcp_position
-from rejoint.arms.size import heaviest_load, length_size, torque_size
-from rejoint.arms.workspace import rising_frames
+from rejoint.arms import Arm, Array, gravity_torque
+from rejoint.arms.room import (
+    EXCURSION,
+    HOLD_OFFSET,
+    HOLD_SPREAD,
+    LOAD_MARGIN,
+    POSTURES,
+    is_safe,
+    line_is_safe,
+    postures_to_hold,
+    unsafe,
+)
+from rejoint.arms.size import length_size, torque_size
 from rejoint.diagnosis.path import CommandPath, smooth_ramp
 from rejoint.diagnosis.segments import Segment
 from rejoint.system.errors import InputError
@@ -54,13 +63,13 @@ class Plan:
     multisine_periods: int = 2
     multisine_band: float = 2.5
     """[Hz] highest line: a quarter of the sampling rate of a slow wire"""
-    multisine_amplitude: float = 0.25
+    multisine_amplitude: float = EXCURSION
     """[rad] largest excursion of a joint"""
     multisine_speed: float = 1.5
     """[rad/s] largest speed of a joint"""
     postures: int = 8
     """postures of the holds"""
-    hold_offset: float = 0.15
+    hold_offset: float = HOLD_OFFSET
     """[rad] distance from which a posture is approached"""
     hold_speed: float = 0.3
     """[rad/s] of the last part of the approach: slow, so that nothing overshoots"""
@@ -68,7 +77,7 @@ class Plan:
     """[s]"""
     travel_speed: float = 0.8
     """[rad/s] between postures"""
-    posture_spread: float = 0.7
+    posture_spread: float = HOLD_SPREAD
     """[rad] how far hold postures may lie from the rest posture"""
 
 
@@ -78,30 +87,18 @@ FULL = Plan()
 SHORT = Plan(sweep_cycles=(1, 2), multisine_periods=1, postures=5, step_dwell=0.8, still=2.0)
 """About 75 s: a quick look, with wider intervals."""
 
-LIMIT_MARGIN = np.radians(10.0)
-"""[rad] commands stay this far inside the joint limits (chosen: a worn arm overshoots a 0.2 rad step by half)."""
-
-CLEARANCE = 0.05
-"""[m] of joint frames and TCP above the floor (chosen: a worn myCobot sags up to 40 mm; goes with the reach)."""
-
-COLUMN = 0.4
-"""Share of the rest posture's reach that the TCP keeps from the vertical base axis (chosen; the arm must
-not hit its own column)."""
-
-_LOAD_MARGIN = 0.02
-"""[N m] that counts as no load at all (chosen: less than any joint of a myCobot has friction; goes with the load)."""
-
 _SETTLE = 0.3
 """[s] pause at the turning points between segments (chosen)."""
 
 _ATTEMPTS, _SMALLER = 12, 0.8
 """Plans that are tried, and the factor on the amplitude that was too large in the last one (chosen)."""
 
-_AMPLITUDES = {"sweep": "sweep_amplitude", "step": "step_size", "multisine": "multisine_amplitude"}
-"""What is too large where a segment of a kind is not safe."""
+_LEAST_SPREAD = 0.2
+"""[rad] of postures to hold below which none are looked for (chosen: little more than the approach to them)."""
 
-_CANDIDATES = 400
-"""Postures drawn for the holds (chosen)."""
+_AMPLITUDES = {"sweep": "sweep_amplitude", "step": "step_size", "multisine": "multisine_amplitude",
+               "hold": "posture_spread"}  # fmt: skip
+"""What is too large where a segment of a kind is not safe."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -126,27 +123,34 @@ class Excitation:
         return np.stack([np.interp(t, self.time, column) for column in self.position.T], axis=-1)
 
 
+_REMEDY = (
+    "give another rest_deg in the arm's TOML file, farther from the floor, from the joint limits and from postures "
+    "that load the arm more than its targets do, or leave out rest_deg and targets to have them derived"
+)
+
+
 def plan_excitation(arm: Arm, *, seed: int, start: Array | None = None, plan: Plan = FULL) -> Excitation:
     """Plan the excitation of an arm that stands at ``start`` (n,) [rad] (default: its rest posture).
 
     Motions that are too fast for the arm are slowed down, and amplitudes that would leave the safe space are
     made smaller. Raises InputError if that does not suffice.
     """
+    why = unsafe(arm, arm.rest)
+    if why:
+        raise InputError(f"arm {arm.name}: its rest posture is not safe to excite it about: {why}; {_REMEDY}")
     plan, where = _slowed(plan, arm), "its beginning"
     for _ in range(_ATTEMPTS):
         excitation = _plan_once(arm, seed, arm.rest if start is None else np.asarray(start, dtype=float), plan)
         leaves = _first_leaving(excitation)
         if leaves is None:
             return excitation
-        where = leaves.name
-        if leaves.kind not in _AMPLITUDES:
+        segment, posture = leaves
+        where = f"{segment.name!r} ({unsafe(arm, posture)})"
+        if segment.kind not in _AMPLITUDES:
             break
-        name = _AMPLITUDES[leaves.kind]
+        name = _AMPLITUDES[segment.kind]
         plan = replace(plan, **{name: _SMALLER * getattr(plan, name)})
-    raise InputError(
-        f"arm {arm.name}: the excitation is not safe in {where!r}; give a rest posture farther from the floor, "
-        "from the joint limits and from postures that load the arm more than its targets do"
-    )
+    raise InputError(f"arm {arm.name}: the excitation is not safe in {where}; {_REMEDY}")
 
 
 def _plan_once(arm: Arm, seed: int, start: Array, plan: Plan) -> Excitation:
@@ -165,19 +169,6 @@ def _plan_once(arm: Arm, seed: int, start: Array, plan: Plan) -> Excitation:
         path.travel(arm.rest, plan.travel_speed / 2)
     time, position = path.knots()
     return Excitation(arm=arm, segments=path.segments, time=time, position=position)
-
-
-def is_safe(arm: Arm, q: Array) -> NDArray[np.bool_]:
-    """Tell for postures (..., n) [rad] whether the excitation may go there; returns (...)."""
-    f = frames(arm, q)
-    # Frames that never rise or sink, such as a shoulder on its column, may be anywhere.
-    height = np.where(rising_frames(arm), f.position[..., 2], np.inf).min(axis=-1)
-    lowest = np.minimum(height, f.tcp_position[..., 2])
-    reach = np.linalg.norm(f.tcp_position[..., :2], axis=-1)
-    rest_reach = np.linalg.norm(tcp_position(arm, arm.rest)[:2])
-    inside = ((q >= arm.lower + LIMIT_MARGIN) & (q <= arm.upper - LIMIT_MARGIN)).all(axis=-1)
-    light = (np.abs(gravity_torque(arm, q)) <= heaviest_load(arm) + _LOAD_MARGIN * torque_size(arm)).all(axis=-1)
-    return inside & light & (lowest >= arm.floor + CLEARANCE * length_size(arm)) & (reach >= COLUMN * rest_reach)
 
 
 def _add_sweeps(path: CommandPath, arm: Arm, plan: Plan) -> None:
@@ -230,7 +221,7 @@ def _add_holds(path: CommandPath, arm: Arm, plan: Plan, rng: np.random.Generator
     for index, posture in enumerate(hold_postures(arm, plan, rng)):
         for side, name in ((-1.0, "below"), (1.0, "above")):
             begin = posture + side * plan.hold_offset
-            if not _line_is_safe(arm, path.end, begin):
+            if not line_is_safe(arm, path.end, begin):
                 path.travel(arm.rest, plan.travel_speed)
             path.travel(begin, plan.travel_speed)
             path.wait(_SETTLE)
@@ -245,25 +236,24 @@ def hold_postures(arm: Arm, plan: Plan, rng: np.random.Generator) -> Array:
     Torques are scaled per joint by their largest value, so that weakly loaded joints count as well,
     and cut from below at what counts as no load: what friction hides altogether is not worth a posture.
     """
-    q = arm.rest + plan.posture_spread * rng.uniform(-1.0, 1.0, (_CANDIDATES, arm.joints))
-    for side in (-plan.hold_offset, plan.hold_offset):
-        q = q[_line_is_safe(arm, arm.rest, q + side) & _line_is_safe(arm, q, q + side)]
+    spread = plan.posture_spread
+    q = postures_to_hold(arm, rng, spread=spread, offset=plan.hold_offset)
+    while len(q) < plan.postures and spread > _LEAST_SPREAD:
+        spread *= _SMALLER
+        q = postures_to_hold(arm, rng, spread=spread, offset=plan.hold_offset)
     if len(q) < plan.postures:
-        raise InputError(f"arm {arm.name}: only {len(q)} of {_CANDIDATES} postures around its rest posture are safe")
+        raise InputError(
+            f"arm {arm.name}: only {len(q)} of {POSTURES} postures around its rest posture are safe, expected "
+            f"{plan.postures} to hold; {_REMEDY}"
+        )
     torque = gravity_torque(arm, q)
-    torque = torque / np.maximum(np.abs(torque).max(axis=0), _LOAD_MARGIN * torque_size(arm))
+    torque = torque / np.maximum(np.abs(torque).max(axis=0), LOAD_MARGIN * torque_size(arm))
     chosen = [int(np.argmax(np.linalg.norm(torque - torque.mean(axis=0), axis=1)))]
     distance = np.full(len(q), np.inf)
     while len(chosen) < plan.postures:
         distance = np.minimum(distance, np.linalg.norm(torque - torque[chosen[-1]], axis=1))
         chosen.append(int(np.argmax(distance)))
     return q[chosen]
-
-
-def _line_is_safe(arm: Arm, start: Array, goal: Array) -> NDArray[np.bool_]:
-    """Tell whether the straight joint motions (..., n) from ``start`` to ``goal`` stay safe; returns (...)."""
-    share = np.linspace(0.0, 1.0, 12)[:, None]
-    return np.asarray(is_safe(arm, start[..., None, :] + share * (goal - start)[..., None, :]).all(axis=-1))
 
 
 def _slowed(plan: Plan, arm: Arm) -> Plan:
@@ -284,8 +274,8 @@ def _slowed(plan: Plan, arm: Arm) -> Plan:
     )
 
 
-def _first_leaving(excitation: Excitation) -> Segment | None:
-    """Segment in which, or before which, a plan first leaves the safe space; None if it never does."""
+def _first_leaving(excitation: Excitation) -> tuple[Segment, Array] | None:
+    """Segment in which, or before which, a plan first leaves the safe space, and the posture (n,) [rad]; else None."""
     arm, time, position = excitation.arm, excitation.time, excitation.position
     fine = np.union1d(time, np.arange(0.0, time[-1], 0.05))
     q = np.stack([np.interp(fine, time, column) for column in position.T], axis=-1)
@@ -293,5 +283,6 @@ def _first_leaving(excitation: Excitation) -> Segment | None:
     good = is_safe(arm, q) | approach
     if good.all():
         return None
-    worst = fine[np.argmin(good)]
-    return next((s for s in excitation.segments if s.stop >= worst), excitation.segments[-1])
+    first = np.argmin(good)
+    segment = next((s for s in excitation.segments if s.stop >= fine[first]), excitation.segments[-1])
+    return segment, q[first]

@@ -43,8 +43,8 @@ def record(
     """
     arm = robot.arm
     extra = {"seed": str(seed)}
+    excitation = plan_excitation(arm, seed=seed, plan=plan)  # refused, if it is, before anything moves
     begin(robot)
-    excitation = plan_excitation(arm, seed=seed, plan=plan)
     whole, first = TARGETS * DWELL + excitation.duration, TARGETS * DWELL
     targets = np.tile(arm.targets.sample(np.random.default_rng(seed), (TARGETS,)), (robot.count, 1, 1))
     open_loop = run(
