@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import rejoint
-from rejoint.diagnosis.calibration.eye import DEPTH, LATERAL, EmulatedEye
+from rejoint.robots.eye import DEPTH, LATERAL, EmulatedEye
 from rejoint.system.errors import InputError
 
 TARGETS = np.array([[0.17, 0.0, 0.2], [0.18, 0.03, 0.21]])

@@ -8,19 +8,21 @@ import numpy as np
 import pytest
 from camera_scenes import ARM, taken
 
-from rejoint.diagnosis.calibration.camera import emulated, live
-from rejoint.diagnosis.calibration.camera.board import ON_TOOL
-from rejoint.diagnosis.calibration.camera.lens import Lens
-from rejoint.diagnosis.calibration.camera.poses import turned
-from rejoint.diagnosis.calibration.camera.rendering import Looks, render
+import rejoint
+from rejoint.arms import tcp_pose
+from rejoint.arms.camera.board import ON_TOOL
+from rejoint.arms.camera.lens import Lens
+from rejoint.arms.camera.poses import turned
+from rejoint.diagnosis.calibration.camera import live
 from rejoint.diagnosis.calibration.camera.sighting import place
 from rejoint.diagnosis.calibration.camera.track import ToolTracker
 from rejoint.diagnosis.calibration.camera.views import Detector, Unusable, read_views
+from rejoint.lab.camera.rendering import Looks, render
+from rejoint.lab.camera.scene import LENS
 from rejoint.system.errors import FileError, InputError
 
 cv2 = pytest.importorskip("cv2", reason="OpenCV is not installed: pip install 'rejoint[camera]'")
 
-LENS = emulated.LENS
 CLEAN = Looks(blur=0.5, noise=0.0)
 
 
@@ -113,10 +115,10 @@ def test_the_tool_is_found_in_one_picture_and_not_where_the_board_is_hidden():
     tracker = ToolTracker(scene.rig)
     for i in (0, 7):
         seen = tracker.see(scene.picture(links[i], i), time=5.0)
-        truth = emulated.tcp_pose(ARM, links[i])[:3, 3]
-        assert np.linalg.norm(seen.position - truth) < min(1e-3, 6 * seen.sigma)
+        truth = tcp_pose(ARM, links[i])[:3, 3]
+        assert np.linalg.norm(seen.place - truth) < min(1e-3, 6 * seen.sigma)
         assert tracker.why == ""
-        assert seen.age(5.5) == 0.5
+        assert seen.time == 5.0
     assert tracker.see(scene.picture(links[0], 0, Looks(hidden=0.9))) is None
     assert tracker.why
     view = taken().views[0]
@@ -173,9 +175,8 @@ MISSING_IN_SOME = {
 
 
 def test_only_what_opencv_4_and_5_both_have_is_used():
-    folder = Path(emulated.__file__).parent
     used = set()
-    for path in folder.glob("*.py"):
+    for path in Path(rejoint.__file__).parent.rglob("*.py"):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             if isinstance(node, ast.Attribute):
                 owner = ast.unparse(node.value)

@@ -23,7 +23,7 @@ EyeLike: TypeAlias = "Eye | Callable[[Robot], Eye] | str"
 def eye_of(given: EyeLike, robot: Robot, seed: int) -> Eye:
     """Return the eye that sees the tool of ``robot``; InputError where there is none such."""
     if given == "emulated":
-        from rejoint.diagnosis.calibration.eye import EmulatedEye
+        from rejoint.robots.eye import EmulatedEye
 
         return EmulatedEye(robot, seed=seed)
     if isinstance(given, str):

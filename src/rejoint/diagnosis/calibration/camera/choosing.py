@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from rejoint.arms import Arm, Array, collides, frames, heights, tcp_pose, tcp_position
+from rejoint.arms.camera.board import BoardView
+from rejoint.arms.camera.rig import Rig
 from rejoint.diagnosis.calibration.camera.adjustment import Adjustment, looseness
 from rejoint.diagnosis.calibration.camera.bundle import USUAL
-from rejoint.diagnosis.calibration.camera.rig import Rig
-from rejoint.diagnosis.calibration.camera.views import BoardView
 from rejoint.diagnosis.calibration.parameters import DisplacementLayout, belief, displacement_of
 from rejoint.system.errors import InputError
 

@@ -7,12 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from rejoint.arms import Arm, Array, tcp_pose
-from rejoint.diagnosis.calibration.camera.board import Board
-from rejoint.diagnosis.calibration.camera.lens import Lens
-from rejoint.diagnosis.calibration.camera.poses import inverse, nearest_rotation
-from rejoint.diagnosis.calibration.camera.rig import Rig, tool_of
+from rejoint.arms.camera.board import Board, BoardView
+from rejoint.arms.camera.lens import Lens
+from rejoint.arms.camera.poses import inverse, nearest_rotation
+from rejoint.arms.camera.rig import Rig, tool_of
 from rejoint.diagnosis.calibration.camera.sighting import focal_length, homography, place, turn_between
-from rejoint.diagnosis.calibration.camera.views import BoardView
 from rejoint.system.errors import InputError
 
 _FOCAL = (0.3, 5.0)  # least and most of a focal length, by the width of the picture (webcams: 0.6 to 1.3)

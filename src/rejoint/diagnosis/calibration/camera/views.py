@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Array
-from rejoint.diagnosis.calibration.camera.board import Board
+from rejoint.arms.camera.board import Board, BoardView
 from rejoint.diagnosis.calibration.camera.sighting import FEWEST
-from rejoint.system.errors import FileError, InputError
+from rejoint.system.errors import FileError
 from rejoint.system.extras import require
 
 KINDS = (".png", ".jpg", ".jpeg")
@@ -23,21 +23,6 @@ SOFT = 6.0
 of a board on a tool are no longer read)"""
 
 _SHARPEST = 99.0  # percentile of the gradient that stands for edges (chosen)
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class BoardView:
-    """What one picture shows of the board."""
-
-    name: str
-    number: NDArray[np.int64]
-    """(K,) which corners of the board"""
-    pixel: Array
-    """(K, 2) where they are; pixels have their centres at whole numbers"""
-
-    def __post_init__(self) -> None:
-        if self.pixel.shape != (len(self.number), 2):
-            raise InputError(f"view {self.name}: {len(self.number)} corners, but pixels of shape {self.pixel.shape}")
 
 
 @dataclass(frozen=True, kw_only=True)
