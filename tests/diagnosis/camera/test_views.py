@@ -13,12 +13,12 @@ from rejoint.arms import tcp_pose
 from rejoint.arms.camera.board import ON_TOOL
 from rejoint.arms.camera.lens import Lens
 from rejoint.arms.camera.poses import turned
-from rejoint.diagnosis.calibration.camera import live
 from rejoint.diagnosis.calibration.camera.sighting import place
 from rejoint.diagnosis.calibration.camera.track import ToolTracker
 from rejoint.diagnosis.calibration.camera.views import Detector, Unusable, read_views
 from rejoint.lab.camera.rendering import Looks, render
 from rejoint.lab.camera.scene import LENS
+from rejoint.robots import livecamera
 from rejoint.system.errors import FileError, InputError
 
 cv2 = pytest.importorskip("cv2", reason="OpenCV is not installed: pip install 'rejoint[camera]'")
@@ -128,7 +128,7 @@ def test_the_tool_is_found_in_one_picture_and_not_where_the_board_is_hidden():
 
 
 def test_no_camera_is_a_line():
-    with pytest.raises(InputError, match="no camera answers as number 97"), live.LiveCamera(97):
+    with pytest.raises(InputError, match="no camera answers as number 97"), livecamera.LiveCamera(97):
         pass
 
 
@@ -155,8 +155,8 @@ class Device:
 def test_a_live_camera_keeps_its_settings_and_is_given_back(monkeypatch):
     device = Device(500_000)
     monkeypatch.setattr(cv2, "VideoCapture", lambda _: device)
-    monkeypatch.setattr(live, "PAUSE", 0.01)
-    with live.LiveCamera(0, exposure=80.0) as camera:
+    monkeypatch.setattr(livecamera, "PAUSE", 0.01)
+    with livecamera.LiveCamera(0, exposure=80.0) as camera:
         picture = camera.still()
         device.frames = 0
         with pytest.raises(InputError, match="gives no pictures any more"):
