@@ -33,8 +33,11 @@ class Scene:
 
     def picture(self, links: Array, seed: int | tuple[int, ...], looks: Looks | None = None) -> Picture:
         """Render what the camera sees while the links are at ``links`` (n,) [rad], wherever the encoders are."""
-        pose = self.rig.sight(tcp_pose(self.arm, links))
-        return render(self.rig.board, self.rig.lens, pose, seed, looks or self.looks)
+        return self.shows(tcp_pose(self.arm, links), seed, looks)
+
+    def shows(self, tool: Array, seed: int | tuple[int, ...], looks: Looks | None = None) -> Picture:
+        """Render what the camera sees while the tool is at ``tool`` (4, 4) in the base."""
+        return render(self.rig.board, self.rig.lens, self.rig.sight(tool), seed, looks or self.looks)
 
     def view(self, name: str, links: Array, rng: np.random.Generator, noise: float = 0.15) -> BoardView:
         """Return the corners that the camera sees, with ``noise`` [px], without a picture."""

@@ -44,7 +44,7 @@ class Film:
     size: tuple[int, int] | None = None
     """[px] width and height of the pictures; None before the first"""
     shots: tuple[Shot, ...] = field(default=())
-    """in the order in which they were taken"""
+    """in the order of their numbers"""
 
     def __len__(self) -> int:
         """Count the pictures."""
@@ -57,7 +57,7 @@ class Film:
                 f"picture {shot.name} has {size[0]} x {size[1]} px, those before it {self.size[0]} x {self.size[1]}; "
                 "take all of them with one camera and one setting"
             )
-        return replace(self, size=size, shots=(*self.shots, shot))
+        return replace(self, size=size, shots=tuple(sorted((*self.shots, shot), key=lambda one: one.number)))
 
     @property
     def usable(self) -> tuple[Shot, ...]:
@@ -84,6 +84,6 @@ class Film:
 
 
 def positions(shots: tuple[Shot, ...], arm: Arm) -> tuple[Array, Array]:
-    """Encoders (V, n) [rad] of shots, and where they came from (V, n)."""
+    """Return the encoders (V, n) [rad] at shots, and where they came from (V, n)."""
     rows = [(shot.position, shot.approach) for shot in shots]
     return tuple(np.array([row[i] for row in rows]).reshape(-1, arm.joints) for i in (0, 1))  # type: ignore[return-value]
