@@ -46,8 +46,8 @@ Calibrate = Annotated[
     str | None,
     typer.Option(
         "--calibrate",
-        help="What measures the tool: touch, tracker=FILE or none. By default an emulated arm tells, and a real one is "
-        "not calibrated.",
+        help="What measures the tool: touch, camera, camera=NUMBER, tracker=FILE or none. By default an emulated arm "
+        "tells, and a real one is not calibrated.",
     ),
 ]
 Camera = Annotated[

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from rejoint.cli.console import Terminal
+from rejoint.cli.filming import show_filmed
 from rejoint.control.comparison.failure import failure
 from rejoint.control.comparison.recommend import Recommendation
 from rejoint.control.comparison.result import Comparison, PoseAccuracy
@@ -66,6 +67,8 @@ def twin(terminal: Terminal, result: Twin) -> None:
 def calibration(terminal: Terminal, found: Calibrated) -> None:
     """Print where the tool is behind the encoders, and whether correcting for it helps."""
     own, measured = found.calibration, found.measurements
+    if found.filmed is not None:
+        show_filmed(terminal, found.filmed)
     for row in own.suspects:
         place = ", ".join(f"{1e3 * value:.1f}" for value in measured.point[row])
         terminal.result(

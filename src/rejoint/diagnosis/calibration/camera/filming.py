@@ -53,6 +53,10 @@ class StillCamera(Protocol):
         """Take picture ``number`` of a film, grey (height, width); InputError where the camera does not answer."""
 
 
+class UnseenBoardError(InputError):
+    """The board is not seen where it has to be, so that camera or board are to be moved."""
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CameraGauge:
     """Sees a board: a gauge for `rejoint.calibrate` that needs no ruler."""
@@ -123,7 +127,7 @@ class FilmDrive:
         if self.on_shot is not None:
             self.on_shot(self.film, seen.name, picture)
         if number == 1 and isinstance(seen, Unusable):
-            raise InputError(
+            raise UnseenBoardError(
                 f"camera: in the rest posture, where the arm stands now, {seen.why}; let the camera see all of "
                 "the board there, and begin again"
             )
@@ -133,7 +137,7 @@ def believed_rig(arm: Arm, scouted: Film) -> Rig:
     """Where camera and board are, by pictures about the rest posture and the encoders; InputError where they fail."""
     shots = scouted.usable
     if len(shots) < FEWEST_SCOUTS or scouted.size is None:
-        raise InputError(
+        raise UnseenBoardError(
             f"camera: the board is seen well in {len(shots)} of the {len(scouted)} pictures about the rest posture, "
             f"expected at least {FEWEST_SCOUTS}; {_remedy(scouted)}"
         )

@@ -6,6 +6,7 @@ from collections import Counter
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array
 from rejoint.arms.camera.lens import TERMS
@@ -67,7 +68,7 @@ def fit_film(
         prior=None if prior is None else earlier(arm, layout, prior),
     )  # fmt: skip
     number = {shot.name: shot.posture for shot in shots}
-    posture = np.array([number[view.name] for view in found.views])
+    posture = np.array([number[view.name] for view in found.views], dtype=np.int64)
     solved = [
         _solved(found, posture, own, tip, odds) for own, odds in beliefs_of(arm, layout, prior, len(np.unique(posture)))
     ]
@@ -88,7 +89,7 @@ def _cause(why: str) -> str:
 
 
 def _solved(
-    found: Bundle, posture: Array, own: Belief, tip: Tip | None, odds: float
+    found: Bundle, posture: NDArray[np.int64], own: Belief, tip: Tip | None, odds: float
 ) -> tuple[TieProblem, Fitted, float]:  # fmt: skip
     arm, rig = found.arm, found.rig
     corners = np.array([
