@@ -52,7 +52,10 @@ Calibrate = Annotated[
 ]
 Camera = Annotated[
     str | None,
-    typer.Option(help="What sees the tool: emulated, for an emulated arm. The last millimetres go by it."),
+    typer.Option(
+        help="What sees the tool: the number of the camera that RUN was calibrated with, or emulated for an emulated "
+        "arm. The last millimetres go by it."
+    ),
 ]
 Targets = Annotated[Path | None, typer.Option(help="CSV file of targets in mm with the header x,y,z.")]
 Controllers = Annotated[

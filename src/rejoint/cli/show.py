@@ -85,6 +85,10 @@ def calibration(terminal: Terminal, found: Calibrated) -> None:
         f"At {own.points} measurements, each predicted without its own posture, the tool was {before:.2f} mm from "
         f"where the encoders see it, and {after:.2f} mm from where the calibration does."
     )
+    if own.frame_name != "base":
+        terminal.say(
+            f"The place of the {own.frame_name} was fitted along: what all postures share is not in these numbers."
+        )
     if own.used:
         terminal.result("The correction clearly helps and will be used.")
     else:
