@@ -86,9 +86,12 @@ def earlier(arm: Arm, layout: DisplacementLayout, prior: Calibration) -> Belief:
     drift[layout.at("tilt")] = AGE * LEVEL
     body, mean = slice(0, layout.body), base.mean.copy()
     mean[body] = vector_of(DisplacementLayout(joints=arm.joints), prior.displacement)
+    lower, upper, links = base.lower.copy(), base.upper.copy(), layout.at("twist")
+    if prior.displacement.twist.any():
+        lower[links], upper[links] = -np.inf, np.inf
     precision = base.precision.copy()
     precision[body, body] = np.linalg.inv(prior.covariance + np.diag(drift[body] ** 2))
-    return Belief(mean=mean, precision=precision, lower=base.lower, upper=base.upper)
+    return Belief(mean=mean, precision=precision, lower=lower, upper=upper)
 
 
 def _solved(
