@@ -166,6 +166,7 @@ def test_an_emulated_arm_is_calibrated_by_rendered_pictures(tmp_path, capsys, mo
     [
         (("--camera", "0"), "cannot see emulated:worn; watch an emulated arm with --camera emulated"),
         (("--camera", "emulated", "--board-on", "wall"), "expected one of tool, table"),
+        (("--camera", "emulated=truth.csv"), "truth.csv: no such file"),
         (("--camera", "pictures"), "which board is it?"),
         (("--camera", "pictures", "--board", "board.toml"), "no such pictures"),
         (("--camera", "emulated", "--touch"), "one of --touch, --tracker FILE, --camera WORD and --points FILE"),

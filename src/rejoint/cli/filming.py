@@ -34,7 +34,7 @@ def is_device(word: str) -> bool:
 def gauge_of(robot: str, word: str, board: Path | None, board_on: str, seed: int) -> CameraGauge:
     """Return the gauge for ``NUMBER``, ``emulated`` or ``emulated=FILE``; InputError where it does not suit."""
     require("measuring with a camera", "camera")
-    carried, kind, file = _carried(board_on), *word.split("=", 1), ""
+    carried, (kind, _, file) = _carried(board_on), word.partition("=")
     if kind == EMULATED:
         from rejoint.robots.emulatedcamera import watching
 

@@ -16,6 +16,7 @@ from rejoint.lab.camera.scene import Scene, beside, on_tool
 from rejoint.robots.emulated import EmulatedRobot
 from rejoint.system.errors import FileError, InputError
 
+_REMEDY = "give the file that `rejoint emulate --log FILE` writes"
 _TAIL = 4096  # [bytes] of a truth log that are read (chosen: some rows)
 
 
@@ -39,6 +40,9 @@ def watching(
     An arm of another process, `rejoint emulate`, tells where it is by its ``truth`` log.
     """
 
+    if truth is not None and not truth.exists():
+        raise FileError(truth, "no such file", _REMEDY)
+
     def opened(robot: Robot) -> AbstractContextManager[EmulatedCamera]:
         arm = robot.arm
         scene = beside(arm, board=board) if carried == "board" else on_tool(arm, board=board)
@@ -57,7 +61,6 @@ def watching(
 
 def pose_of_log(path: Path, arm: Arm) -> Array:
     """Pose (4, 4) of the tool by the newest row of a truth log; FileError where it holds none."""
-    remedy = "give the file that `rejoint emulate --log FILE` writes"
     try:
         with path.open("rb") as file:
             names = file.readline().decode().strip().split(",")
@@ -67,6 +70,6 @@ def pose_of_log(path: Path, arm: Arm) -> Array:
         cells = rows[-2].split(",")  # the last may be cut
         return tcp_pose(arm, np.array([float(cells[place]) for place in places]))
     except FileNotFoundError as error:
-        raise FileError(path, "no such file", remedy) from error
+        raise FileError(path, "no such file", _REMEDY) from error
     except (OSError, ValueError, IndexError) as error:
-        raise FileError(path, "no truth log of this arm", remedy) from error
+        raise FileError(path, "no truth log of this arm", _REMEDY) from error
