@@ -14,12 +14,12 @@ import time
 import numpy as np
 
 from rejoint.arms import mycobot280, solve_position, tcp_position
+from rejoint.arms.camera.views import Detector
 from rejoint.control.controller import Situation
 from rejoint.control.integrator import IntegratorController
 from rejoint.diagnosis.calibration.camera.bundle import bundle
 from rejoint.diagnosis.calibration.camera.choosing import choose_postures
 from rejoint.diagnosis.calibration.camera.track import ToolTracker
-from rejoint.diagnosis.calibration.camera.views import Detector
 from rejoint.diagnosis.calibration.fit import fit
 from rejoint.diagnosis.calibration.measurements import Measurements
 from rejoint.lab.camera.scene import beside

@@ -39,7 +39,6 @@ def watching(
 
     An arm of another process, `rejoint emulate`, tells where it is by its ``truth`` log.
     """
-
     if truth is not None and not truth.exists():
         raise FileError(truth, "no such file", _REMEDY)
 

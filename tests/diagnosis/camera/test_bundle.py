@@ -79,7 +79,7 @@ def test_one_picture_tells_where_the_tool_is(found):
 
 
 def _seen(found, pixel):
-    from rejoint.diagnosis.calibration.camera.sighting import place
+    from rejoint.arms.camera.sighting import place
 
     return found.rig.tool(place(found.rig.lens, found.rig.board.corners, pixel).pose[None])[0, :3, 3]
 

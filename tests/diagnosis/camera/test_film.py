@@ -10,11 +10,11 @@ from rejoint.arms import tcp_position
 from rejoint.arms.camera.board import ON_TABLE, ON_TOOL, BoardView
 from rejoint.arms.camera.poses import inverse
 from rejoint.arms.camera.rigfile import read_rig, write_rig
+from rejoint.arms.camera.views import Unusable
 from rejoint.diagnosis.calibration.camera.film import Film, Shot
 from rejoint.diagnosis.calibration.camera.filmfile import POSTURES, read_film, read_folder, write_film, write_postures
 from rejoint.diagnosis.calibration.camera.filming import believed_rig
 from rejoint.diagnosis.calibration.camera.fit import fit_film
-from rejoint.diagnosis.calibration.camera.views import Unusable
 from rejoint.lab.camera.scene import LENS
 from rejoint.system.errors import ContractError, FileError, InputError
 
@@ -140,6 +140,10 @@ def test_pictures_of_a_folder_are_read_with_their_postures(tmp_path):
     assert [shot.name for shot in read_folder(f"{tmp_path}/view-0[12].png", ARM, ON_TOOL).shots] == [
         "view-01.png", "view-02.png"
     ]  # fmt: skip
+    (tmp_path / "view-02.png").write_bytes(b"no picture")
+    (tmp_path / "notes.txt").write_text("skipped")
+    unreadable = read_folder(str(tmp_path), ARM, ON_TOOL).unusable
+    assert [(one.name, one.why) for one in unreadable] == [("view-02.png", "is no picture that OpenCV can read")]
     cv2.imwrite(str(tmp_path / "view-02.png"), np.zeros((480, 640), np.uint8))
     with pytest.raises(InputError, match=r"view-02.png has 640 x 480 px, those before it 1920 x 1080"):
         read_folder(str(tmp_path), ARM, ON_TOOL)

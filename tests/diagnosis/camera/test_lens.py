@@ -6,7 +6,7 @@ import pytest
 from rejoint.arms.camera.board import ON_TOOL
 from rejoint.arms.camera.lens import TERMS, Lens, projected
 from rejoint.arms.camera.poses import inverse, moved, rotation_vector, turned, turning
-from rejoint.diagnosis.calibration.camera.sighting import focal_length, homography, place, turn_between
+from rejoint.arms.camera.sighting import focal_length, homography, place, turn_between
 from rejoint.lab.camera.scene import LENS
 from rejoint.system.errors import InputError
 

@@ -13,13 +13,13 @@ from rejoint.arms import tcp_pose
 from rejoint.arms.camera.board import ON_TOOL
 from rejoint.arms.camera.lens import Lens
 from rejoint.arms.camera.poses import turned
-from rejoint.diagnosis.calibration.camera.sighting import place
+from rejoint.arms.camera.sighting import place
+from rejoint.arms.camera.views import Detector, Unusable
 from rejoint.diagnosis.calibration.camera.track import ToolTracker
-from rejoint.diagnosis.calibration.camera.views import Detector, Unusable, read_views
 from rejoint.lab.camera.rendering import Looks, render
 from rejoint.lab.camera.scene import LENS
 from rejoint.robots import livecamera
-from rejoint.system.errors import FileError, InputError
+from rejoint.system.errors import InputError
 
 cv2 = pytest.importorskip("cv2", reason="OpenCV is not installed: pip install 'rejoint[camera]'")
 
@@ -88,26 +88,6 @@ def test_a_board_out_of_sight_is_a_wall():
     behind[2, 3] = -0.5
     found = Detector(ON_TOOL).find("p", render(ON_TOOL, LENS, behind, 0))
     assert found.why.startswith("the board cannot be seen")
-
-
-def test_a_folder_of_pictures(tmp_path):
-    for name, looks in (("b.png", Looks()), ("a.jpg", Looks()), ("c.png", Looks(blur=3.0))):
-        cv2.imwrite(str(tmp_path / name), render(ON_TOOL, LENS, pose_of(4), 4, looks))
-    (tmp_path / "d.png").write_bytes(b"no picture")
-    (tmp_path / "notes.txt").write_text("skipped")
-    views, unusable = read_views(tmp_path, ON_TOOL)
-    assert [view.name for view in views] == ["a.jpg", "b.png"]
-    assert [one.name for one in unusable] == ["c.png", "d.png"]
-    assert "no picture" in unusable[1].why
-    with pytest.raises(FileError, match="holds no pictures"):
-        read_views(_empty(tmp_path), ON_TOOL)
-    with pytest.raises(FileError, match="is no folder"):
-        read_views(tmp_path / "none", ON_TOOL)
-
-
-def _empty(path):
-    (path / "empty").mkdir()
-    return path / "empty"
 
 
 def test_the_tool_is_found_in_one_picture_and_not_where_the_board_is_hidden():

@@ -13,11 +13,11 @@ from rejoint.arms.camera.board import Board, BoardView
 from rejoint.arms.camera.lens import TERMS, Lens
 from rejoint.arms.camera.poses import inverse
 from rejoint.arms.camera.rig import MOUNTINGS, Rig
+from rejoint.arms.camera.sighting import CORNER, place
+from rejoint.arms.camera.views import Unusable
 from rejoint.diagnosis.calibration.camera.adjustment import Adjustment, Tip, looseness
-from rejoint.diagnosis.calibration.camera.sighting import CORNER, place
 from rejoint.diagnosis.calibration.camera.starting import first_lens, first_rig, first_sights
 from rejoint.diagnosis.calibration.camera.suspects import Judged, judge
-from rejoint.diagnosis.calibration.camera.views import Unusable
 from rejoint.diagnosis.calibration.measurements import Measurements
 from rejoint.diagnosis.calibration.parameters import Belief, DisplacementLayout, PriorCase, belief, displacement_of
 from rejoint.system.errors import InputError

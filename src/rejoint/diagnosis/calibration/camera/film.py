@@ -8,7 +8,7 @@ import numpy as np
 
 from rejoint.arms import Arm, Array
 from rejoint.arms.camera.board import Board, BoardView
-from rejoint.diagnosis.calibration.camera.views import Unusable
+from rejoint.arms.camera.views import Unusable
 from rejoint.system.errors import InputError
 
 

@@ -27,8 +27,8 @@ import pyarrow.parquet as pq
 
 from rejoint.arms import Arm
 from rejoint.arms.camera.board import Board, BoardView
+from rejoint.arms.camera.views import KINDS, Detector, Unusable, read_picture
 from rejoint.diagnosis.calibration.camera.film import Film, Shot
-from rejoint.diagnosis.calibration.camera.views import KINDS, Detector, Unusable, read_picture
 from rejoint.logs.runlog import read_parquet
 from rejoint.system.errors import FileError, InputError, first_line
 from rejoint.system.files import CHANGED, MEGABYTE, read_bounded, write_whole

@@ -20,6 +20,7 @@ from rejoint.arms import Arm, Array
 from rejoint.arms.camera.board import Board
 from rejoint.arms.camera.lens import Lens
 from rejoint.arms.camera.rig import Rig
+from rejoint.arms.camera.views import Detector, Unusable
 from rejoint.control.guard import GuardLimits
 from rejoint.control.robot import Robot
 from rejoint.control.start import Stance
@@ -27,7 +28,6 @@ from rejoint.diagnosis.calibration.camera.adjustment import Tip
 from rejoint.diagnosis.calibration.camera.choosing import choose_postures, scouting_postures
 from rejoint.diagnosis.calibration.camera.film import Film, Shot, positions
 from rejoint.diagnosis.calibration.camera.starting import first_lens, first_rig, first_sights
-from rejoint.diagnosis.calibration.camera.views import Detector, Unusable
 from rejoint.diagnosis.calibration.postures import BEFORE
 from rejoint.diagnosis.calibration.procedure import StandingDrive
 from rejoint.system.errors import InputError

@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 from rejoint.arms import Arm, Array
 from rejoint.arms.camera.lens import TERMS
 from rejoint.arms.camera.rig import Rig
+from rejoint.arms.camera.sighting import place
+from rejoint.arms.camera.views import Unusable
 from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.diagnosis.calibration.camera.adjustment import Tip
 from rejoint.diagnosis.calibration.camera.bundle import FEWEST, Bundle, Residual, bundle
 from rejoint.diagnosis.calibration.camera.film import Film, positions
 from rejoint.diagnosis.calibration.camera.refit import TieProblem, leave_views_out, tool_spread, with_poses
-from rejoint.diagnosis.calibration.camera.sighting import place
-from rejoint.diagnosis.calibration.camera.views import Unusable
 from rejoint.diagnosis.calibration.fit import beliefs_of, earlier
 from rejoint.diagnosis.calibration.measurements import Measurements
 from rejoint.diagnosis.calibration.model import floor_of

@@ -11,7 +11,7 @@ from rejoint.arms.camera.board import Board, BoardView
 from rejoint.arms.camera.lens import Lens
 from rejoint.arms.camera.poses import inverse, nearest_rotation
 from rejoint.arms.camera.rig import Rig, tool_of
-from rejoint.diagnosis.calibration.camera.sighting import focal_length, homography, place, turn_between
+from rejoint.arms.camera.sighting import focal_length, homography, place, turn_between
 from rejoint.system.errors import InputError
 
 _FOCAL = (0.3, 5.0)  # least and most of a focal length, by the width of the picture (webcams: 0.6 to 1.3)

@@ -7,10 +7,10 @@ from numpy.typing import NDArray
 
 from rejoint.arms.camera.board import BoardView
 from rejoint.arms.camera.rig import Rig
+from rejoint.arms.camera.sighting import place
+from rejoint.arms.camera.views import Detector, Unusable
 from rejoint.control.seeing import Sighting
 from rejoint.diagnosis.calibration.camera.bundle import point_sigma
-from rejoint.diagnosis.calibration.camera.sighting import place
-from rejoint.diagnosis.calibration.camera.views import Detector, Unusable
 
 CROOKED = 1.0
 """[px] of corners beside those of a flat board from which a picture is not trusted (chosen: six times a sharp one's)"""

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from rejoint.arms import Array
 from rejoint.arms.camera.board import Board, BoardView
-from rejoint.diagnosis.calibration.camera.sighting import FEWEST
+from rejoint.arms.camera.sighting import FEWEST
 from rejoint.system.extras import require
 from rejoint.system.files import MEGABYTE, read_bounded
 
