@@ -46,7 +46,7 @@ class Fitted:
     """logarithm of the marginal likelihood, but for a constant of the measurements (Laplace's approximation)"""
 
 
-class Problem(Protocol):
+class Fittable(Protocol):
     """What is fitted: R residuals of d numbers each that belong together, and beliefs."""
 
     @property
@@ -89,7 +89,7 @@ class CalibrationProblem:
     frame: Array
     """(4, 4) first estimate of the pose of the measuring frame in the base"""
     huber: float = HUBER
-    """see `Problem`"""
+    """see `Fittable`"""
 
     @property
     def known(self) -> NDArray[np.bool_]:
@@ -143,7 +143,7 @@ class CalibrationProblem:
         return np.where(both, spread, np.eye(3) * spread)
 
 
-def solve(problem: Problem, start: Array, iterations: int = ITERATIONS) -> Fitted:
+def solve(problem: Fittable, start: Array, iterations: int = ITERATIONS) -> Fitted:
     """Descend from ``start`` (k,)."""
     belief, vector, damping = problem.belief, np.clip(start, problem.belief.lower, problem.belief.upper), _START
     for _ in range(iterations):
@@ -166,7 +166,7 @@ def solve(problem: Problem, start: Array, iterations: int = ITERATIONS) -> Fitte
     return _fitted(problem, vector)
 
 
-def search(problem: Problem) -> Fitted:
+def search(problem: Fittable) -> Fitted:
     """Solve from upright and from askew bases: the side of a floating joint's play changes with the slightest tilt."""
     upright = solve(problem, problem.belief.mean)
     turns = np.linspace(0.0, 2 * np.pi, _DIRECTIONS, endpoint=False)
@@ -179,7 +179,7 @@ def search(problem: Problem) -> Fitted:
     return upright if best is upright else solve(problem, best.vector)
 
 
-def _cost(problem: Problem, vector: Array, whitener: Array) -> float:
+def _cost(problem: Fittable, vector: Array, whitener: Array) -> float:
     huber, residual = problem.huber, problem.misfit(vector)
     length = np.linalg.norm(np.einsum("mij,mj->mi", whitener, residual), axis=1)
     loss = np.where(length < huber, 0.5 * length**2, huber * (length - 0.5 * huber))
@@ -187,7 +187,7 @@ def _cost(problem: Problem, vector: Array, whitener: Array) -> float:
     return float(loss.sum() + 0.5 * off @ problem.belief.precision @ off)
 
 
-def _system(problem: Problem, vector: Array, whitener: Array) -> tuple[float, Array, Array]:
+def _system(problem: Fittable, vector: Array, whitener: Array) -> tuple[float, Array, Array]:
     """Cost, its gradient (k,) and its curvature (k, k), with the weights of the loss as they are."""
     huber, (residual, derivative) = problem.huber, problem.residual(vector)
     white = np.einsum("mij,mj->mi", whitener, residual)
@@ -202,7 +202,7 @@ def _system(problem: Problem, vector: Array, whitener: Array) -> tuple[float, Ar
     return cost, gradient, flat.T @ flat + problem.belief.precision
 
 
-def _fitted(problem: Problem, vector: Array) -> Fitted:
+def _fitted(problem: Fittable, vector: Array) -> Fitted:
     whitener = problem.whitener(vector)
     cost, _, curvature = _system(problem, vector, whitener)
     spread = np.log(np.abs(np.diagonal(whitener, axis1=1, axis2=2)))[problem.known].sum()
