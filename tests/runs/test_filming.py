@@ -239,7 +239,7 @@ def test_a_camera_watches_a_real_arm_until_its_cable_is_pulled(tmp_path, monkeyp
     robot, run = Still(), Run.create(tmp_path / "run", "test:still", ARM)
     device = FakeCapture(robot)
     monkeypatch.setattr(cv2, "VideoCapture", lambda _: device)
-    with pytest.raises(InputError, match="nobody knows where it stands"), opened_eye("0", robot, run, 0):
+    with pytest.raises(InputError, match="it is not known where it stands"), opened_eye("0", robot, run, 0):
         pass
     write_rig(run.folder.camera, ARM, SCENE.rig, np.full(19, 1e-3))
     with opened_eye("0", robot, run, 0) as eye:

@@ -58,7 +58,7 @@ def _rig(number: str, robot: Robot, run: Run | None) -> Rig:
         raise InputError(f"camera {number} cannot see {robot.address}; watch an emulated arm with --camera emulated")
     if run is None or not run.folder.camera.exists():
         raise InputError(
-            f"camera {number}: nobody knows where it stands; first `rejoint calibrate ROBOT RUN --camera {number}`"
+            f"camera {number}: it is not known where it stands; first `rejoint calibrate ROBOT RUN --camera {number}`"
         )
     return read_rig(run.folder.camera, robot.arm)
 

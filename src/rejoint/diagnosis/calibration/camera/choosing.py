@@ -16,8 +16,9 @@ CANDIDATES = 240
 """Postures that are chosen among (chosen)"""
 SPREAD = np.radians(40.0)
 """[rad] how far joints leave the rest posture, at most (chosen: beyond it boards on a tool turn away)"""
-SCOUTING = np.radians(20.0)
-"""[rad] the same while nobody knows where the camera stands (chosen: the board stays in sight of most cameras)"""
+SCOUTING = {"board": np.radians(20.0), "camera": np.radians(12.0)}
+"""[rad] the same while nobody knows where the camera is, by what the tool carries (chosen: the board stays in sight; a
+camera that turns itself loses it sooner)"""
 _DRAWS = 4000  # at a time
 _TRIES = 25  # of so many draws
 _ROOM = np.radians(5.0)  # from the joint limits
@@ -53,12 +54,14 @@ def choose_postures(arm: Arm, rig: Rig, count: int, seed: int = 0, before: float
     return candidates[_greedy(slope, spread, count)]
 
 
-def scouting_postures(arm: Arm, count: int, before: float, seed: int = 0) -> Array:
+def scouting_postures(arm: Arm, carried: str, count: int, before: float, seed: int = 0) -> Array:
     """Choose ``count`` postures (count, n) [rad] about the rest posture, the first, for a camera that stands anywhere.
+
+    ``carried`` is what the tool carries.
 
     One after the other, each is the one that differs most from those before it.
     """
-    drawn = seen_postures(arm, None, CANDIDATES, seed, spread=SCOUTING, before=before)
+    drawn = seen_postures(arm, None, CANDIDATES, seed, spread=SCOUTING[carried], before=before)
     if len(drawn) < count:
         raise InputError(
             f"arm {arm.name}: {len(drawn)} postures about the rest posture are free of floor, limits and collisions, "

@@ -89,7 +89,7 @@ class FilmDrive:
         where the motion had to be ended.
         """
         arm, total = self._arm, SCOUTS + count * visits
-        for number, posture in enumerate(scouting_postures(arm, SCOUTS, BEFORE), start=1):
+        for number, posture in enumerate(scouting_postures(arm, self.film.carried, SCOUTS, BEFORE), start=1):
             self._shoot(number, total, posture, number - 1)
         rig = believed_rig(arm, self.film.numbered(1, SCOUTS))
         chosen = np.repeat(choose_postures(arm, rig, count, before=BEFORE), visits, axis=0)
