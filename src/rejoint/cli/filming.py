@@ -93,6 +93,10 @@ def show_filmed(terminal: Terminal, found: Filmed) -> None:
         terminal.result(f"  ! {one.name} is not used: {one.why}")
     if len(found.left_out) > _NAMED:
         terminal.result(f"  ! ... and {len(found.left_out) - _NAMED} more pictures.")
+    for row in found.calibration.suspects:
+        terminal.result(
+            f"  ? {found.residuals[row].name} was used, but fits badly: did the arm still move, or was it pushed?"
+        )
     rig, mm = found.rig, partial(_with_sigma, scale=1e3, digits=1)
     sigma = found.rig_sigma
     standing, mounted = ("camera", "board") if rig.carried == "board" else ("board", "camera")
