@@ -181,7 +181,7 @@ def calibrate(
                 set_aside(about.folder.calibration)
                 write_calibration(about.folder.calibration, result.calibration)
                 if isinstance(measured, Film) and result.filmed is not None:
-                    write_filmed(about, chosen, measured, result.filmed)
+                    write_filmed(about, chosen, measured, result.filmed, taken=points is None)
         on_progress(1.0, "fitted")
         return result
 

@@ -89,10 +89,15 @@ def write_picture(path: Path, picture: Picture) -> None:
     write_whole(path, lambda temporary: temporary.write_bytes(data.tobytes()))
 
 
-def write_filmed(run: Run, arm: Arm, film: Film, found: Filmed) -> None:
-    """Write what goes with a calibration by camera: the ended film, the postures of its pictures, and the rig."""
-    write_film(run.folder.views, arm, film, ended=True)
-    if run.folder.pictures.is_dir():
+def write_filmed(run: Run, arm: Arm, film: Film, found: Filmed, *, taken: bool) -> None:
+    """Write what goes with a calibration by camera: the ended film, the postures of its pictures, and the rig.
+
+    ``taken``: the film was taken in this run; else its pictures lie elsewhere.
+    """
+    if taken:
         write_postures(run.folder.pictures / POSTURES, arm, film)
+    else:
+        set_aside(run.folder.views)
+    write_film(run.folder.views, arm, film, ended=True)
     set_aside(run.folder.camera)
     write_rig(run.folder.camera, arm, found.rig, found.rig_sigma, found.calibration.date)
