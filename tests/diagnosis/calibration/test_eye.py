@@ -53,7 +53,7 @@ def test_a_robot_that_nobody_sees_through_is_refused():
 
     with pytest.raises(InputError, match="test:still"):
         EmulatedEye(Real())
-    with pytest.raises(InputError, match="expected emulated"):
+    with pytest.raises(InputError, match="expected the number of a camera, or emulated"):
         rejoint.deploy("emulated:worn", "integrator", TARGETS, eye="elsewhere")
 
 
