@@ -14,15 +14,15 @@ import time
 import numpy as np
 
 from rejoint.arms import mycobot280, solve_position, tcp_position
+from rejoint.arms.camera.views import Detector
 from rejoint.control.controller import Situation
 from rejoint.control.integrator import IntegratorController
 from rejoint.diagnosis.calibration.camera.bundle import bundle
 from rejoint.diagnosis.calibration.camera.choosing import choose_postures
-from rejoint.diagnosis.calibration.camera.emulated import beside
 from rejoint.diagnosis.calibration.camera.track import ToolTracker
-from rejoint.diagnosis.calibration.camera.views import Detector
 from rejoint.diagnosis.calibration.fit import fit
 from rejoint.diagnosis.calibration.measurements import Measurements
+from rejoint.lab.camera.scene import beside
 from rejoint.lab.plant.wear import load_wear
 from rejoint.robots.emulated import EmulatedRobot
 
@@ -133,7 +133,7 @@ def main() -> None:
         number, found = next(frame), []
         for i, (tracker, link) in enumerate(zip(trackers, arms.plant.link_position(), strict=True)):
             seen = view("one", link, (i, number))
-            found.append(tracker.sighting(seen).position)
+            found.append(tracker.sighting(seen).place)
         apart.append(np.linalg.norm(np.array(found) - arms.true_tcp(), axis=-1))
         return np.array(found)
 

@@ -20,7 +20,7 @@ from rejoint.control.controller import Controller
 from rejoint.control.correction import Modelled
 from rejoint.control.loop import Schedule, move, run
 from rejoint.control.recording import Recording
-from rejoint.diagnosis.calibration.eye import EmulatedEye
+from rejoint.robots.eye import EmulatedEye
 from rejoint.runs.stages.eyes import watched
 
 TIMES = (2.0, 3.0, 3.95)

@@ -103,6 +103,7 @@ def test_it_judges_and_converts_logs(base: Base, complete: RunFolder) -> None:
         ("reproduce --list", "train,report"),
         ("emulate", "train"),
         ("board new.pdf", "camera"),
+        ("calibrate {arm} new --camera 0", "camera"),
         ("diagnose emulated:worn", "train"),
         ("deploy emulated:worn {run}", "train"),
         ("compare emulated:worn {run}", "train"),

@@ -28,7 +28,7 @@ def test_words_stand_for_what_measures(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("word", ["tracker", "tracker=", "touch=3", "ruler", ""])
 def test_other_words_are_refused(word):
-    with pytest.raises(InputError, match=r"expected touch, tracker=FILE or none"):
+    with pytest.raises(InputError, match=r"expected touch, camera, camera=NUMBER, tracker=FILE or none"):
         gauge_by_word(Terminal(), "emulated:worn", word, 0)
 
 

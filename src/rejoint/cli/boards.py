@@ -36,8 +36,8 @@ def board(
     Example: `rejoint board board.pdf --measured-x 100.2 --measured-y 99.9`
     """
     require("rejoint board", "camera")
-    from rejoint.diagnosis.calibration.camera.board import ON_TABLE, ON_TOOL, write_board
-    from rejoint.diagnosis.calibration.camera.drawing import write_pdf
+    from rejoint.arms.camera.board import ON_TABLE, ON_TOOL, write_board
+    from rejoint.arms.camera.drawing import write_pdf
 
     terminal, kinds = Terminal(json=json), {"tool": ON_TOOL, "table": ON_TABLE}
     if file.suffix.lower() != ".pdf":

@@ -57,13 +57,16 @@ Calibrate = Annotated[
     str | None,
     typer.Option(
         "--calibrate",
-        help="What measures the tool: touch, tracker=FILE or none. By default an emulated arm tells, and a real one is "
-        "not calibrated.",
+        help="What measures the tool: touch, camera, camera=NUMBER, tracker=FILE or none. By default an emulated arm "
+        "tells, and a real one is not calibrated.",
     ),
 ]
 Camera = Annotated[
     str | None,
-    typer.Option(help="What sees the tool: emulated, for an emulated arm. The last millimetres go by it."),
+    typer.Option(
+        help="What sees the tool: the number of the camera that RUN was calibrated with, or emulated for an emulated "
+        "arm. The last millimetres go by it."
+    ),
 ]
 Targets = Annotated[Path | None, typer.Option(help="CSV file of targets in mm with the header x,y,z.")]
 Controllers = Annotated[

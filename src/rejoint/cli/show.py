@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from rejoint.cli.console import Terminal
+from rejoint.cli.filming import show_filmed
 from rejoint.control.comparison.failure import failure
 from rejoint.control.comparison.recommend import Recommendation
 from rejoint.control.comparison.result import Comparison, PoseAccuracy
@@ -66,7 +67,9 @@ def twin(terminal: Terminal, result: Twin) -> None:
 def calibration(terminal: Terminal, found: Calibrated) -> None:
     """Print where the tool is behind the encoders, and whether correcting for it helps."""
     own, measured = found.calibration, found.measurements
-    for row in own.suspects:
+    if found.filmed is not None:
+        show_filmed(terminal, found.filmed)
+    for row in own.suspects if found.filmed is None else ():
         place = ", ".join(f"{1e3 * value:.1f}" for value in measured.point[row])
         terminal.result(
             f"  ! Measurement {row + 1} ({place} mm) does not fit to the others: read wrong, or touched hard? Measure "
@@ -82,6 +85,10 @@ def calibration(terminal: Terminal, found: Calibrated) -> None:
         f"At {own.points} measurements, each predicted without its own posture, the tool was {before:.2f} mm from "
         f"where the encoders see it, and {after:.2f} mm from where the calibration does."
     )
+    if own.frame_name != "base":
+        terminal.say(
+            f"The place of the {own.frame_name} was fitted along: what all postures share is not in these numbers."
+        )
     if own.used:
         terminal.result("The correction clearly helps and will be used.")
     else:

@@ -2,9 +2,10 @@
 
 Near its aim a worn joint stands until its command has led by degrees, and then jumps by a millimetre. A controller
 cannot bring such an arm closer than that, however well it sees. Here a controller drives as far as it can; then the
-commands of a few joints swing by as little as just makes them move (dither, which turns dry friction into a viscous
-one: Armstrong-Helouvry, Dupont and Canudas de Wit, Automatica 30, 1994). So shaken, they follow small
-commands smoothly, and an integrator takes out what is seen to be missing. Then the swing fades and the command stays.
+commands of a few joints swing by as little as just makes them move (dither; chosen: dry friction holds a joint that
+stands, but in one that swings it acts against either direction by turns, so that a small pull moves it a little in each
+swing). So shaken, they follow small commands smoothly, and an integrator takes out what is seen to be missing. Then the
+swing fades and the command stays.
 
 Only as few joints move as can take the tool in every direction, those nearest to the tool: a joint at the base carries
 no weight, so its link coasts in the play of its gear for a second, and shakes the whole arm.

@@ -40,9 +40,11 @@ class Sighting:
     """Where the tool was seen."""
 
     time: float
-    """[s] on the robot's clock when the picture was taken"""
+    """[s] when the picture was taken; on the robot's clock where it is for a loop"""
     place: Array
-    """(3,) [m] in the frame of the base"""
+    """(3,) [m] of the TCP in the frame of the base"""
+    sigma: float = np.nan
+    """[m] standard deviation of each coordinate from picture to picture; NaN where nobody knows"""
 
 
 class Eye(Protocol):

@@ -94,6 +94,21 @@ class RunFolder:
         return self.path / "calibration.toml"
 
     @property
+    def views(self) -> Path:
+        """What a camera saw of the board, picture by picture."""
+        return self.path / "views.parquet"
+
+    @property
+    def pictures(self) -> Path:
+        """Folder of the pictures themselves."""
+        return self.path / "pictures"
+
+    @property
+    def camera(self) -> Path:
+        """How camera, board and arm stand to each other."""
+        return self.path / "camera.toml"
+
+    @property
     def judgement(self) -> Path:
         """The twin and others judged on motion that the fit has not seen."""
         return self.path / "judgement.json"
@@ -220,7 +235,7 @@ def _lock(handle: int, folder: RunFolder) -> bool:
 def _put_right(folder: RunFolder) -> None:
     """Remove what was being written when a process was killed; what an arm did until then becomes a run log."""
     logs = folder.path / "logs"
-    for place in (folder.path, logs, folder.outputs.folder, folder.figures):
+    for place in (folder.path, logs, folder.outputs.folder, folder.figures, folder.pictures):
         for unfinished in place.glob(f".*{UNFINISHED}"):
             unfinished.unlink()
     for log in recover(logs):

@@ -24,6 +24,7 @@ from rejoint.system.errors import FileError, InputError
 if TYPE_CHECKING:
     from rejoint.control.policy import Policy
     from rejoint.diagnosis.calibration.calibration import Calibration
+    from rejoint.diagnosis.calibration.camera.filming import CameraGauge
     from rejoint.diagnosis.calibration.gauges import Gauge
     from rejoint.twin.twin import Twin
 
@@ -40,7 +41,7 @@ TwinLike: TypeAlias = "Twin | Path | str"
 PolicyLike: TypeAlias = "Policy | Path | str"
 CalibrationLike: TypeAlias = "Calibration | Path | str"
 """A calibration, its file, or ``none`` for no correction"""
-GaugeLike: TypeAlias = "Gauge | Literal['none']"
+GaugeLike: TypeAlias = "Gauge | CameraGauge | Literal['none']"
 """What measures the tool, or ``none`` where nothing is to"""
 
 NO_GAUGE: Literal["none"] = "none"

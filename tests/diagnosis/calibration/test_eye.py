@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import rejoint
-from rejoint.diagnosis.calibration.eye import DEPTH, LATERAL, EmulatedEye
+from rejoint.robots.eye import DEPTH, LATERAL, EmulatedEye
 from rejoint.system.errors import InputError
 
 TARGETS = np.array([[0.17, 0.0, 0.2], [0.18, 0.03, 0.21]])
@@ -53,7 +53,7 @@ def test_a_robot_that_nobody_sees_through_is_refused():
 
     with pytest.raises(InputError, match="test:still"):
         EmulatedEye(Real())
-    with pytest.raises(InputError, match="expected emulated"):
+    with pytest.raises(InputError, match="expected the number of a camera, or emulated"):
         rejoint.deploy("emulated:worn", "integrator", TARGETS, eye="elsewhere")
 
 

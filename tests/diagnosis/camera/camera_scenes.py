@@ -6,9 +6,9 @@ from functools import lru_cache
 import numpy as np
 
 from rejoint.arms import Displacement, mycobot280
-from rejoint.diagnosis.calibration.camera.board import ON_TABLE
+from rejoint.arms.camera.board import ON_TABLE
 from rejoint.diagnosis.calibration.camera.choosing import choose_postures
-from rejoint.diagnosis.calibration.camera.emulated import beside, on_tool
+from rejoint.lab.camera.scene import beside, on_tool
 
 ARM = mycobot280()
 WORN = Displacement(

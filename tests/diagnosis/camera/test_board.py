@@ -7,9 +7,9 @@ import sys
 import numpy as np
 import pytest
 
+from rejoint.arms.camera.board import ON_TABLE, ON_TOOL, Board, read_board, write_board
+from rejoint.arms.camera.drawing import PAGES, write_pdf
 from rejoint.cli import main
-from rejoint.diagnosis.calibration.camera.board import ON_TABLE, ON_TOOL, Board, read_board, write_board
-from rejoint.diagnosis.calibration.camera.drawing import PAGES, write_pdf
 from rejoint.system.errors import FileError, InputError
 
 pytest.importorskip("cv2", reason="OpenCV is not installed: pip install 'rejoint[camera]'")

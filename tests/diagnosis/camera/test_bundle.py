@@ -5,13 +5,13 @@ import pytest
 from camera_scenes import ARM, WORN, taken
 
 from rejoint.arms import tcp_pose, tcp_position
+from rejoint.arms.camera.board import BoardView
+from rejoint.arms.camera.poses import inverse, moved
 from rejoint.diagnosis.calibration.camera.adjustment import Tip, difference
 from rejoint.diagnosis.calibration.camera.bundle import bundle
 from rejoint.diagnosis.calibration.camera.choosing import choose_postures
-from rejoint.diagnosis.calibration.camera.emulated import LENS, beside
-from rejoint.diagnosis.calibration.camera.poses import inverse, moved
-from rejoint.diagnosis.calibration.camera.views import BoardView
 from rejoint.diagnosis.calibration.fit import fit
+from rejoint.lab.camera.scene import LENS, beside
 from rejoint.system.errors import InputError
 
 pytest.importorskip("scipy", reason="SciPy is not installed: pip install 'rejoint[camera]'")
@@ -79,7 +79,7 @@ def test_one_picture_tells_where_the_tool_is(found):
 
 
 def _seen(found, pixel):
-    from rejoint.diagnosis.calibration.camera.sighting import place
+    from rejoint.arms.camera.sighting import place
 
     return found.rig.tool(place(found.rig.lens, found.rig.board.corners, pixel).pose[None])[0, :3, 3]
 

@@ -8,19 +8,21 @@ import numpy as np
 import pytest
 from camera_scenes import ARM, taken
 
-from rejoint.diagnosis.calibration.camera import emulated, live
-from rejoint.diagnosis.calibration.camera.board import ON_TOOL
-from rejoint.diagnosis.calibration.camera.lens import Lens
-from rejoint.diagnosis.calibration.camera.poses import turned
-from rejoint.diagnosis.calibration.camera.rendering import Looks, render
-from rejoint.diagnosis.calibration.camera.sighting import place
+import rejoint
+from rejoint.arms import tcp_pose
+from rejoint.arms.camera.board import ON_TOOL
+from rejoint.arms.camera.lens import Lens
+from rejoint.arms.camera.poses import turned
+from rejoint.arms.camera.sighting import place
+from rejoint.arms.camera.views import Detector, Unusable
 from rejoint.diagnosis.calibration.camera.track import ToolTracker
-from rejoint.diagnosis.calibration.camera.views import Detector, Unusable, read_views
-from rejoint.system.errors import FileError, InputError
+from rejoint.lab.camera.rendering import Looks, render
+from rejoint.lab.camera.scene import LENS
+from rejoint.robots import livecamera
+from rejoint.system.errors import InputError
 
 cv2 = pytest.importorskip("cv2", reason="OpenCV is not installed: pip install 'rejoint[camera]'")
 
-LENS = emulated.LENS
 CLEAN = Looks(blur=0.5, noise=0.0)
 
 
@@ -88,35 +90,15 @@ def test_a_board_out_of_sight_is_a_wall():
     assert found.why.startswith("the board cannot be seen")
 
 
-def test_a_folder_of_pictures(tmp_path):
-    for name, looks in (("b.png", Looks()), ("a.jpg", Looks()), ("c.png", Looks(blur=3.0))):
-        cv2.imwrite(str(tmp_path / name), render(ON_TOOL, LENS, pose_of(4), 4, looks))
-    (tmp_path / "d.png").write_bytes(b"no picture")
-    (tmp_path / "notes.txt").write_text("skipped")
-    views, unusable = read_views(tmp_path, ON_TOOL)
-    assert [view.name for view in views] == ["a.jpg", "b.png"]
-    assert [one.name for one in unusable] == ["c.png", "d.png"]
-    assert "no picture" in unusable[1].why
-    with pytest.raises(FileError, match="holds no pictures"):
-        read_views(_empty(tmp_path), ON_TOOL)
-    with pytest.raises(FileError, match="is no folder"):
-        read_views(tmp_path / "none", ON_TOOL)
-
-
-def _empty(path):
-    (path / "empty").mkdir()
-    return path / "empty"
-
-
 def test_the_tool_is_found_in_one_picture_and_not_where_the_board_is_hidden():
     scene, links = taken().scene, taken().links
     tracker = ToolTracker(scene.rig)
     for i in (0, 7):
         seen = tracker.see(scene.picture(links[i], i), time=5.0)
-        truth = emulated.tcp_pose(ARM, links[i])[:3, 3]
-        assert np.linalg.norm(seen.position - truth) < min(1e-3, 6 * seen.sigma)
+        truth = tcp_pose(ARM, links[i])[:3, 3]
+        assert np.linalg.norm(seen.place - truth) < min(1e-3, 6 * seen.sigma)
         assert tracker.why == ""
-        assert seen.age(5.5) == 0.5
+        assert seen.time == 5.0
     assert tracker.see(scene.picture(links[0], 0, Looks(hidden=0.9))) is None
     assert tracker.why
     view = taken().views[0]
@@ -126,7 +108,7 @@ def test_the_tool_is_found_in_one_picture_and_not_where_the_board_is_hidden():
 
 
 def test_no_camera_is_a_line():
-    with pytest.raises(InputError, match="no camera answers as number 97"), live.LiveCamera(97):
+    with pytest.raises(InputError, match="no camera answers as number 97"), livecamera.LiveCamera(97):
         pass
 
 
@@ -153,8 +135,8 @@ class Device:
 def test_a_live_camera_keeps_its_settings_and_is_given_back(monkeypatch):
     device = Device(500_000)
     monkeypatch.setattr(cv2, "VideoCapture", lambda _: device)
-    monkeypatch.setattr(live, "PAUSE", 0.01)
-    with live.LiveCamera(0, exposure=80.0) as camera:
+    monkeypatch.setattr(livecamera, "PAUSE", 0.01)
+    with livecamera.LiveCamera(0, exposure=80.0) as camera:
         picture = camera.still()
         device.frames = 0
         with pytest.raises(InputError, match="gives no pictures any more"):
@@ -173,9 +155,8 @@ MISSING_IN_SOME = {
 
 
 def test_only_what_opencv_4_and_5_both_have_is_used():
-    folder = Path(emulated.__file__).parent
     used = set()
-    for path in folder.glob("*.py"):
+    for path in Path(rejoint.__file__).parent.rglob("*.py"):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             if isinstance(node, ast.Attribute):
                 owner = ast.unparse(node.value)

@@ -60,16 +60,21 @@ def fit(
     foreign = measurements.frame != "base"
     layout = DisplacementLayout(joints=arm.joints, frame=foreign)
     frame = align(arm, measurements) if foreign else np.eye(4)
-    if prior is not None:
-        prior.require(arm)
-        beliefs = [(earlier(arm, layout, prior), 0.0)]
-    else:
-        few = len(np.unique(measurements.posture)) < LINKS_FROM
-        cases = [case for case in CASES if not (case.twist and few)]
-        beliefs = [(belief(arm, layout, case, gravity), case.odds) for case in cases]
+    beliefs = beliefs_of(arm, layout, prior, len(np.unique(measurements.posture)), gravity)
     solved = [_solved(arm, measurements, layout, frame, one) for one, _ in beliefs]
     best = int(np.argmax([fitted.evidence + odds for (_, fitted), (_, odds) in zip(solved, beliefs, strict=True)]))
     return _judged(*solved[best], date)
+
+
+def beliefs_of(
+    arm: Arm, layout: DisplacementLayout, prior: Calibration | None, postures: int, gravity: Array = GRAVITY
+) -> list[tuple[Belief, float]]:
+    """Return what may be believed before so many ``postures`` are fitted, each with the logarithm of its odds."""
+    if prior is not None:
+        prior.require(arm)
+        return [(earlier(arm, layout, prior), 0.0)]
+    cases = [case for case in CASES if not (case.twist and postures < LINKS_FROM)]
+    return [(belief(arm, layout, case, gravity), case.odds) for case in cases]
 
 
 def earlier(arm: Arm, layout: DisplacementLayout, prior: Calibration) -> Belief:
@@ -81,9 +86,12 @@ def earlier(arm: Arm, layout: DisplacementLayout, prior: Calibration) -> Belief:
     drift[layout.at("tilt")] = AGE * LEVEL
     body, mean = slice(0, layout.body), base.mean.copy()
     mean[body] = vector_of(DisplacementLayout(joints=arm.joints), prior.displacement)
+    lower, upper, links = base.lower.copy(), base.upper.copy(), layout.at("twist")
+    if prior.displacement.twist.any():
+        lower[links], upper[links] = -np.inf, np.inf
     precision = base.precision.copy()
     precision[body, body] = np.linalg.inv(prior.covariance + np.diag(drift[body] ** 2))
-    return Belief(mean=mean, precision=precision, lower=base.lower, upper=base.upper)
+    return Belief(mean=mean, precision=precision, lower=lower, upper=upper)
 
 
 def _solved(
@@ -101,7 +109,8 @@ def _judged(problem: CalibrationProblem, fitted: Fitted, date: str) -> Calibrati
     return Calibration(
         arm=problem.arm, displacement=displacement_of(problem.layout, fitted.vector),
         covariance=fitted.covariance[body, body], frame=fitted.frame, frame_name=m.frame, source=m.source, date=date,
-        points=len(m), before=float(tried.before.mean()), after=float(tried.after.mean()), used=tried.helps(problem),
+        points=len(m), before=float(tried.before.mean()), after=float(tried.after.mean()),
+        used=tried.helps(problem.arm, m),
         floor=floor_of(problem.arm), suspects=tried.suspects(np.isfinite(m.point)),
         left_out=np.stack([tried.before, tried.after], axis=-1),
     )  # fmt: skip

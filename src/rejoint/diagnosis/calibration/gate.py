@@ -35,11 +35,11 @@ class LeftOut:
     surprise: Array
     """(M,) squared distance by its predicted covariance: chi-squared, of as many degrees as there are coordinates"""
 
-    def helps(self, problem: CalibrationProblem) -> bool:
+    def helps(self, arm: Arm, measured: Measurements) -> bool:
         """Tell whether the correction is clearly nearer than the encoders."""
-        postures = np.unique(problem.measurements.posture)
-        gain = np.array([(self.before - self.after)[problem.measurements.posture == p].mean() for p in postures])
-        noise = float((problem.measurements.sigma**2).mean() + floor_of(problem.arm) ** 2)
+        postures = np.unique(measured.posture)
+        gain = np.array([(self.before - self.after)[measured.posture == p].mean() for p in postures])
+        noise = float((measured.sigma**2).mean() + floor_of(arm) ** 2)
         spread = max(noise, float(gain.var(ddof=1)) if len(gain) > 1 else 0.0)
         return bool(gain.mean() > max(SURE * np.sqrt(spread / len(gain)), LEAST))
 

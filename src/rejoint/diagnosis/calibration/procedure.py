@@ -54,37 +54,51 @@ def measure(
 
     InputError where nothing was measured; what `run` raises where the motion had to be ended.
     """
-    limits = limits or GuardLimits.of(robot.arm)
-    with noted():
-        sent = begin(robot, limits, stance).command[-1]
+    drive = StandingDrive(robot, limits, stance)
     rows, total = _Rows(), len(plan.posture)
     for number, (posture, before) in enumerate(zip(plan.postures, plan.approach, strict=True)):
         on_progress(number / total, f"measurement {number + 1} of {total}")
-        came = _go(robot, before, sent, limits, settle=0.3)
-        stood = _go(robot, posture, came.command[-1], limits, settle=SETTLE)
-        sent = stood.command[-1]
-        position = _reading(stood)
+        position, approach = drive.stand(posture, before)
         point = gauge.measure(robot, Stop(number + 1, total, tcp_position(robot.arm, position)))
         check()
         if not np.isfinite(point).any():
             continue
         rows.position.append(position)
-        rows.approach.append(came.position[-1, 0])
+        rows.approach.append(approach)
         rows.point.append(point)
         rows.posture.append(int(plan.posture[number]))
         if on_measured is not None:
             on_measured(rows.measurements(gauge))
     on_progress(1.0, "measured")
-    with noted():
-        move(robot, robot.arm.rest, sent=sent, limits=limits)
+    drive.rest()
     if not rows.posture:
         raise InputError("calibration: nothing was measured; type x, y and z of the tool at each stop")
     return rows.measurements(gauge)
 
 
-def _go(robot: Robot, posture: Array, sent: Array, limits: GuardLimits, settle: float) -> Recording:
-    with noted():
-        return move(robot, posture, sent=sent, speed=SPEED, settle=settle, limits=limits)
+class StandingDrive:
+    """Brings one arm to postures, slowly and under the guard, to stand still in each; begins at rest."""
+
+    def __init__(self, robot: Robot, limits: GuardLimits | None = None, stance: Stance | None = None) -> None:
+        self._robot, self._limits = robot, limits or GuardLimits.of(robot.arm)
+        with noted():
+            self._sent = begin(robot, self._limits, stance).command[-1]
+
+    def stand(self, posture: Array, before: Array) -> tuple[Array, Array]:
+        """Go to ``before`` (n,) [rad] and from there to ``posture`` (n,); return the readings (n,) here and there."""
+        came = self._go(before, settle=0.3)
+        return _reading(self._go(posture, settle=SETTLE)), came.position[-1, 0]
+
+    def rest(self) -> None:
+        """Go back to the rest posture."""
+        with noted():
+            move(self._robot, self._robot.arm.rest, sent=self._sent, limits=self._limits)
+
+    def _go(self, posture: Array, settle: float) -> Recording:
+        with noted():
+            gone = move(self._robot, posture, sent=self._sent, speed=SPEED, settle=settle, limits=self._limits)
+        self._sent = gone.command[-1]
+        return gone
 
 
 def _reading(recording: Recording) -> Array:

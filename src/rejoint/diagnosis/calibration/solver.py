@@ -8,8 +8,10 @@ large residuals (Huber 1964) keeps one wrong point from spoiling the fit.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array
 from rejoint.arms.rotations import rotation_about
@@ -44,6 +46,38 @@ class Fitted:
     """logarithm of the marginal likelihood, but for a constant of the measurements (Laplace's approximation)"""
 
 
+class Fittable(Protocol):
+    """What is fitted: R residuals of d numbers each that belong together, and beliefs."""
+
+    @property
+    def layout(self) -> DisplacementLayout:
+        """Where the arm's parameters stand in the vector (k,)."""
+
+    @property
+    def belief(self) -> Belief:
+        """What is believed of the vector."""
+
+    @property
+    def huber(self) -> float:
+        """Length of a residual in standard deviations from which the loss grows linearly."""
+
+    @property
+    def known(self) -> NDArray[np.bool_]:
+        """(R, d) which numbers were measured."""
+
+    def pose(self, vector: Array) -> Array:
+        """Pose (4, 4) of the measuring frame in the base."""
+
+    def misfit(self, vector: Array) -> Array:
+        """Residuals (R, d)."""
+
+    def residual(self, vector: Array) -> tuple[Array, Array]:
+        """Residuals (R, d) and their derivative (R, d, k)."""
+
+    def whitener(self, vector: Array) -> Array:
+        """Matrices (R, d, d) that turn residuals into numbers of unit variance."""
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CalibrationProblem:
     """Measurements and beliefs of one arm."""
@@ -54,6 +88,13 @@ class CalibrationProblem:
     measurements: Measurements
     frame: Array
     """(4, 4) first estimate of the pose of the measuring frame in the base"""
+    huber: float = HUBER
+    """see `Fittable`"""
+
+    @property
+    def known(self) -> NDArray[np.bool_]:
+        """(M, 3) which coordinates were measured."""
+        return np.isfinite(self.measurements.point)
 
     def pose(self, vector: Array) -> Array:
         """Pose (4, 4) of the measuring frame in the base."""
@@ -65,6 +106,10 @@ class CalibrationProblem:
             pose[:3, :3] = rotation_about(small[3:] / angle, angle) @ pose[:3, :3]
         pose[:3, 3] += small[:3]
         return pose
+
+    def misfit(self, vector: Array) -> Array:
+        """Predicted less measured coordinates (M, 3) [m], see `residual`."""
+        return self.residual(vector)[0]
 
     def residual(self, vector: Array) -> tuple[Array, Array]:
         """Predicted less measured coordinates (M, 3) [m], zero where not measured, and their derivative (M, 3, k)."""
@@ -98,7 +143,7 @@ class CalibrationProblem:
         return np.where(both, spread, np.eye(3) * spread)
 
 
-def solve(problem: CalibrationProblem, start: Array, iterations: int = ITERATIONS) -> Fitted:
+def solve(problem: Fittable, start: Array, iterations: int = ITERATIONS) -> Fitted:
     """Descend from ``start`` (k,)."""
     belief, vector, damping = problem.belief, np.clip(start, problem.belief.lower, problem.belief.upper), _START
     for _ in range(iterations):
@@ -121,7 +166,7 @@ def solve(problem: CalibrationProblem, start: Array, iterations: int = ITERATION
     return _fitted(problem, vector)
 
 
-def search(problem: CalibrationProblem) -> Fitted:
+def search(problem: Fittable) -> Fitted:
     """Solve from upright and from askew bases: the side of a floating joint's play changes with the slightest tilt."""
     upright = solve(problem, problem.belief.mean)
     turns = np.linspace(0.0, 2 * np.pi, _DIRECTIONS, endpoint=False)
@@ -134,22 +179,22 @@ def search(problem: CalibrationProblem) -> Fitted:
     return upright if best is upright else solve(problem, best.vector)
 
 
-def _cost(problem: CalibrationProblem, vector: Array, whitener: Array) -> float:
-    residual, _ = problem.residual(vector)
+def _cost(problem: Fittable, vector: Array, whitener: Array) -> float:
+    huber, residual = problem.huber, problem.misfit(vector)
     length = np.linalg.norm(np.einsum("mij,mj->mi", whitener, residual), axis=1)
-    loss = np.where(length < HUBER, 0.5 * length**2, HUBER * (length - 0.5 * HUBER))
+    loss = np.where(length < huber, 0.5 * length**2, huber * (length - 0.5 * huber))
     off = vector - problem.belief.mean
     return float(loss.sum() + 0.5 * off @ problem.belief.precision @ off)
 
 
-def _system(problem: CalibrationProblem, vector: Array, whitener: Array) -> tuple[float, Array, Array]:
+def _system(problem: Fittable, vector: Array, whitener: Array) -> tuple[float, Array, Array]:
     """Cost, its gradient (k,) and its curvature (k, k), with the weights of the loss as they are."""
-    residual, derivative = problem.residual(vector)
+    huber, (residual, derivative) = problem.huber, problem.residual(vector)
     white = np.einsum("mij,mj->mi", whitener, residual)
     slope = np.einsum("mij,mjk->mik", whitener, derivative)
     length = np.linalg.norm(white, axis=1)
-    weight = np.minimum(1.0, HUBER / np.maximum(length, 1e-12))
-    loss = np.where(length < HUBER, 0.5 * length**2, HUBER * (length - 0.5 * HUBER))
+    weight = np.minimum(1.0, huber / np.maximum(length, 1e-12))
+    loss = np.where(length < huber, 0.5 * length**2, huber * (length - 0.5 * huber))
     off = vector - problem.belief.mean
     flat = (slope * np.sqrt(weight)[:, None, None]).reshape(-1, len(vector))
     gradient = np.einsum("mik,mi,m->k", slope, white, weight) + problem.belief.precision @ off
@@ -157,11 +202,10 @@ def _system(problem: CalibrationProblem, vector: Array, whitener: Array) -> tupl
     return cost, gradient, flat.T @ flat + problem.belief.precision
 
 
-def _fitted(problem: CalibrationProblem, vector: Array) -> Fitted:
+def _fitted(problem: Fittable, vector: Array) -> Fitted:
     whitener = problem.whitener(vector)
     cost, _, curvature = _system(problem, vector, whitener)
-    known = np.isfinite(problem.measurements.point)
-    spread = np.log(np.abs(np.diagonal(whitener, axis1=1, axis2=2)))[known].sum()
+    spread = np.log(np.abs(np.diagonal(whitener, axis1=1, axis2=2)))[problem.known].sum()
     evidence = -cost + spread + 0.5 * (np.linalg.slogdet(problem.belief.precision)[1] - np.linalg.slogdet(curvature)[1])
     return Fitted(
         layout=problem.layout, vector=vector, covariance=np.asarray(np.linalg.inv(curvature), dtype=float), cost=cost,

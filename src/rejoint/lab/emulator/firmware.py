@@ -114,6 +114,11 @@ class Firmware:
         return self.temperature >= _OVER_TEMPERATURE
 
     @property
+    def true_links(self) -> Array:
+        """(n,) [rad] angles of the links, behind play and flex."""
+        return self._plant.link_position()[0]
+
+    @property
     def true_tcp(self) -> Array:
         """(3,) [m] where the tool really is; nobody can ask for it over the wire."""
         return self._plant.true_tcp()[0]

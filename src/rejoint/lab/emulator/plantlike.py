@@ -36,6 +36,9 @@ class PlantLike(Protocol):
     def encoder(self) -> Array:
         """(1, n) [rad]."""
 
+    def link_position(self) -> Array:
+        """(1, n) [rad] behind play and flex."""
+
     def true_tcp(self) -> Array:
         """(1, 3) [m]."""
 

@@ -19,7 +19,9 @@ class TruthLog:
 
     def __init__(self, path: Path, stream: TextIO, joints: int) -> None:
         self._path, self._stream = path, stream
-        self._put(["time", "x", "y", "z", *(f"encoder.joint{i + 1}" for i in range(joints))])
+        self._put(
+            ["time", "x", "y", "z", *(f"{what}.joint{i + 1}" for what in ("encoder", "link") for i in range(joints))]
+        )
 
     @classmethod
     def open(cls, path: Path, joints: int) -> TruthLog:
@@ -32,7 +34,7 @@ class TruthLog:
 
     def write(self, now: float, firmware: Firmware) -> None:
         """Add a row: [s], [m], [rad]. FileError if the disk is full."""
-        self._put(f"{value:.6f}" for value in [now, *firmware.true_tcp, *firmware.angles])
+        self._put(f"{value:.6f}" for value in [now, *firmware.true_tcp, *firmware.angles, *firmware.true_links])
 
     def _put(self, row: Iterable[str]) -> None:
         try:

@@ -14,7 +14,7 @@ import numpy as np
 from mujoco.batch import Batch
 from numpy.typing import NDArray
 
-from rejoint.arms import Arm, Array, gravity_torque, tcp_position
+from rejoint.arms import Arm, Array, gravity_torque, tcp_pose, tcp_position
 from rejoint.arms.inertia import SpatialInertia, combined
 from rejoint.arms.kinematics import GRAVITY
 from rejoint.lab.plant import servo
@@ -135,6 +135,14 @@ class Plant:
         for i in self._bent:
             tcp[i] = tcp_position(self._carried[i], links[i])
         return tcp
+
+    def true_pose(self) -> Array:
+        """(B, 4, 4) poses of the tools as they really are."""
+        links = self.link_position()
+        pose = tcp_pose(self.arm, links)
+        for i in self._bent:
+            pose[i] = tcp_pose(self._carried[i], links[i])
+        return pose
 
     def encoder(self, age: Array | float | None = None) -> Array:
         """(B, n) [rad] what the encoders said ``age`` (B,) [s] ago, now if None."""

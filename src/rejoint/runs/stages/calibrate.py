@@ -9,6 +9,9 @@ from typing import TYPE_CHECKING
 
 from rejoint.control.robot import Robot
 from rejoint.diagnosis.calibration.calibration import Calibration
+from rejoint.diagnosis.calibration.camera.film import Film
+from rejoint.diagnosis.calibration.camera.filming import POSTURES, CameraGauge
+from rejoint.diagnosis.calibration.camera.fit import Filmed, fit_film
 from rejoint.diagnosis.calibration.file import write_calibration
 from rejoint.diagnosis.calibration.fit import fit
 from rejoint.diagnosis.calibration.gauges import EmulatedGauge, Gauge
@@ -31,11 +34,14 @@ from rejoint.runs.given import (
 )
 from rejoint.runs.run import Run, exclusive
 from rejoint.runs.stages.driving import guard_limits, stance_of
+from rejoint.runs.stages.filming import film_of, write_filmed
 from rejoint.system.errors import InputError
 from rejoint.system.files import require_space, saving, set_aside
 from rejoint.system.progress import Progress, no_progress, part
 
 if TYPE_CHECKING:
+    from rejoint.arms import Arm
+    from rejoint.diagnosis.calibration.camera.adjustment import Tip
     from rejoint.twin.twin import Twin
 
 POINTS = 10
@@ -53,6 +59,8 @@ class Calibrated:
     """what it was found from"""
     reversal: tuple[float, ...]
     """[m] reversal value at the tool (ISO 230-2) of each posture that was come to from two sides"""
+    filmed: Filmed | None = None
+    """what a camera's pictures told besides: lens, camera, board, how well each picture fits; None without a camera"""
 
     @property
     def before(self) -> float:
@@ -69,9 +77,9 @@ def calibrate(
     robot: RobotLike | None = None,
     *,
     run: RunLike | None = None,
-    gauge: Gauge | None = None,
-    points: Measurements | Path | str | None = None,
-    count: int = POINTS,
+    gauge: Gauge | CameraGauge | None = None,
+    points: Measurements | Film | Path | str | None = None,
+    count: int | None = None,
     visits: int = 2,
     arm: ArmLike | None = None,
     twin: TwinLike | None = None,
@@ -90,14 +98,15 @@ def calibrate(
     robot
         robot or its address; None where ``points`` were measured before
     run
-        run, or its folder, into which ``measurements.parquet`` and ``calibration.toml`` are written
+        run, or its folder, into which ``measurements.parquet`` and ``calibration.toml`` are written; with a camera
+        ``views.parquet``, the pictures and ``camera.toml`` as well
     gauge
-        what measures the tool: `TouchGauge`, `TrackerGauge`, or an object of your own with a ``measure`` like theirs;
-        by default an emulated arm's own knowledge, with 0.5 mm of noise
+        what measures the tool: `TouchGauge`, `TrackerGauge`, `CameraGauge`, or an object of your own with a ``measure``
+        like theirs; by default an emulated arm's own knowledge, with 0.5 mm of noise
     points
-        measurements, or a file of them (Parquet or CSV), instead of a robot
+        measurements, a file of them (Parquet or CSV), or a film of a board, instead of a robot
     count
-        number of postures
+        number of postures; by default 10, with a camera 14 and 12 pictures about the rest posture
     visits
         2: come to each posture from both sides, so that play shows; 1: from one
     arm
@@ -143,29 +152,56 @@ def calibrate(
     with exclusive(about):
         believed = as_calibration(prior, about, chosen)
         known = as_twin(twin) if twin is not None else None if about is None else about.twin
+        measured: Measurements | Film
         if points is not None:
-            measured = points if isinstance(points, Measurements) else read_measurements(Path(points), chosen)
+            measured = read_measurements(Path(points), chosen) if isinstance(points, Path | str) else points
         else:
             if about is not None:
                 require_space(about.path)
             assert robot is not None  # noqa: S101 - for the type checker; one of the two is given
             with opened(robot, chosen, seed, period) as connection:
                 about = about and about.begin()
-                drive = _MeasuringDrive(
-                    robot=connection, gauge=gauge or EmulatedGauge(seed=seed), run=about, twin=known, prior=believed
-                )
-                measured = drive.measure(count, visits, part(on_progress, 0.0, 0.95))
+                share = part(on_progress, 0.0, 0.95)
+                if isinstance(gauge, CameraGauge):
+                    measured = film_of(
+                        connection, gauge, about, known, count or POSTURES, visits, share, afresh=prior == "none"
+                    )
+                else:
+                    drive = _MeasuringDrive(
+                        robot=connection, gauge=gauge or EmulatedGauge(seed=seed), run=about, twin=known, prior=believed
+                    )
+                    measured = drive.measure(count or POINTS, visits, share)
         on_progress(0.95, "fitting")
-        found = fit(chosen, measured, prior=believed, date=f"{datetime.now().astimezone():%Y-%m-%dT%H:%M:%S%z}")
-        result = Calibrated(calibration=found, measurements=measured, reversal=reversals(chosen, measured, found.frame))
+        tip = gauge.tip if isinstance(gauge, CameraGauge) else None
+        result = _fitted(chosen, measured, believed, tip)
         if about is not None:
             with saving(result):
                 about.begin()
-                write_measurements(about.folder.measurements, chosen, measured)
+                write_measurements(about.folder.measurements, chosen, result.measurements)
                 set_aside(about.folder.calibration)
-                write_calibration(about.folder.calibration, found)
+                write_calibration(about.folder.calibration, result.calibration)
+                if isinstance(measured, Film) and result.filmed is not None:
+                    write_filmed(about, chosen, measured, result.filmed, taken=points is None)
         on_progress(1.0, "fitted")
         return result
+
+
+def _fitted(arm: Arm, measured: Measurements | Film, prior: Calibration | None, tip: Tip | None) -> Calibrated:
+    """Fit points, or what a film shows."""
+    date = f"{datetime.now().astimezone():%Y-%m-%dT%H:%M:%S%z}"
+    filmed = None
+    if isinstance(measured, Film):
+        try:
+            filmed = fit_film(arm, measured, prior=prior, tip=tip, date=date)
+        except InputError as error:
+            error.add_note("The pictures are kept; --afresh takes them anew.")
+            raise
+        found, measured = filmed.calibration, filmed.measurements
+    else:
+        found = fit(arm, measured, prior=prior, date=date)
+    return Calibrated(
+        calibration=found, measurements=measured, reversal=reversals(arm, measured, found.frame), filmed=filmed
+    )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -39,7 +39,7 @@ from rejoint.runs.stages.driving import (
     stance_of,
     start_journal,
 )
-from rejoint.runs.stages.eyes import EyeLike, eye_of, watched, with_sightings
+from rejoint.runs.stages.eyes import EyeLike, opened_eye, watched, with_sightings
 from rejoint.system.errors import InputError
 from rejoint.system.files import require_space, saving
 from rejoint.system.progress import Progress, no_progress, paced
@@ -94,8 +94,9 @@ def deploy(
         what lies behind the encoders, or its file: targets are aimed at by it; ``none`` for no correction. By default
         that of ``run``
     eye
-        sees the tool (`rejoint.control.seeing.Eye`), or makes such a one for the open robot; ``emulated`` for a camera
-        that watches an emulated arm. The last millimetres are then corrected by what is seen
+        sees the tool (`rejoint.control.seeing.Eye`), or makes such a one for the open robot; the number of the camera,
+        as ``0``, that ``run`` was calibrated with; ``emulated`` for one that watches an emulated arm. The last
+        millimetres are then corrected by what is seen
     dwell
         [s] per target
     within
@@ -147,7 +148,11 @@ def deploy(
         if about is not None:
             require_space(about.path)
         rows = 0 if usual is None else int(len(job.targets) * dwell / min(usual))
-        with noted(), opened(robot, chosen, seed, period) as connection:
+        with (
+            noted(),
+            opened(robot, chosen, seed, period) as connection,
+            opened_eye(eye, connection, about, seed) as sees,
+        ):
             drive = _Drive(
                 robot=connection,
                 controller=make(chosen),
@@ -156,7 +161,7 @@ def deploy(
                 twin=known,
                 correct=correct,
                 model=calibration_of(calibration, about, chosen, address_of(robot)),
-                eye=None if eye is None else eye_of(eye, connection, seed),
+                eye=sees,
             )
             return drive.to_targets(rows, on_progress, on_end or (lambda _: None))
 

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from typing import TypeAlias
 
+import numpy as np
+
 from rejoint.arms import Displacement
+from rejoint.arms.camera.rig import Rig
+from rejoint.arms.camera.rigfile import read_rig
 from rejoint.control.accuracy import TrueError
 from rejoint.control.controller import Controller
 from rejoint.control.correction import Modelled
@@ -14,21 +19,48 @@ from rejoint.control.deployment import Deployed, Visit
 from rejoint.control.finishing import Finishing
 from rejoint.control.robot import Robot
 from rejoint.control.seeing import Eye, Seen
+from rejoint.runs.run import Run
 from rejoint.system.errors import InputError
 
 EyeLike: TypeAlias = "Eye | Callable[[Robot], Eye] | str"
-"""An eye, what makes one for an open robot, or ``emulated``"""
+"""An eye, what makes one for an open robot, the number of a camera, or ``emulated``"""
 
 
-def eye_of(given: EyeLike, robot: Robot, seed: int) -> Eye:
-    """Return the eye that sees the tool of ``robot``; InputError where there is none such."""
-    if given == "emulated":
-        from rejoint.diagnosis.calibration.eye import EmulatedEye
+@contextmanager
+def opened_eye(given: EyeLike | None, robot: Robot, run: Run | None, seed: int) -> Iterator[Eye | None]:
+    """Open the eye that sees the tool of ``robot``, and close it at the end; None where nothing watches.
 
-        return EmulatedEye(robot, seed=seed)
-    if isinstance(given, str):
-        raise InputError(f"no camera is called {given!r}; expected emulated")
-    return given if hasattr(given, "sighting") else given(robot)
+    A camera by its number needs the ``camera.toml`` of ``run``. InputError where there is no such eye.
+    """
+    if given is None:
+        yield None
+    elif given == "emulated":
+        from rejoint.robots.eye import EmulatedEye
+
+        yield EmulatedEye(robot, seed=seed)
+    elif not isinstance(given, str):
+        yield given if hasattr(given, "sighting") else given(robot)
+    elif given.isdecimal():
+        from rejoint.robots.livecamera import LiveCamera
+        from rejoint.runs.stages.liveeye import LiveEye
+
+        rig = _rig(given, robot, run)
+        size = (rig.lens.width, rig.lens.height)
+        with LiveCamera(int(given), size=size) as camera, LiveEye(camera, rig, name=f"camera {given}") as eye:
+            yield eye
+    else:
+        raise InputError(f"no camera is called {given!r}; expected the number of a camera, or emulated")
+
+
+def _rig(number: str, robot: Robot, run: Run | None) -> Rig:
+    """Return how the camera stands to the arm."""
+    if np.isfinite(robot.true_tcp()).all():
+        raise InputError(f"camera {number} cannot see {robot.address}; watch an emulated arm with --camera emulated")
+    if run is None or not run.folder.camera.exists():
+        raise InputError(
+            f"camera {number}: it is not known where it stands; first `rejoint calibrate ROBOT RUN --camera {number}`"
+        )
+    return read_rig(run.folder.camera, robot.arm)
 
 
 def watched(robot: Robot, controller: Controller, model: Modelled | None, eye: Eye) -> tuple[Controller, Seen]:

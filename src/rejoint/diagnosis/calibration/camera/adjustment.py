@@ -14,13 +14,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from rejoint.arms import Arm, Array, Displacement, jacobian
+from rejoint.arms.camera.board import BoardView
+from rejoint.arms.camera.lens import TERMS, Lens, projected
+from rejoint.arms.camera.poses import inverse, moved, rotation_vector, skew, turning
+from rejoint.arms.camera.rig import Rig, tool_of
+from rejoint.arms.camera.sighting import CORNER
 from rejoint.arms.displacement import FLOATING
 from rejoint.arms.size import length_size
-from rejoint.diagnosis.calibration.camera.lens import TERMS, Lens, projected
-from rejoint.diagnosis.calibration.camera.poses import inverse, moved, rotation_vector, skew, turning
-from rejoint.diagnosis.calibration.camera.rig import Rig, tool_of
-from rejoint.diagnosis.calibration.camera.sighting import CORNER
-from rejoint.diagnosis.calibration.camera.views import BoardView
 from rejoint.diagnosis.calibration.model import SCATTER
 from rejoint.diagnosis.calibration.parameters import Belief, DisplacementLayout, displacement_of
 

@@ -9,15 +9,15 @@ from itertools import pairwise
 import numpy as np
 
 from rejoint.arms import Arm, Array, Displacement
+from rejoint.arms.camera.board import Board, BoardView
+from rejoint.arms.camera.lens import TERMS, Lens
+from rejoint.arms.camera.poses import inverse
+from rejoint.arms.camera.rig import MOUNTINGS, Rig
+from rejoint.arms.camera.sighting import CORNER, place
+from rejoint.arms.camera.views import Unusable
 from rejoint.diagnosis.calibration.camera.adjustment import Adjustment, Tip, looseness
-from rejoint.diagnosis.calibration.camera.board import Board
-from rejoint.diagnosis.calibration.camera.lens import TERMS, Lens
-from rejoint.diagnosis.calibration.camera.poses import inverse
-from rejoint.diagnosis.calibration.camera.rig import MOUNTINGS, Rig
-from rejoint.diagnosis.calibration.camera.sighting import CORNER, place
 from rejoint.diagnosis.calibration.camera.starting import first_lens, first_rig, first_sights
 from rejoint.diagnosis.calibration.camera.suspects import Judged, judge
-from rejoint.diagnosis.calibration.camera.views import BoardView, Unusable
 from rejoint.diagnosis.calibration.measurements import Measurements
 from rejoint.diagnosis.calibration.parameters import Belief, DisplacementLayout, PriorCase, belief, displacement_of
 from rejoint.system.errors import InputError
@@ -198,8 +198,10 @@ def _solved(state: Adjustment, vector: Array, steps: int) -> tuple[Array, Array]
 
     lower, upper = np.full(state.size, -np.inf), np.full(state.size, np.inf)
     body = slice(0, state.layout.body)
-    lower[state.body], upper[state.body] = state.belief.lower[body], state.belief.upper[body]
-    inside = np.clip(vector, state.belief.lower[body] + _INSIDE, state.belief.upper[body] - _INSIDE)
+    low, high = state.belief.lower[body], state.belief.upper[body]
+    room = np.where(high > low, 0.0, 2.0 * _INSIDE)  # what is not to be fitted; the solver wants to have some room
+    lower[state.body], upper[state.body] = low - room, high + room
+    inside = np.clip(vector, lower[state.body] + _INSIDE, upper[state.body] - _INSIDE)
     found = least_squares(
         state.residual, state.start(inside), state.derivative, bounds=(lower, upper), method="trf", x_scale="jac",
         loss="huber", f_scale=HUBER, max_nfev=steps, xtol=1e-6, ftol=1e-5, gtol=1e-6,

@@ -7,18 +7,20 @@ from collections.abc import Sequence
 import numpy as np
 
 from rejoint.arms import Arm, Array, tcp_pose
-from rejoint.diagnosis.calibration.camera.board import Board
-from rejoint.diagnosis.calibration.camera.lens import Lens
-from rejoint.diagnosis.calibration.camera.poses import inverse, nearest_rotation
-from rejoint.diagnosis.calibration.camera.rig import Rig, tool_of
-from rejoint.diagnosis.calibration.camera.sighting import focal_length, homography, place, turn_between
-from rejoint.diagnosis.calibration.camera.views import BoardView
+from rejoint.arms.camera.board import Board, BoardView
+from rejoint.arms.camera.lens import Lens
+from rejoint.arms.camera.poses import inverse, nearest_rotation
+from rejoint.arms.camera.rig import Rig, tool_of
+from rejoint.arms.camera.sighting import focal_length, homography, place, turn_between
 from rejoint.system.errors import InputError
 
 _FOCAL = (0.3, 5.0)  # least and most of a focal length, by the width of the picture (webcams: 0.6 to 1.3)
 _ROUNDS = 4  # of finding the poses and leaving out views that do not fit them
 _FAR = 4.0  # times the median distance beyond which a view does not help the first estimate (chosen)
 _LEVER = 0.1  # [m] that makes a length of a turn (chosen: the size of a board)
+_STRETCH = 0.2
+"""Share by which lengths may differ before the board counts as another one (chosen: wear makes 0.05 of them, and boards
+of 20 and 30 mm differ by 0.5)"""
 _TURNED = np.radians(10.0)
 """[rad] by which the tool must have been turned between views, about two directions (chosen: ten times the play)"""
 
@@ -54,6 +56,12 @@ def first_rig(arm: Arm, lens: Lens, board: Board, carried: str, position: Array,
         seen = tool_of(carried, standing, mounted, sights)
         off = np.linalg.norm(seen[:, :3, 3] - tool[:, :3, 3], axis=-1) + _LEVER * turn_between(seen, tool)
         used = off <= _FAR * np.median(off)
+    scale = _scale(tool[used], between[used], standing)
+    if abs(scale - 1.0) > _STRETCH:
+        raise InputError(
+            f"by the joints' motion the squares of the board measure about {1e3 * board.square * scale:.0f} mm, by its "
+            f"description {1e3 * board.square:g}; give the description of this print"
+        )
     return Rig(lens=lens, board=board, carried=carried, standing=standing, mounted=mounted)
 
 
@@ -73,6 +81,14 @@ def _solve(tool: Array, between: Array) -> tuple[Array, Array]:
     shift = np.linalg.lstsq(left, right, rcond=None)[0]
     standing[:3, 3], mounted[:3, 3] = shift[:3], shift[3:]
     return standing, mounted
+
+
+def _scale(tool: Array, between: Array, standing: Array) -> float:
+    """Factor of the lengths in M ``between`` that fits A M = F B best, for poses F of the ``tool``, (V, 4, 4) each."""
+    one = np.broadcast_to(np.eye(3), (len(tool), 3, 3))
+    lengths = (between[:, :3, 3] @ standing[:3, :3].T)[..., None]
+    left = np.concatenate([one, -tool[:, :3, :3], lengths], axis=2).reshape(-1, 7)
+    return float(np.linalg.lstsq(left, tool[:, :3, 3].ravel(), rcond=None)[0][6])
 
 
 def _require_turns(tool: Array) -> None:

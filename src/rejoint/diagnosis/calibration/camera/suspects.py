@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Array
+from rejoint.arms.camera.sighting import place
+from rejoint.arms.camera.views import Unusable
 from rejoint.diagnosis.calibration.camera.adjustment import Adjustment, difference
-from rejoint.diagnosis.calibration.camera.sighting import place
-from rejoint.diagnosis.calibration.camera.views import Unusable
 from rejoint.diagnosis.calibration.parameters import displacement_of
 
 CROOKED = 4.0

@@ -2,35 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
-from rejoint.arms import Array
+from rejoint.arms.camera.board import BoardView
+from rejoint.arms.camera.rig import Rig
+from rejoint.arms.camera.sighting import place
+from rejoint.arms.camera.views import Detector, Unusable
+from rejoint.control.seeing import Sighting
 from rejoint.diagnosis.calibration.camera.bundle import point_sigma
-from rejoint.diagnosis.calibration.camera.rig import Rig
-from rejoint.diagnosis.calibration.camera.sighting import place
-from rejoint.diagnosis.calibration.camera.views import BoardView, Detector, Unusable
 
 CROOKED = 1.0
 """[px] of corners beside those of a flat board from which a picture is not trusted (chosen: six times a sharp one's)"""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class ToolSighting:
-    """Where the tool was when a picture was taken."""
-
-    position: Array
-    """(3,) [m] of the TCP in the base frame"""
-    sigma: float
-    """[m] standard deviation of each coordinate from picture to picture; the rig's own error is the same in all"""
-    time: float
-    """[s] when the picture was taken, on the clock of whoever took it"""
-
-    def age(self, now: float) -> float:
-        """[s] since the picture was taken, for ``now`` on the same clock."""
-        return now - self.time
 
 
 class ToolTracker:
@@ -42,7 +25,7 @@ class ToolTracker:
         """why the last picture was of no use; empty where it was"""
         self._detector = Detector(rig.board)
 
-    def see(self, picture: NDArray[np.uint8], time: float = 0.0) -> ToolSighting | None:
+    def see(self, picture: NDArray[np.uint8], time: float = 0.0) -> Sighting | None:
         """Where the tool is in a grey or BGR ``picture`` taken at ``time`` [s]; None where the board is not seen well.
 
         It needs no more than the picture: a wrong encoder cannot mislead it.
@@ -51,7 +34,7 @@ class ToolTracker:
         self.why = found.why if isinstance(found, Unusable) else ""
         return None if isinstance(found, Unusable) else self.sighting(found, time)
 
-    def sighting(self, view: BoardView, time: float = 0.0) -> ToolSighting | None:
+    def sighting(self, view: BoardView, time: float = 0.0) -> Sighting | None:
         """Return the same for a ``view`` whose corners are known."""
         placed = place(self.rig.lens, self.rig.board.corners[view.number], view.pixel)
         if placed.rms > CROOKED:
@@ -59,4 +42,4 @@ class ToolTracker:
             return None
         sights, spread = placed.pose[None], placed.covariance[None]
         sigma = float(point_sigma(self.rig, sights, spread)[0])
-        return ToolSighting(position=self.rig.tool(sights)[0, :3, 3], sigma=sigma, time=time)
+        return Sighting(place=self.rig.tool(sights)[0, :3, 3], sigma=sigma, time=time)

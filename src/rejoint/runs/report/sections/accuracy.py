@@ -69,9 +69,9 @@ def reversal_words(found: Calibration, measured: Measurements) -> str:
 
 
 def _suspects(found: Calibration) -> tuple[str, ...]:
+    cause = "did the arm still move" if found.source == "camera" else "read wrong, or touched hard"
     return tuple(
-        f"Measurement {row + 1} does not fit to the others: read wrong, or touched hard? Measure it again."
-        for row in found.suspects
+        f"Measurement {row + 1} does not fit to the others: {cause}? Measure it again." for row in found.suspects
     )
 
 

@@ -121,7 +121,7 @@ def commands(contents: Contents) -> dict[str, Command]:
         "diagnose": Command("Measure and judge the arm:", diagnose),
         "identify": Command("Fit the twin:", identify),
         "train": Command("Train the policy:", f"rejoint train {run}{recipe}"),
-        "calibrate": Command("Measure where the tool is:", f"rejoint calibrate {robot} {run}{_by_hand(robot)}"),
+        "calibrate": Command("Measure where the tool is:", f"rejoint calibrate {robot} {run}{_gauge(contents, robot)}"),
         "compare": Command("Try every controller on the arm:", _compare(contents, robot, run)),
         "report": Command("Make this page again:", f"rejoint report {run}"),
     }
@@ -139,8 +139,10 @@ def _compare(contents: Contents, robot: str, run: str) -> str:
     return f"rejoint compare {shlex.quote(comparison.robot)} {run}{_options(comparison)}{plain}{seed}"
 
 
-def _by_hand(robot: str) -> str:
-    """Return the option by which a person measures the tool; an arm in virtual time tells by itself."""
+def _gauge(contents: Contents, robot: str) -> str:
+    """Return the option by which the tool is measured; an arm in virtual time tells by itself."""
+    if contents.calibration is not None and contents.calibration.source == "camera":
+        return " --camera 0" if once(robot) else " --camera emulated"
     return " --touch" if once(robot) else ""
 
 
@@ -157,7 +159,11 @@ def _measured(contents: Contents, robot: str) -> str:
     found, virtual = contents.calibration, not once(robot)
     if found is None:
         return " --calibrate none" if virtual else ""
-    return "" if virtual else f" --calibrate {'tracker=FILE' if found.source == 'tracker' else found.source}"
+    return (
+        ""
+        if virtual and found.source != "camera"
+        else f" --calibrate {'tracker=FILE' if found.source == 'tracker' else found.source}"
+    )
 
 
 def _options(comparison: Comparison) -> str:

@@ -117,6 +117,21 @@ class Board:
         return cv2.aruco.CharucoBoard((self.columns, self.rows), self.square, self.marker, markers)
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class BoardView:
+    """What one picture shows of the board."""
+
+    name: str
+    number: NDArray[np.int64]
+    """(K,) which corners of the board"""
+    pixel: Array
+    """(K, 2) where they are; pixels have their centres at whole numbers"""
+
+    def __post_init__(self) -> None:
+        if self.pixel.shape != (len(self.number), 2):
+            raise InputError(f"view {self.name}: {len(self.number)} corners, but pixels of shape {self.pixel.shape}")
+
+
 ON_TABLE = Board()
 """210 x 150 mm: on A4 with its rulers, for the table under a camera that the tool carries"""
 

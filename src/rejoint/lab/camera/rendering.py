@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Array
-from rejoint.diagnosis.calibration.camera.board import Board
-from rejoint.diagnosis.calibration.camera.drawing import areas
-from rejoint.diagnosis.calibration.camera.lens import Lens
+from rejoint.arms.camera.board import Board
+from rejoint.arms.camera.drawing import areas
+from rejoint.arms.camera.lens import Lens
 
 Picture = NDArray[np.uint8]
 """(height, width) grey levels"""

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rejoint.diagnosis.calibration.camera.board import RULER, Board
+from rejoint.arms.camera.board import RULER, Board
 from rejoint.system.errors import InputError
 from rejoint.system.files import write_whole
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from rejoint.arms import Array
-from rejoint.diagnosis.calibration.camera.board import Board
-from rejoint.diagnosis.calibration.camera.lens import Lens
-from rejoint.diagnosis.calibration.camera.poses import inverse
+from rejoint.arms.camera.board import Board
+from rejoint.arms.camera.lens import Lens
+from rejoint.arms.camera.poses import inverse
 from rejoint.system.errors import InputError
 
 MOUNTINGS = ("board", "camera")

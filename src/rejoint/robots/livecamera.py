@@ -76,7 +76,7 @@ class LiveCamera:
                 return cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY), time.monotonic()
         raise InputError(f"camera {self.number} gives no pictures any more; check its cable")
 
-    def still(self) -> NDArray[np.uint8]:
+    def still(self, number: int = 0) -> NDArray[np.uint8]:  # noqa: ARG002 - every picture is another one
         """Mean of a few pictures after a rest, for an arm that stands still."""
         until = time.monotonic() + PAUSE
         while self.picture()[1] < until:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Array
-from rejoint.diagnosis.calibration.camera.board import Board
-from rejoint.diagnosis.calibration.camera.sighting import FEWEST
-from rejoint.system.errors import FileError, InputError
+from rejoint.arms.camera.board import Board, BoardView
+from rejoint.arms.camera.sighting import FEWEST
 from rejoint.system.extras import require
+from rejoint.system.files import MEGABYTE, read_bounded
 
 KINDS = (".png", ".jpg", ".jpeg")
 """Endings of the files that are read as pictures"""
@@ -22,22 +21,10 @@ SOFT = 6.0
 """[px] width of an edge from which a picture counts as blurred (chosen: sharp ones have 2 to 4; beyond it the markers
 of a board on a tool are no longer read)"""
 
+PICTURE_MOST = 100 * MEGABYTE
+"""Largest file of a picture that is read (chosen: ten times what cameras write)"""
+
 _SHARPEST = 99.0  # percentile of the gradient that stands for edges (chosen)
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class BoardView:
-    """What one picture shows of the board."""
-
-    name: str
-    number: NDArray[np.int64]
-    """(K,) which corners of the board"""
-    pixel: Array
-    """(K, 2) where they are; pixels have their centres at whole numbers"""
-
-    def __post_init__(self) -> None:
-        if self.pixel.shape != (len(self.number), 2):
-            raise InputError(f"view {self.name}: {len(self.number)} corners, but pixels of shape {self.pixel.shape}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,40 +96,9 @@ def edge_width(grey: NDArray[np.uint8], corners: Array) -> float:
     return contrast / max(float(np.percentile(steep, _SHARPEST)), 1e-6)
 
 
-def read_views(folder: Path, board: Board) -> tuple[list[BoardView], list[Unusable]]:
-    """Find the board in every picture of a folder, in the order of their names; FileError without pictures."""
-    return find_views(read_pictures(folder), board)
-
-
-def find_views(
-    pictures: Iterable[tuple[str, NDArray[np.uint8] | None]], board: Board
-) -> tuple[list[BoardView], list[Unusable]]:
-    """Find the board in pictures with names; None stands for one that cannot be read."""
-    detector = Detector(board)
-    views: list[BoardView] = []
-    unusable: list[Unusable] = []
-    for name, picture in pictures:
-        if picture is None:
-            unusable.append(Unusable(name=name, why="is no picture that OpenCV can read"))
-            continue
-        found = detector.find(name, picture)
-        if isinstance(found, BoardView):
-            views.append(found)
-        else:
-            unusable.append(found)
-    return views, unusable
-
-
-def read_pictures(folder: Path) -> Iterator[tuple[str, NDArray[np.uint8] | None]]:
-    """Yield name and grey levels of the pictures of a folder, in the order of their names."""
-    require("a camera", "camera")
+def read_picture(path: Path) -> NDArray[np.uint8] | None:
+    """Read the grey levels of a picture; None where it is none that OpenCV can read."""
     import cv2
 
-    remedy = f"give a folder with pictures ({', '.join(KINDS)})"
-    if not folder.is_dir():
-        raise FileError(folder, "is no folder", remedy)
-    paths = sorted(path for path in folder.iterdir() if path.suffix.lower() in KINDS)
-    if not paths:
-        raise FileError(folder, "holds no pictures", remedy)
-    for path in paths:
-        yield path.name, cv2.imdecode(np.frombuffer(path.read_bytes(), np.uint8), cv2.IMREAD_GRAYSCALE)
+    data = np.frombuffer(read_bounded(path, PICTURE_MOST, "take a smaller picture"), np.uint8)
+    return cv2.imdecode(data, cv2.IMREAD_GRAYSCALE) if len(data) else None

@@ -11,12 +11,11 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from rejoint.arms import Arm, Array, tcp_pose
-from rejoint.diagnosis.calibration.camera.board import ON_TOOL, Board
-from rejoint.diagnosis.calibration.camera.lens import Lens
-from rejoint.diagnosis.calibration.camera.poses import inverse
-from rejoint.diagnosis.calibration.camera.rendering import Looks, Picture, render
-from rejoint.diagnosis.calibration.camera.rig import Rig
-from rejoint.diagnosis.calibration.camera.views import BoardView
+from rejoint.arms.camera.board import ON_TOOL, Board, BoardView
+from rejoint.arms.camera.lens import Lens
+from rejoint.arms.camera.poses import inverse
+from rejoint.arms.camera.rig import Rig
+from rejoint.lab.camera.rendering import Looks, Picture, render
 
 LENS = Lens(width=1920, height=1080, f=1400.0, cx=950.0, cy=545.0, k1=-0.08, k2=0.05, p1=8e-4, p2=-5e-4)
 """A web camera of 69 degrees with some distortion (chosen)"""
@@ -34,8 +33,11 @@ class Scene:
 
     def picture(self, links: Array, seed: int | tuple[int, ...], looks: Looks | None = None) -> Picture:
         """Render what the camera sees while the links are at ``links`` (n,) [rad], wherever the encoders are."""
-        pose = self.rig.sight(tcp_pose(self.arm, links))
-        return render(self.rig.board, self.rig.lens, pose, seed, looks or self.looks)
+        return self.shows(tcp_pose(self.arm, links), seed, looks)
+
+    def shows(self, tool: Array, seed: int | tuple[int, ...], looks: Looks | None = None) -> Picture:
+        """Render what the camera sees while the tool is at ``tool`` (4, 4) in the base."""
+        return render(self.rig.board, self.rig.lens, self.rig.sight(tool), seed, looks or self.looks)
 
     def view(self, name: str, links: Array, rng: np.random.Generator, noise: float = 0.15) -> BoardView:
         """Return the corners that the camera sees, with ``noise`` [px], without a picture."""

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from rejoint.arms import Array
-from rejoint.diagnosis.calibration.camera.lens import Lens, projected
-from rejoint.diagnosis.calibration.camera.poses import moved, nearest_rotation, rotation_vector, skew, turned
+from rejoint.arms.camera.lens import Lens, projected
+from rejoint.arms.camera.poses import moved, nearest_rotation, rotation_vector, skew, turned
 from rejoint.system.errors import InputError
 
 CORNER = 0.15

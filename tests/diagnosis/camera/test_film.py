@@ -1,0 +1,179 @@
+"""A film tells what lies behind the encoders, names what does not belong to it, and comes back from its files."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from camera_scenes import ARM, WORN, taken
+
+from rejoint.arms import tcp_position
+from rejoint.arms.camera.board import ON_TABLE, ON_TOOL, BoardView
+from rejoint.arms.camera.poses import inverse
+from rejoint.arms.camera.rigfile import read_rig, write_rig
+from rejoint.arms.camera.views import Unusable
+from rejoint.diagnosis.calibration.camera.film import Film, Shot
+from rejoint.diagnosis.calibration.camera.filmfile import POSTURES, read_film, read_folder, write_film, write_postures
+from rejoint.diagnosis.calibration.camera.filming import believed_rig
+from rejoint.diagnosis.calibration.camera.fit import fit_film
+from rejoint.lab.camera.scene import LENS
+from rejoint.system.errors import ContractError, FileError, InputError
+
+cv2 = pytest.importorskip("cv2", reason="OpenCV is not installed: pip install 'rejoint[camera]'")
+SIZE = (LENS.width, LENS.height)
+SWAPPED = ("view-05.png", "view-06.png")
+
+
+def film_of(count, carried="board", seed=0):
+    """Corners of the worn arm's board, two of whose pictures are swapped, and one picture that shows nothing."""
+    t = taken(carried, count, seed)
+    film = Film(board=t.scene.rig.board, carried=carried)
+    place = {name: int(name[5:7]) for name in SWAPPED}
+    other = dict(zip(place.values(), reversed(place.values()), strict=True))
+    for k, (view, position) in enumerate(zip(t.views, t.position, strict=True)):
+        seen = t.views[other[k]] if k in other else view
+        shot = Shot(
+            number=k + 1, position=position, approach=np.full(ARM.joints, np.nan), posture=k, side=0,
+            seen=BoardView(name=view.name, number=seen.number, pixel=seen.pixel),
+        )  # fmt: skip
+        film = film.with_shot(shot, SIZE)
+    blank = replace(film.shots[0], number=count + 1, seen=Unusable(name="blank.jpg", why="the board cannot be seen"))
+    return film.with_shot(blank, SIZE)
+
+
+@pytest.fixture(scope="module")
+def filmed():
+    return fit_film(ARM, film_of(22), date="2026-01-31")
+
+
+def test_a_displacement_comes_back_within_its_interval(filmed):
+    found = filmed.calibration
+    rng = np.random.default_rng(9)
+    position = ARM.rest + rng.uniform(-0.3, 0.3, (40, ARM.joints))
+    truth = tcp_position(ARM, WORN.joints(ARM, position))
+    off = np.linalg.norm(found.tool(position) - truth, axis=-1)
+    assert np.linalg.norm(tcp_position(ARM, position) - truth, axis=-1).mean() > 6e-3
+    assert off.mean() < 1.2e-3
+    low, high = found.interval(position, truth)
+    assert np.mean(low == 0.0) > 0.9  # the tool may be where it is
+    assert (high < 0.01).all()
+    assert found.used
+    assert found.after < 0.7 * found.before
+    assert (found.source, found.frame_name) == ("camera", "camera")
+
+
+def test_what_does_not_belong_to_a_film_is_named(filmed):
+    left = {one.name: one.why for one in filmed.left_out}
+    assert set(left) == {*SWAPPED, "blank.jpg"}
+    assert (
+        f"belongs to the joint positions of {SWAPPED[1]}; swapped?" in left[SWAPPED[0]] or "swapped" in left[SWAPPED[1]]
+    )
+    assert len(filmed.residuals) == len(filmed.measurements) == filmed.calibration.points == 20
+
+
+def test_the_rig_is_the_one_that_the_calibration_believes(filmed, tmp_path):
+    found, scene = filmed.calibration, taken(count=22).scene
+    np.testing.assert_array_equal(found.frame, filmed.rig.standing)
+    off = filmed.rig.standing[:3, 3] - scene.rig.standing[:3, 3]
+    assert (np.abs(off) < 3 * filmed.rig_sigma[7:10]).all()
+    assert np.linalg.norm(filmed.rig.mounted[:3, 3] - scene.rig.mounted[:3, 3]) < 1e-3
+    seen = filmed.measurements.point @ found.frame[:3, :3].T + found.frame[:3, 3]
+    told = found.tool(filmed.measurements.position)
+    assert np.linalg.norm(seen - told, axis=-1).mean() < 1.5e-3
+    write_rig(tmp_path / "camera.toml", ARM, filmed.rig, filmed.rig_sigma, found.date)
+    back = read_rig(tmp_path / "camera.toml", ARM)
+    assert (back.lens, back.board, back.carried) == (filmed.rig.lens, filmed.rig.board, "board")
+    np.testing.assert_array_equal(back.standing, filmed.rig.standing)
+    np.testing.assert_array_equal(back.mounted, filmed.rig.mounted)
+
+
+def test_a_rig_file_that_was_changed_or_is_of_another_arm_is_refused(filmed, tmp_path):
+    path = tmp_path / "camera.toml"
+    write_rig(path, ARM, filmed.rig, filmed.rig_sigma)
+    with pytest.raises(ContractError, match="camera of arm 'mycobot280', expected one of 'other'"):
+        read_rig(path, replace(ARM, name="other"))
+    path.write_text(path.read_text(encoding="utf-8").replace("width = 1920", "width = 1921"), encoding="utf-8")
+    with pytest.raises(FileError, match="damaged"):
+        read_rig(path, ARM)
+    with pytest.raises(FileError, match="calibrate with the camera first"):
+        read_rig(tmp_path / "none.toml", ARM)
+
+
+def test_a_second_film_takes_the_first_calibration_as_its_prior(filmed):
+    few = film_of(12, seed=1)
+    few = replace(few, shots=tuple(shot for shot in few.shots if shot.name not in SWAPPED))
+    later, alone = (fit_film(ARM, few, prior=prior).calibration for prior in (filmed.calibration, None))
+    position = ARM.rest + np.random.default_rng(9).uniform(-0.3, 0.3, (40, ARM.joints))
+    joints = slice(0, 3 * ARM.joints)  # offset, compliance and play
+    variances = [np.diag(one.covariance)[joints] for one in (later, alone)]
+    assert np.log(variances[0] / variances[1]).mean() < -0.1
+    truth = tcp_position(ARM, WORN.joints(ARM, position))
+    assert np.linalg.norm(later.tool(position) - truth, axis=-1).mean() < 1.5e-3
+
+
+def test_a_film_comes_back_from_its_file(tmp_path):
+    film, path = film_of(12), tmp_path / "views.parquet"
+    write_film(path, ARM, film)
+    back, ended = read_film(path, ARM)
+    assert not ended
+    assert (back.board, back.carried, back.size) == (film.board, film.carried, film.size)
+    assert [one.name for one in back.shots] == [one.name for one in film.shots]
+    for one, other in zip(back.usable, film.usable, strict=True):
+        np.testing.assert_array_equal(one.position, other.position)
+        np.testing.assert_array_equal(one.seen.pixel, other.seen.pixel)
+        np.testing.assert_array_equal(one.seen.number, other.seen.number)
+    assert back.unusable == film.unusable
+    write_film(path, ARM, film, ended=True)
+    assert read_film(path, ARM)[1]
+    with pytest.raises(FileError, match="views of arm mycobot280, expected other"):
+        read_film(path, replace(ARM, name="other"))
+
+
+def test_pictures_of_a_folder_are_read_with_their_postures(tmp_path):
+    t, film = taken(), film_of(3)
+    write_postures(tmp_path / POSTURES, ARM, film)
+    for k in range(3):
+        cv2.imwrite(str(tmp_path / f"view-0{k}.png"), t.scene.picture(t.links[k], k))
+    found = read_folder(str(tmp_path), ARM, ON_TOOL)
+    assert [shot.name for shot in found.shots] == [shot.name for shot in film.shots[:3]]
+    for one, other in zip(found.usable, film.shots, strict=False):
+        np.testing.assert_allclose(one.position, other.position, atol=1e-7)
+    assert [shot.name for shot in read_folder(f"{tmp_path}/view-0[12].png", ARM, ON_TOOL).shots] == [
+        "view-01.png", "view-02.png"
+    ]  # fmt: skip
+    (tmp_path / "view-02.png").write_bytes(b"no picture")
+    (tmp_path / "notes.txt").write_text("skipped")
+    unreadable = read_folder(str(tmp_path), ARM, ON_TOOL).unusable
+    assert [(one.name, one.why) for one in unreadable] == [("view-02.png", "is no picture that OpenCV can read")]
+    cv2.imwrite(str(tmp_path / "view-02.png"), np.zeros((480, 640), np.uint8))
+    with pytest.raises(InputError, match=r"view-02.png has 640 x 480 px, those before it 1920 x 1080"):
+        read_folder(str(tmp_path), ARM, ON_TOOL)
+    cv2.imwrite(str(tmp_path / "view-09.png"), np.zeros((480, 640), np.uint8))
+    with pytest.raises(FileError, match=r"no joint positions for view-09.png \(1 pictures\)"):
+        read_folder(str(tmp_path), ARM, ON_TOOL)
+    with pytest.raises(FileError, match="no such pictures"):
+        read_folder(str(tmp_path / "*.jpg"), ARM, ON_TOOL)
+    (tmp_path / POSTURES).write_text("picture,joint1\n")
+    with pytest.raises(FileError, match=r"missing: position\.joint1_deg"):
+        read_folder(str(tmp_path), ARM, ON_TOOL)
+    (tmp_path / POSTURES).unlink()
+    with pytest.raises(FileError, match="the joint positions of each picture are missing"):
+        read_folder(str(tmp_path), ARM, ON_TOOL)
+
+
+def test_too_few_pictures_are_a_line_that_says_why():
+    film = film_of(12)
+    blanks = tuple(
+        replace(shot, seen=Unusable(name=shot.name, why="blurred: its edges are 9 px wide")) for shot in film.shots[4:]
+    )
+    with pytest.raises(InputError, match=r"in 4 of 13 pictures, expected at least 10 \(9 times: blurred\)"):
+        fit_film(ARM, replace(film, shots=film.shots[:4] + blanks))
+
+
+def test_a_print_of_another_size_is_noticed_by_how_the_arm_moves():
+    film = film_of(12)
+    scouted = replace(film, shots=tuple(shot for shot in film.shots if shot.name not in SWAPPED))
+    rig = believed_rig(ARM, scouted)
+    assert np.linalg.norm((inverse(rig.standing) @ taken().scene.rig.standing)[:3, 3]) < 0.03
+    larger = replace(scouted, board=replace(ON_TOOL, square=ON_TABLE.square, marker=ON_TABLE.marker))
+    with pytest.raises(InputError, match=r"squares of the board measure about (19|20|21) mm, by its description 30"):
+        believed_rig(ARM, larger)
