@@ -122,10 +122,10 @@ def test_degrees_called_radians_are_refused(tmp_path: Path):
         import_logs(source, ARM, out=tmp_path / "logs")
 
 
-def test_radians_called_degrees_are_noted(tmp_path: Path):
+def test_radians_called_degrees_are_refused(tmp_path: Path):
     names = {f"{g}.{j}_rad": f"{g}.{j}_deg" for g in ("position", "command") for j in ARM.joint_names}
-    imported = import_logs(write_table(tmp_path / "wave.csv", sample(), names), ARM, out=tmp_path / "logs")
-    assert any("set --angle-unit rad if the file holds radians" in note for note in imported.notes)
+    with pytest.raises(FileError, match=r"no angle is beyond 0.7.* deg; the values are surely radians"):
+        import_logs(write_table(tmp_path / "wave.csv", sample(), names), ARM, out=tmp_path / "logs")
 
 
 @pytest.mark.parametrize(

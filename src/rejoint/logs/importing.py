@@ -79,7 +79,7 @@ def import_logs(
         raise InputError(f"{out} exists already; name a new folder for the imported logs")
     reader = _READERS[detect(source) if format is None else _known(format)]
     total, motions = reader.motions(source, arm, options)
-    logs, notes = _checked(motions, arm, lambda done, name: on_progress(done / total, name))
+    logs, notes = _checked(motions, arm, options, lambda done, name: on_progress(done / total, name))
     if not logs:
         raise FileError(source, "holds no log", "take another one")
     _write_whole(out, logs)
@@ -87,13 +87,13 @@ def import_logs(
 
 
 def _checked(
-    motions: Iterator[RecordedMotion], arm: Arm, on_log: Callable[[int, str], object]
+    motions: Iterator[RecordedMotion], arm: Arm, options: ImportOptions, on_log: Callable[[int, str], object]
 ) -> tuple[dict[str, RunLog], dict[str, list[str]]]:
     """Turn motions into logs by file name; returns them and, by note, the logs that it is about."""
     logs: dict[str, RunLog] = {}
     notes: dict[str, list[str]] = {}
     for done, motion in enumerate(motions, start=1):
-        log, remarks = to_log(motion, arm)
+        log, remarks = to_log(motion, arm, options)
         name = _file_name(motion.name)
         if name in logs:
             raise FileError(motion.state.path, f"a second log with the name {name}", "import it into another folder")

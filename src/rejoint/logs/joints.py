@@ -101,10 +101,10 @@ def radians(values: Array, unit: str, arm: Arm, options: ImportOptions, path: Pa
         raise FileError(path, f"{worst:g} is no normalised value, which lie in -100..100", "set another --angle-unit")
     if options.calibration is None:
         raise FileError(path, "normalised values need a calibration", "give the calibration file of the arm")
-    return values * _half_ranges(options.calibration, arm, options) / 100.0
+    return values * half_ranges(options.calibration, arm, options) / 100.0
 
 
-def _half_ranges(path: Path, arm: Arm, options: ImportOptions) -> Array:
+def half_ranges(path: Path, arm: Arm, options: ImportOptions) -> Array:
     """Read (n,) [rad] from the middle of each joint's calibrated range to the end that 100 stands for."""
     try:
         motors = json.loads(path.read_bytes())

@@ -64,7 +64,7 @@ class RunLog:
     position: Array
     """(T, n) [rad] measured joint positions"""
     command: Array
-    """(T, n) [rad] sent joint positions"""
+    """(T, n) [rad] sent joint positions; NaN in every row where nobody recorded them"""
     target: Array
     """(T, 3) [m] TCP target; NaN where there is none"""
     true_tcp: Array
@@ -96,7 +96,7 @@ class RunLog:
                 raise InputError(f"run log {self.label}: {name} has shape {array.shape}, expected {shape}")
             array.setflags(write=False)
             object.__setattr__(self, name, array)
-        for name in ("time", "position", "command"):
+        for name in ("time", "position", *(("command",) if self.commanded else ())):
             if not np.isfinite(getattr(self, name)).all():
                 raise InputError(f"run log {self.label}: {name} holds values that are not finite")
         if (np.diff(self.time) <= 0).any():
@@ -106,6 +106,11 @@ class RunLog:
 
     def __len__(self) -> int:
         return len(self.time)
+
+    @property
+    def commanded(self) -> bool:
+        """Whether the log holds commands; one of states alone has NaN in their place."""
+        return not np.isnan(self.command).all() or not self.command.size
 
     def rows(self, which: slice) -> RunLog:
         """Return some of the rows, with all else as it is."""
