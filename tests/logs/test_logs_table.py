@@ -206,7 +206,7 @@ def test_a_full_folder_is_never_written_into(tmp_path: Path):
 
 def test_what_is_no_log_is_refused(tmp_path: Path):
     (tmp_path / "a.txt").write_text("hello\n")
-    with pytest.raises(FileError, match=r"no log in a known format; expected .*SAGE.*CSV.*MCAP.*LeRobot"):
+    with pytest.raises(FileError, match=r"no log: text without columns; expected .*SAGE.*columns.*MCAP.*LeRobot"):
         import_logs(tmp_path / "a.txt", ARM, out=tmp_path / "logs")
     with pytest.raises(FileError, match="no such file"):
         import_logs(tmp_path / "b", ARM, out=tmp_path / "logs")

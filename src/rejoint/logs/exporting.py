@@ -16,9 +16,9 @@ from typing import Any
 
 import numpy as np
 
+from rejoint.logs.columns import AXES
 from rejoint.logs.mcapfile import COMMAND_TOPIC, METADATA, NANOSECONDS, POINT_TOPICS, STATE_TOPIC
 from rejoint.logs.runlog import RunLog
-from rejoint.logs.table import AXES
 from rejoint.system.errors import InputError
 from rejoint.system.extras import require
 from rejoint.system.files import write_whole

@@ -20,8 +20,8 @@ _EPOCH = 1e8
 """[s] chosen: three years; a robot's clock that reads more counts from 1970, where a float64 resolves 0.2 us."""
 
 NO_COMMANDS = (
-    "holds no commands: it is good for `diagnose` and `replay` of the states alone; stiffness, friction, lag and zeros, "
-    "and so a twin, cannot be told"
+    "holds no commands: it is good for `diagnose` and `replay` of the states alone; stiffness, friction, lag and "
+    "zeros, and so a twin, cannot be told"
 )
 
 

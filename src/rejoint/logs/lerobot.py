@@ -41,7 +41,7 @@ class _Info:
     """names of the columns of state and action"""
 
 
-def fits(source: Path) -> bool:
+def fits(source: Path, options: ImportOptions) -> bool:  # noqa: ARG001 - it declares nothing about this
     """Tell whether a folder is a LeRobot dataset."""
     return (source / _INFO).is_file()
 

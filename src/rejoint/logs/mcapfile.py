@@ -46,7 +46,7 @@ class _Sample(NamedTuple):
     position: list[float]
 
 
-def fits(source: Path) -> bool:
+def fits(source: Path, options: ImportOptions) -> bool:  # noqa: ARG001 - it declares nothing about this
     """Tell whether a file is MCAP, or a folder holds such files."""
     return bool(_files(source))
 

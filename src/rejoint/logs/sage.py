@@ -26,7 +26,7 @@ _CONTROL, _STATE, _JOINTS = "control.csv", "state_motor.csv", "joint_list.txt"
 _REMEDY = "mend the line or leave this motion out"
 
 
-def fits(source: Path) -> bool:
+def fits(source: Path, options: ImportOptions) -> bool:  # noqa: ARG001 - it declares nothing about this
     """Tell whether a folder is a SAGE motion or holds some."""
     return bool(_folders(source))
 
