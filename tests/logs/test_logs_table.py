@@ -192,7 +192,7 @@ def test_two_formats_in_one_folder_are_told_apart_by_the_user(tmp_path: Path):
     with pytest.raises(FileError, match="formats sage and csv; say with --format"):
         import_logs(folder, ARM, out=tmp_path / "logs")
     assert import_logs(folder, ARM, out=tmp_path / "logs", format="csv").logs[0].label == "wave"
-    with pytest.raises(InputError, match="'xls' is unknown; choose from sage, csv, mcap, lerobot"):
+    with pytest.raises(InputError, match="'xls' is unknown; choose from sage, csv, mcap, rosbag, lerobot"):
         import_logs(folder, ARM, out=tmp_path / "other", format="xls")
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Protocol
 
 from rejoint.arms import Arm
-from rejoint.logs import lerobot, mcapfile, sage, table
+from rejoint.logs import lerobot, mcapfile, rosbag, sage, table
 from rejoint.logs.found import describe
 from rejoint.logs.joining import to_log
 from rejoint.logs.options import ImportOptions
@@ -36,7 +36,9 @@ class _Reader(Protocol):
     def motions(self, source: Path, arm: Arm, options: ImportOptions) -> tuple[int, Iterator[RecordedMotion]]: ...
 
 
-_READERS: dict[str, _Reader] = {"sage": sage, "csv": table, "mcap": mcapfile, "lerobot": lerobot}
+_READERS: dict[str, _Reader] = {
+    "sage": sage, "csv": table, "mcap": mcapfile, "rosbag": rosbag, "lerobot": lerobot,
+}  # fmt: skip
 FORMATS = tuple(_READERS)
 """Names of the formats that can be imported."""
 
