@@ -60,7 +60,7 @@ class Topic:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Survey:
+class Inventory:
     """What a recording holds."""
 
     topics: dict[str, Topic]
@@ -73,7 +73,7 @@ class Store:
     """A kind of file that holds messages."""
 
     name: str
-    survey: Callable[[Path], Survey]
+    inventory: Callable[[Path], Inventory]
     messages: Callable[[Path, set[str]], dict[str, list[Message]]]
 
 
@@ -86,22 +86,22 @@ def motions(
 
 def _read(store: Store, file: Path, arm: Arm, options: ImportOptions) -> RecordedMotion:
     with _reporting(store, file):
-        survey = store.survey(file)
-    state_topic = _state_topic(survey, options, file)
-    command_topic, notes = _command_topic(survey, state_topic, options, file)
+        inventory = store.inventory(file)
+    state_topic = _state_topic(inventory, options, file)
+    command_topic, notes = _command_topic(inventory, state_topic, options, file)
     names = {state_topic, *([command_topic] if command_topic else [])}
-    points = POINT_TOPICS if survey.header else {}
+    points = POINT_TOPICS if inventory.header else {}
     for topic in names:
-        _check_count(survey.topics[topic], topic, file)
+        _check_count(inventory.topics[topic], topic, file)
     with _reporting(store, file):
         messages = store.messages(file, names | {*points.values()})
-    states = samples_of(messages.get(state_topic, []), file, state_topic, survey.topics[state_topic].schema)
-    commands = _Commands(file, command_topic, survey, messages.get(command_topic or "", []))
+    states = samples_of(messages.get(state_topic, []), file, state_topic, inventory.topics[state_topic].schema)
+    commands = _Commands(file, command_topic, inventory, messages.get(command_topic or "", []))
     if options.joint_order and all(sample.names for sample in [*states, *commands.samples]):
         raise FileError(file, "all messages name their joints", "use --joints, not --order")
     stamp, remarks = _stamp(states, state_topic, commands, options, file)
     notes += remarks
-    header = survey.header
+    header = inventory.header
     if header and header.get("arm") != arm.name:
         notes.append(f"the log says that it is of arm {header.get('arm')}, it is taken as one of {arm.name}")
     time, track, remarks = track_of(states, stamp, (file, state_topic, "state"), arm, options)
@@ -122,9 +122,9 @@ def _read(store: Store, file: Path, arm: Arm, options: ImportOptions) -> Recorde
 class _Commands:
     """The messages of the command topic, if there is one, whatever their form."""
 
-    def __init__(self, file: Path, topic: str | None, survey: Survey, messages: list[Message]) -> None:
+    def __init__(self, file: Path, topic: str | None, inventory: Inventory, messages: list[Message]) -> None:
         self.file, self.topic, self.messages = file, topic, messages
-        schema = survey.topics[topic].schema if topic else ""
+        schema = inventory.topics[topic].schema if topic else ""
         self.kind = kind_of(schema)
         self.goals = goals_of(messages, file, topic or "") if self.kind == TRAJECTORY else []
         self.samples: list[Sample] = []
@@ -175,41 +175,41 @@ def _reporting(store: Store, file: Path) -> Iterator[None]:
         raise FileError(file, f"damaged or not readable ({type(error).__name__}: {reason})", REMEDY) from error
 
 
-def _found(survey: Survey) -> str:
-    named = [f"{name} {topic}" for name, topic in sorted(survey.topics.items())]
+def _found(inventory: Inventory) -> str:
+    named = [f"{name} {topic}" for name, topic in sorted(inventory.topics.items())]
     return (", ".join(named[:12]) or "none") + (f" and {len(named) - 12} more" if len(named) > 12 else "")
 
 
-def _state_topic(survey: Survey, options: ImportOptions, file: Path) -> str:
+def _state_topic(inventory: Inventory, options: ImportOptions, file: Path) -> str:
     topic = options.state_topic or STATE_TOPIC
-    if topic in survey.topics:
+    if topic in inventory.topics:
         return topic
-    raise FileError(file, f"no topic {topic}; found {_found(survey)}", f"name one with {OPTIONS['state_topic']}")
+    raise FileError(file, f"no topic {topic}; found {_found(inventory)}", f"name one with {OPTIONS['state_topic']}")
 
 
 def _command_topic(
-    survey: Survey, state_topic: str, options: ImportOptions, file: Path
+    inventory: Inventory, state_topic: str, options: ImportOptions, file: Path
 ) -> tuple[str | None, list[str]]:  # fmt: skip
     """Choose the topic of the commands: the one named, ours, or the one that a controller can have; None for none."""
     option = f"name one with {OPTIONS['command_topic']}"
     topic = options.command_topic or COMMAND_TOPIC
     if topic == state_topic:
         raise FileError(file, f"states and commands cannot both come from {state_topic}", "name two topics")
-    if topic in survey.topics:
+    if topic in inventory.topics:
         return topic, []
     if options.command_topic is not None:
-        raise FileError(file, f"no topic {topic}; found {_found(survey)}", option)
+        raise FileError(file, f"no topic {topic}; found {_found(inventory)}", option)
     kinds = (*STATES, TRAJECTORY, ARRAY)
-    able = {name: one for name, one in survey.topics.items() if kind_of(one.schema) in kinds and name != state_topic}
+    able = {name: one for name, one in inventory.topics.items() if kind_of(one.schema) in kinds and name != state_topic}
     ours = [
         name for name, one in able.items()
         if kind_of(one.schema) not in STATES and not any(word in name for word in OTHER_INTERFACES)
     ]  # fmt: skip
     if len(ours) == 1:
-        return ours[0], [f"commands from {ours[0]} {survey.topics[ours[0]]}"]
+        return ours[0], [f"commands from {ours[0]} {inventory.topics[ours[0]]}"]
     if able:
-        raise FileError(file, f"no topic {topic}; found {_found(survey)}", option)
-    return None, [f"no topic with commands; found {_found(survey)}"]
+        raise FileError(file, f"no topic {topic}; found {_found(inventory)}", option)
+    return None, [f"no topic with commands; found {_found(inventory)}"]
 
 
 def _check_count(topic: Topic, name: str, file: Path) -> None:

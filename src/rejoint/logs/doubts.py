@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import FileError
 
 FORCED = "forced"
@@ -38,3 +40,16 @@ class Doubts:
 def forced_reasons(extra: dict[str, str]) -> tuple[str, ...]:
     """Return the reasons that `Doubts.kept` put into the ``extra`` of a run log."""
     return tuple(extra[FORCED].split(_BETWEEN)) if extra.get(FORCED) else ()
+
+
+def forced_remarks(logs: Sequence[RunLog]) -> list[str]:
+    """Say in sentences which logs were imported by force, and what speaks against them."""
+    found: dict[str, list[str]] = {}
+    for log in logs:
+        for reason in forced_reasons(log.extra):
+            found.setdefault(reason, []).append(log.label)
+    return [f"{_named(labels)} imported by force, although {reason}." for reason, labels in found.items()]
+
+
+def _named(labels: list[str]) -> str:
+    return f"{labels[0]} was" if len(labels) == 1 else f"{labels[0]} and {len(labels) - 1} more were"

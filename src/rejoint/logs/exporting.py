@@ -72,7 +72,7 @@ def export_log(log: RunLog, path: Path) -> None:
 
 def _write_csv(log: RunLog, path: Path) -> None:
     titles, columns = ["time_s"], [log.time]
-    for group in ("position", "command"):
+    for group in ("position", "command") if log.commanded else ("position",):
         titles += [f"{group}.{name}_rad" for name in log.joint_names]
         columns += list(getattr(log, group).T)
     for group in ("target", "true_tcp"):
@@ -115,6 +115,7 @@ def _write_mcap(log: RunLog, stamps: list[int], path: Path) -> None:
                     {"name": list(log.joint_names), "position": values.tolist(), "velocity": [], "effort": []},
                 )
                 for topic, values in ((STATE_TOPIC, log.position[row]), (COMMAND_TOPIC, log.command[row]))
+                if log.commanded or topic == STATE_TOPIC
             ]
             for group, topic in POINT_TOPICS.items():
                 values = getattr(log, group)[row]

@@ -9,7 +9,7 @@ from typing import IO, Any
 
 from rejoint.arms import Arm
 from rejoint.logs import bags
-from rejoint.logs.bags import METADATA, Message, Store, Survey, Topic
+from rejoint.logs.bags import METADATA, Inventory, Message, Store, Topic
 from rejoint.logs.messages import NANOSECONDS, REMEDY
 from rejoint.logs.options import ImportOptions
 from rejoint.logs.track import RecordedMotion
@@ -55,7 +55,7 @@ def _has_magic(file: Path) -> bool:
         return False
 
 
-def _survey(file: Path) -> Survey:
+def _inventory(file: Path) -> Inventory:
     """Return the topics, and the metadata of an exported log."""
     with file.open("rb") as stream:
         reader = _reader(stream)
@@ -66,7 +66,7 @@ def _survey(file: Path) -> Survey:
                 raise FileError(file, f"a chunk of {largest} bytes, expected at most {_CHUNK_MOST}", REMEDY)
         topics = _topics(reader) if summary is None or summary.statistics is None else _counted(summary)
         kept = [record.metadata for record in reader.iter_metadata() if record.name == METADATA]
-    return Survey(topics=topics, header=kept[0] if kept else {})
+    return Inventory(topics=topics, header=kept[0] if kept else {})
 
 
 def _counted(summary: Any) -> dict[str, Topic]:  # noqa: ANN401 - the library is optional
@@ -130,4 +130,4 @@ def _messages(file: Path, topics: set[str]) -> dict[str, list[Message]]:
     return found
 
 
-STORE = Store(name="mcap", survey=_survey, messages=_messages)
+STORE = Store(name="mcap", inventory=_inventory, messages=_messages)

@@ -37,7 +37,7 @@ class Sample(NamedTuple):
     position: list[float]
 
 
-class Goal(NamedTuple):
+class TrajectoryGoal(NamedTuple):
     """One message of a trajectory."""
 
     number: int
@@ -84,7 +84,7 @@ def _joints(message: Any, kind: str) -> tuple[Any, Any, Any]:  # noqa: ANN401 - 
     return field(message, "timestamp"), [field(joint, "name") for joint in joints], position
 
 
-def goals_of(messages: list[tuple[int, Any]], file: Path, topic: str) -> list[Goal]:
+def goals_of(messages: list[tuple[int, Any]], file: Path, topic: str) -> list[TrajectoryGoal]:
     """Read trajectories; FileError names the message that is none."""
     goals = []
     for number, (log_ns, message) in enumerate(messages, start=1):
@@ -104,7 +104,7 @@ def goals_of(messages: list[tuple[int, Any]], file: Path, topic: str) -> list[Go
             if not points or (np.diff(after) <= 0).any():
                 raise ValueError("its points are not one after another in time" if points else "it has no points")
             stamp = nanoseconds(field(field(message, "header"), "stamp"))
-            goals.append(Goal(number, stamp, log_ns, names, after, points))
+            goals.append(TrajectoryGoal(number, stamp, log_ns, names, after, points))
         except (TypeError, ValueError, AttributeError, OverflowError) as error:
             raise FileError(
                 file, f"topic {topic}, message {number}: no trajectory of joint positions ({error})", REMEDY

@@ -8,7 +8,7 @@ from typing import Any
 
 from rejoint.arms import Arm
 from rejoint.logs import bags
-from rejoint.logs.bags import Message, Store, Survey, Topic
+from rejoint.logs.bags import Inventory, Message, Store, Topic
 from rejoint.logs.mcapfile import DECLARATIONS
 from rejoint.logs.messages import NANOSECONDS
 from rejoint.logs.options import ImportOptions
@@ -61,14 +61,14 @@ def _opened(file: Path) -> Any:  # noqa: ANN401 - the library is optional
     return Reader(file)
 
 
-def _survey(file: Path) -> Survey:
+def _inventory(file: Path) -> Inventory:
     with _opened(file) as bag:
         seconds = bag.duration / NANOSECONDS
         topics = {
             name: Topic(schema=info.msgtype or "", count=info.msgcount, seconds=seconds)
             for name, info in bag.topics.items()
         }
-    return Survey(topics=topics, header={})
+    return Inventory(topics=topics, header={})
 
 
 def _messages(file: Path, topics: set[str]) -> dict[str, list[Message]]:
@@ -97,4 +97,4 @@ def _unpacked(data: bytes, file: Path) -> bytes:
     return zstandard.ZstdDecompressor().decompress(data)
 
 
-STORE = Store(name="rosbag", survey=_survey, messages=_messages)
+STORE = Store(name="rosbag", inventory=_inventory, messages=_messages)

@@ -14,7 +14,7 @@ import numpy as np
 
 from rejoint.arms import Arm, Array
 from rejoint.logs.joints import match_joints, radians
-from rejoint.logs.messages import NANOSECONDS, Goal
+from rejoint.logs.messages import NANOSECONDS, TrajectoryGoal
 from rejoint.logs.options import ImportOptions
 from rejoint.logs.track import Track
 from rejoint.system.errors import FileError
@@ -23,7 +23,13 @@ _ORDERS = ("positions", "velocities", "accelerations")
 
 
 def commands_of(
-    goals: list[Goal], state: Track, stamp: str, origin: int, where: tuple[Path, str], arm: Arm, options: ImportOptions
+    goals: list[TrajectoryGoal],
+    state: Track,
+    stamp: str,
+    origin: int,
+    where: tuple[Path, str],
+    arm: Arm,
+    options: ImportOptions,
 ) -> Track:
     """Sample goals at the times of the states, which are counted from ``origin`` [ns].
 
@@ -54,7 +60,7 @@ def commands_of(
     )  # fmt: skip
 
 
-def _begin(goal: Goal, stamp: str) -> int:
+def _begin(goal: TrajectoryGoal, stamp: str) -> int:
     return goal.header_ns if stamp == "header" and goal.header_ns else goal.log_ns
 
 

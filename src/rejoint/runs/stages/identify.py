@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from rejoint.arms import Arm
 from rejoint.diagnosis.segments import is_excitation
+from rejoint.logs.bare import require_commands
 from rejoint.logs.runlog import RunLog, read_log
 from rejoint.runs.folder import LOGS
 from rejoint.runs.given import ArmLike, LogsLike, RunLike, as_logs, as_run, run_of_logs
@@ -85,6 +86,7 @@ def identify(
     about, chosen = run_of_logs(run, logs, arm)
     with exclusive(about):
         motions = as_logs(logs)
+        require_commands(motions, "identification")
         if about is None and all(is_excitation(log) for log in motions):
             return _from_excitation(chosen, motions, seed or 0, on_progress, quick=quick)
         twin = _from_any_motion(chosen, motions, beside, on_progress, quick=quick)
