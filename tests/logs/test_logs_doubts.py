@@ -93,10 +93,28 @@ def test_a_slow_recorder_is_refused():
 def test_one_joint_in_another_unit_is_refused():
     found = worn_sample()
     mixed = found.position * np.array([1, 1, np.pi / 180, 1, 1])
-    with pytest.raises(FileError, match=r"state.elbow_flex moves 0.0\d+ times as far as its command: not one unit"):
+    with pytest.raises(FileError, match=r"state.elbow_flex come in steps .* as if radians were read as degrees"):
         to_log(motion(replace(found, position=mixed)), ARM)
+    smooth = mixed + 1e-4 * np.random.default_rng(0).normal(size=mixed.shape)
+    with pytest.raises(FileError, match=r"state.elbow_flex moves 0.0\d+ times as far as its command: not one unit"):
+        to_log(motion(replace(found, position=smooth)), ARM)
     with pytest.raises(FileError, match=r"state.wrist_flex is 5. deg from its command"):
         to_log(motion(replace(found, position=found.position + np.array([0, 0, 0, 1.0, 0]))), ARM)
+
+
+def test_turns_are_no_radians():
+    found = worn_sample()
+    turns = Sample(time=found.time, position=found.position / (2 * np.pi), command=found.command / (2 * np.pi))
+    with pytest.raises(FileError, match="as if turns were read as radians"):
+        to_log(motion(turns), ARM)
+
+
+def test_a_reading_that_jumps_out_and_back_is_named():
+    found = worn_sample()
+    position = found.position.copy()
+    position[77, 3] += 0.4
+    _, notes = to_log(motion(replace(found, position=position)), ARM)
+    assert "1 single reading(s) jump out and back, the farthest by 0.4 rad in line 79, state.wrist_flex" in notes[0]
 
 
 def dataset(folder: Path, scale: np.ndarray, found: Sample) -> Path:

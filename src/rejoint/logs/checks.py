@@ -21,6 +21,9 @@ SLOWEST = 10.0
 """[Hz] chosen: below it a reversal of a hobby arm, half a second, has too few samples to show friction or lag."""
 LOST = 0.05
 """chosen: share of samples with the stamp of the one before from which the clock counts as too coarse."""
+SPIKE = 0.05
+"""[rad] chosen: of a single reading off the line between its neighbours; a hobby arm at its fastest has half of it
+where it reverses within 20 ms."""
 FAR_OUT = 0.05
 """chosen: share of samples beyond a limit by more than `LIMIT_MARGIN` from which unit or zero are doubted."""
 GAP_PERIODS = 5.0
@@ -118,9 +121,26 @@ def check_angles(motion: RecordedMotion, arm: Arm, doubts: Doubts) -> list[str]:
             motion.state.path, f"state: no angle is beyond {np.rad2deg(extent):.3g} deg; the values are surely radians",
             "set --angle-unit rad, or the unit in the column name",
         )  # fmt: skip
+    notes += _spikes(motion.state)
     if not (np.ptp(motion.state.value, axis=0) > 0).any():
         notes.append("state: no joint moves in this log")
     return notes
+
+
+def _spikes(state: Track) -> list[str]:
+    """Find single readings that jump out and back: damaged digits, or a bus that was misread."""
+    if len(state) < 3:
+        return []
+    before, value, after = state.value[:-2], state.value[1:-1], state.value[2:]
+    out = np.abs(value - 0.5 * (before + after))
+    found = (out > SPIKE) & (np.abs(after - before) < 0.5 * out)
+    if not found.any():
+        return []
+    row, joint = (int(i) for i in np.unravel_index(int(np.argmax(np.where(found, out, 0.0))), found.shape))
+    return [
+        f"state: {int(found.sum())} single reading(s) jump out and back, the farthest by {out[row, joint]:.3g} rad in "
+        f"{state.where(row + 1)}, {state.columns[joint]}; is the file damaged?"
+    ]
 
 
 def _check_limits(state: Track, arm: Arm, doubts: Doubts) -> list[str]:

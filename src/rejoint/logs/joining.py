@@ -13,7 +13,7 @@ from rejoint.logs.doubts import Doubts
 from rejoint.logs.options import ImportOptions
 from rejoint.logs.runlog import Array, RunLog
 from rejoint.logs.track import Points, RecordedMotion, Track
-from rejoint.logs.units import check_normalised
+from rejoint.logs.units import check_normalised, check_steps
 from rejoint.system.errors import FileError
 
 _EPOCH = 1e8
@@ -41,6 +41,7 @@ def to_log(motion: RecordedMotion, arm: Arm, options: ImportOptions | None = Non
     if motion.command is not None:
         _check_one_clock(motion.state, motion.command)
     notes = [*motion.notes, *check_angles(motion, arm, doubts), *check_normalised(motion, arm, options, doubts)]
+    check_steps(motion, arm, doubts)
     state, commanded = motion.state, np.full(motion.state.value.shape, np.nan)
     if motion.command is not None:
         state, commanded, more = _joined(state, motion.command)

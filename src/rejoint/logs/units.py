@@ -17,6 +17,8 @@ from rejoint.logs.track import RecordedMotion
 
 FEWEST_VALUES = 20
 """Different readings of a joint below which its step is not looked for (chosen)"""
+FEWEST_STEPS = 10
+"""Steps that readings have to span to tell anything about them (chosen)"""
 ON, OFF = 0.9, 0.6
 """chosen: how well readings lie on a grid, 1 for all of them, from which they are on it, and up to which they are not;
 readings that know nothing of it have about one over the root of their number."""
@@ -56,6 +58,27 @@ def check_normalised(motion: RecordedMotion, arm: Arm, options: ImportOptions, d
             f"set --angle-unit {kind}" + (" with --calibration" if kind == "normalised" else ""),
         )  # fmt: skip
     return []
+
+
+def check_steps(motion: RecordedMotion, arm: Arm, doubts: Doubts) -> None:
+    """Look for joints whose readings come in the steps of the arm's encoders, but in another unit than declared."""
+    if "normalised" in motion.angle_unit:  # its steps are those of the calibration
+        return
+    step = arm.encoder_step
+    others = {
+        "degrees were read as radians": np.rad2deg(step), "radians were read as degrees": np.deg2rad(step),
+        "turns were read as radians": step / (2 * np.pi), "turns were read as degrees": np.deg2rad(step / (2 * np.pi)),
+    }  # fmt: skip
+    for joint, title in enumerate(motion.state.columns):
+        values = np.unique(np.round(motion.state.value[:, joint], 9))
+        if len(values) < FEWEST_VALUES or _on_grid(values, step) > OFF:
+            continue
+        for unit, other in others.items():
+            if _on_grid(values, other) > ON:
+                doubts.stop(
+                    motion.state.path, f"the states of {title} come in steps of {other:.3g} rad, where the encoders of "
+                    f"this arm have {step:.3g}: as if {unit}", "declare their unit",
+                )  # fmt: skip
 
 
 def _may_be_either(raw: Array, motion: RecordedMotion) -> bool:
@@ -102,7 +125,9 @@ def _by_grid(raw: Array, half: Array | None) -> tuple[str, str] | None:
 
 
 def _on_grid(values: Array, step: float) -> float:
-    """Tell how well values lie on multiples of a step with any origin: 1 if they all do."""
+    """Tell how well values lie on multiples of a step with any origin: 1 if they all do, 0 if they span only a few."""
+    if np.ptp(values) < FEWEST_STEPS * step:
+        return 0.0
     return float(np.abs(np.mean(np.exp(2j * np.pi * values / step))))
 
 
