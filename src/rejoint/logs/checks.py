@@ -24,6 +24,8 @@ LOST = 0.05
 SPIKE = 0.05
 """[rad] chosen: of a single reading off the line between its neighbours; a hobby arm at its fastest has half of it
 where it reverses within 20 ms."""
+TOO_FAST, SPEED_ROWS = 2.0, 5
+"""chosen: how much faster than its servo a joint may seem, over that many rows."""
 FAR_OUT = 0.05
 """chosen: share of samples beyond a limit by more than `LIMIT_MARGIN` from which unit or zero are doubted."""
 GAP_PERIODS = 5.0
@@ -122,9 +124,25 @@ def check_angles(motion: RecordedMotion, arm: Arm, doubts: Doubts) -> list[str]:
             "set --angle-unit rad, or the unit in the column name",
         )  # fmt: skip
     notes += _spikes(motion.state)
+    _check_speed(motion.state, arm, doubts)
     if not (np.ptp(motion.state.value, axis=0) > 0).any():
         notes.append("state: no joint moves in this log")
     return notes
+
+
+def _check_speed(state: Track, arm: Arm, doubts: Doubts) -> None:
+    """Compare how fast joints move with what their servos can do: another unit of time shows here."""
+    if len(state) < SPEED_ROWS * 4:
+        return
+    speed = np.abs(state.value[SPEED_ROWS:] - state.value[:-SPEED_ROWS])
+    speed /= (state.time[SPEED_ROWS:] - state.time[:-SPEED_ROWS])[:, None]
+    usual = np.percentile(speed, 90, axis=0)
+    joint = int(np.argmax(usual / arm.max_speed))
+    if usual[joint] > TOO_FAST * arm.max_speed[joint]:
+        doubts.stop(
+            state.path, f"{state.what}: {state.columns[joint]} moves at {usual[joint]:.3g} rad/s and more in a tenth "
+            f"of the log, joint {arm.joint_names[joint]} at up to {arm.max_speed[joint]:.3g}", _TIME_REMEDY,
+        )  # fmt: skip
 
 
 def _spikes(state: Track) -> list[str]:

@@ -140,7 +140,11 @@ def _check_types(table: pa.Table, file: Path, info: _Info) -> None:
 def _episode(table: pa.Table, number: int, arm: Arm, options: ImportOptions, info: _Info) -> RecordedMotion:
     rows = np.flatnonzero(table["episode_index"].to_numpy() == number)
     chosen = table.take(rows)
-    order = np.argsort(chosen["frame_index"].to_numpy(), kind="stable")
+    index = chosen["frame_index"].to_numpy()
+    order = np.argsort(index, kind="stable")
+    if len(np.unique(index)) < len(index):
+        twice = int(index[order][1:][np.diff(index[order]) == 0][0])
+        raise FileError(info.path.parents[1], f"episode {number} has frame {twice} twice", _REMEDY)
     time, note = _time(chosen, info)
     name = f"episode_{number:06d}"
     unit = options.angle_unit or ""

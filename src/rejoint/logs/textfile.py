@@ -192,10 +192,14 @@ def _rows(lines: list[str], first: int, separator: str, path: Path) -> tuple[lis
     """Split lines into cells, blank lines and comments left out."""
     csv.field_size_limit(1 << 20)  # (chosen) a cell of a megabyte is no number, but an error of ours
     reader = _reader(lines[first:], separator)
-    rows, numbers = [], []
+    rows: list[list[str]] = []
+    numbers: list[int] = []
     try:
         for row in reader:
-            if any(cell.strip() for cell in row) and not row[0].lstrip().startswith(_COMMENTS):
+            if not any(cell.strip() for cell in row):
+                continue
+            aside = row[0].lstrip().startswith(_COMMENTS)  # a cell such as #N/A in a whole row is none
+            if not (aside and (not rows or len(row) != len(rows[0]))):
                 rows.append(row)
                 numbers.append(first + reader.line_num)
     except csv.Error as error:
