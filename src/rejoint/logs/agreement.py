@@ -55,7 +55,8 @@ def _check_order(state: Track, command: Array) -> list[str]:
     lowest, highest = _correlations(state, command)
     for joint, name in enumerate(state.columns):
         own, best = highest[joint, joint], int(np.argmax(highest[joint]))
-        better = highest[joint, best] > MUCH_BETTER[0] and 1 - own > MUCH_BETTER[1] * (1 - highest[joint, best])
+        better = best != joint and highest[joint, best] > MUCH_BETTER[0]
+        better = better and 1 - own > MUCH_BETTER[1] * (1 - highest[joint, best])
         if own >= RELATED[0] and not better:
             continue
         if highest[joint, best] > RELATED[1]:

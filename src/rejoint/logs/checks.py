@@ -24,7 +24,7 @@ LOST = 0.05
 SPIKE = 0.05
 """[rad] chosen: of a single reading off the line between its neighbours; a hobby arm at its fastest has half of it
 where it reverses within 20 ms."""
-TOO_FAST, SPEED_ROWS = 2.0, 5
+TOO_FAST, SPEED_ROWS = 4.0, 5
 """chosen: how much faster than its servo a joint may seem, over that many rows."""
 FAR_OUT = 0.05
 """chosen: share of samples beyond a limit by more than `LIMIT_MARGIN` from which unit or zero are doubted."""
