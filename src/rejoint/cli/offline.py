@@ -5,16 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace as changed
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
-import msgspec
 import numpy as np
 import typer
 
 import rejoint
 from rejoint.arms import Arm, tcp_position
 from rejoint.cli import show
-from rejoint.cli.console import Terminal
+from rejoint.cli.console import Terminal, results_of
 from rejoint.cli.options import ArmOption, Base, Json, Tip, choose_arm
 from rejoint.logs.bare import states_alone
 from rejoint.logs.doubts import forced_remarks
@@ -61,7 +60,7 @@ def identify_from_logs(terminal: Terminal, job: Run, logs: Path, published: list
     terminal.result(f"Report: {path}")
     terminal.finish({
         "run": str(job.path), "twin": str(job.folder.twin), "report": str(path), "fitted": twin.fitted,
-        "judgement": twin.judgement,
+        "judgement": None if twin.judgement is None else _without_trace(twin.judgement, job.folder.judgement),
     })  # fmt: skip
 
 
@@ -91,7 +90,13 @@ def replay(
         return
     show_errors(terminal, replayed.judgement)
     terminal.result(f"Page: {replayed.page}")
-    terminal.finish({**msgspec.to_builtins(replayed.judgement), "page": str(replayed.page)})
+    told = _without_trace(replayed.judgement, out / "replay.json")
+    terminal.finish({**told, "page": str(replayed.page)})
+
+
+def _without_trace(judgement: Judgement, file: Path) -> dict[str, Any]:
+    """Return a judgement as plain data; of the motion predicted worst, its name and the file with its traces."""
+    return results_of(judgement) | {"worst": {"motion": judgement.worst.motion, "traces": str(file)}}
 
 
 def read_sets(published: list[str] | None, arm: Arm) -> list[Candidate]:
@@ -133,13 +138,14 @@ def show_errors(terminal: Terminal, judgement: Judgement) -> None:
     from rejoint.runs.report.trust import answer
 
     names = list(judgement.mean)
-    headers = ["motion", "s", *(f"{name}: free / contact / all mm" for name in names)]
+    headers = ["motion", "s", *names]
     rows = [
         [motion.motion, f"{motion.seconds:.0f}", *(_cell(motion.errors[name]) for name in names)]
         for motion in judgement.motions
     ]
     rows.append(["mean over motions", "", *(_cell(judgement.mean[name]) for name in names)])
-    terminal.table("Open-loop prediction error of the tool, rms, by encoder kinematics", headers, rows, len(rows) - 1)
+    title = "Open-loop error of the tool, rms by encoders: free / contact / all [mm]"
+    terminal.table(title, headers, rows, len(rows) - 1)
     for line in answer(judgement):
         terminal.result(line)
 
