@@ -60,6 +60,14 @@ def test_half_of_the_commands_are_refused():
         RunLog.of(found.time, command, found.position, arm=ARM)
 
 
+def test_angles_that_are_no_radians_never_reach_a_simulation():
+    found = worn_sample(seconds=2)
+    log = RunLog.of(found.time, np.rad2deg(found.command), np.rad2deg(found.position), arm=ARM)
+    for use in (rejoint.diagnose, rejoint.identify):
+        with pytest.raises(InputError, match=r"run log motion: a position of 4\d\.\d+ rad, beyond two turns"):
+            use(log, arm=ARM)
+
+
 def test_a_diagnosis_of_states_says_what_is_impossible(logs: Path):
     found = rejoint.diagnose(logs, arm=ARM).diagnosis
     assert found.condition == "unknown"

@@ -10,11 +10,10 @@ import numpy as np
 
 from rejoint.arms import Arm
 from rejoint.logs.doubts import Doubts
+from rejoint.logs.runlog import TWO_TURNS
 from rejoint.logs.track import RecordedMotion, Track
 from rejoint.system.errors import FileError
 
-TWO_TURNS = 4.0 * np.pi
-"""[rad] chosen: no joint of a serial arm is logged further from its zero; a log in degrees nearly always is."""
 RATES = (1.0, 10_000.0)
 """[Hz] chosen: slower is no log of a moving arm, faster no control loop."""
 SLOWEST = 10.0

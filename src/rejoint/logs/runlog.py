@@ -35,6 +35,9 @@ VALUES_MOST = 200_000_000
 """Most numbers in a log that is read (chosen: 1.6 GB of memory, 70 hours of six joints at 40 Hz): a small file may
 unfold to any size"""
 
+TWO_TURNS = 4.0 * np.pi
+"""[rad] chosen: no joint of a serial arm is logged further from its zero; a log in degrees nearly always is."""
+
 _METADATA_KEY = b"rejoint"
 _AXES = ("x", "y", "z")
 _ARRAYS = ("time", "position", "command", "target", "true_tcp")
@@ -178,12 +181,19 @@ class RunLog:
         write_log(Path(path), self)
 
     def require(self, arm: str, joint_names: tuple[str, ...]) -> None:
-        """Raise InputError unless the log is of that arm, its joints in that order."""
+        """Raise InputError unless the log is of that arm, its joints in that order, its angles possible in radians."""
         if self.arm != arm:
             raise InputError(f"run log {self.label} is of arm {self.arm}, expected {arm}; name its arm with --arm")
         if self.joint_names != joint_names:
             found, expected = ", ".join(self.joint_names), ", ".join(joint_names)
             raise InputError(f"run log {self.label} has joints {found}, expected {expected}; import it again")
+        for what, values in (("position", self.position), ("command", self.command)):
+            farthest = float(np.abs(values).max(initial=0.0, where=np.isfinite(values)))
+            if farthest > TWO_TURNS:
+                raise InputError(
+                    f"run log {self.label}: a {what} of {farthest:.4g} rad, beyond two turns; give radians, which these "
+                    "hardly are"
+                )
 
 
 def write_log(path: Path, log: RunLog) -> None:
