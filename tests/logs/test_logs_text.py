@@ -46,6 +46,8 @@ WAYS: dict[str, tuple[bytes, str]] = {
         text(lines()[0], *('"' + row.replace("x", '","') + '"' for row in lines("x", ",")[1:])).encode(),
         "decimal commas",
     ),
+    "prints of a sketch": (text("Servo test v1.2", "Ready.", *lines("\t")).encode(), "parted by tabs, after 2 other"),
+    "heading of a spreadsheet": (text("Bench 3;;;;", ";;;;", *lines(";", ",")).encode("utf-16"), "after 1 other line"),
     "empty rows of a spreadsheet": (text(*lines(";"), ";" * 10, ";" * 10).encode(), "semicolons"),
     "no end of the last line": ("\n".join(lines()).encode(), ""),
 }  # fmt: skip
@@ -77,6 +79,8 @@ WRONG: dict[str, tuple[bytes, str]] = {
     "thousands": (broken(lambda t: [*t[:5], t[5].replace("0.", '"1,000.', 1).replace(",", '",', 2)]), "line 6"),
     "underscores": (broken(lambda t: [*t[:4], t[4].replace("0.0", "1_0.0", 1), *t[5:]]), "line 5.*'1_0"),
     "arabic digits": (broken(lambda t: [*t[:4], t[4].replace("0.", "٠.", 1), *t[5:]]), "line 5, .*no number"),
+    "no titles but words": (text("0,1,base,elbow", "1,1,base,elbow").encode(), "line 1 has no titles, but val"),
+    "dates": (broken(lambda t: [*t[:4], "2025-06-15 15:06:40" + t[4][4:], *t[5:]]), "'2025-06-15 .* is a date"),
     "binary": (bytes(range(256)) * 4, "no text: read as Latin-1, line 1 holds the control character"),
     "empty": (b"\n\n", "is empty"),
     "only comments": (b"# a\n# b,c\n", "text in UTF-8 without a table"),

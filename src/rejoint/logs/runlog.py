@@ -20,6 +20,7 @@ import pyarrow.parquet as pq
 from numpy.typing import ArrayLike, NDArray
 
 from rejoint.arms import Arm, load_arm
+from rejoint.logs.found import describe
 from rejoint.system.errors import FileError, InputError, first_line
 from rejoint.system.files import CHANGED, MEGABYTE, require_file, write_whole
 
@@ -181,7 +182,7 @@ class RunLog:
         write_log(Path(path), self)
 
     def require(self, arm: str, joint_names: tuple[str, ...]) -> None:
-        """Raise InputError unless the log is of that arm, its joints in that order, its angles possible in radians."""
+        """Raise InputError unless the log is of that arm, its joints in that order, its angles possible."""
         if self.arm != arm:
             raise InputError(f"run log {self.label} is of arm {self.arm}, expected {arm}; name its arm with --arm")
         if self.joint_names != joint_names:
@@ -191,8 +192,7 @@ class RunLog:
             farthest = float(np.abs(values).max(initial=0.0, where=np.isfinite(values)))
             if farthest > TWO_TURNS:
                 raise InputError(
-                    f"run log {self.label}: a {what} of {farthest:.4g} rad, beyond two turns; give radians, which these "
-                    "hardly are"
+                    f"run log {self.label}: a {what} of {farthest:.4g} rad, beyond two turns; give radians"
                 )
 
 
@@ -214,7 +214,7 @@ def read_log(path: Path) -> RunLog:
     try:
         table = read_parquet(path, remedy)
         if _METADATA_KEY not in (table.schema.metadata or {}):
-            raise FileError(path, "no run log, but some other table", "turn it into one with `rejoint import`")
+            raise FileError(path, f"no run log, but {describe(path)}", "turn it into one with `rejoint import`")
         header = json.loads(table.schema.metadata[_METADATA_KEY])
         if header["format"] != FORMAT:
             raise FileError(path, f"run log of format {header['format']}, expected {FORMAT}", remedy)
@@ -234,6 +234,11 @@ def read_log(path: Path) -> RunLog:
             raise FileError(path, CHANGED, remedy)
     except FileNotFoundError as error:
         raise FileError(path, "no such file", "check the path") from error
+    except pa.ArrowInvalid as error:
+        found = describe(path)
+        if "Parquet" in found:
+            raise FileError(path, f"not a readable run log ({first_line(error)})", remedy) from error
+        raise FileError(path, f"no run log, but {found}", "turn it into one with `rejoint import`") from error
     except (OSError, pa.ArrowException, KeyError, TypeError, ValueError, RecursionError, InputError) as error:
         raise FileError(path, f"not a readable run log ({first_line(error)})", remedy) from error
     return log

@@ -34,6 +34,7 @@ _LINES = 20
 _SHOWN = 24
 """Titles that an error shows (chosen)"""
 _NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?|[+-]?(nan|inf|infinity)", re.ASCII | re.IGNORECASE)
+_DATE = re.compile(r"^\d{1,4}[-/.]\d{1,2}[-/.]\d{1,4}|^\d{1,2}:\d{2}")
 _REMEDY = "mend the line or take another file"
 
 
@@ -144,6 +145,8 @@ def _parsed(text: str, encoding: str, path: Path, *, strict: bool = True) -> She
         raise FileError(path, f"text in {encoding} without a table", "record it again")
     separator = separator or _separator([line for line in lines[first : first + _LINES] if line.strip()])
     rows, numbers = _rows(lines, first, separator, path)
+    prints = _prints(rows)
+    del rows[:prints], numbers[:prints]
     titles, named = tuple(title.strip() for title in rows[0]), True
     if all(_NUMBER.fullmatch(title) for title in titles if title):
         before: list[str] = [] if comment is None else next(_reader([comment], separator), [])
@@ -151,15 +154,29 @@ def _parsed(text: str, encoding: str, path: Path, *, strict: bool = True) -> She
         titles = tuple(title.strip() for title in before) if named else tuple(str(i + 1) for i in range(len(titles)))
     else:
         del rows[0], numbers[0]
+        values = [title for title in titles if _NUMBER.fullmatch(title)]
+        if strict and len(values) > 1:
+            raise FileError(
+                path, f"line {first + 1} has no titles, but values such as {values[0]} and words such as "
+                f"{next(title for title in titles if not _NUMBER.fullmatch(title))[:40]!r}", "put titles first",
+            )  # fmt: skip
     if strict:
         rows = _same_width(rows, numbers, titles, separator, path)
     # a text without columns has no separator; "none" keeps an error about it true
     parted = f"columns parted by {_SEPARATORS.get(separator, repr(separator))}" if len(titles) > 1 else "one column"
     return Sheet(
         path=path, titles=titles, rows=rows, numbers=numbers,
-        found=f"{encoding}, {parted}{'' if named else ', without a line of titles'}",
-        plain=encoding == "UTF-8" and separator == "," and named, ends=text.endswith(("\n", "\r")),
+        found=f"{encoding}, {parted}{'' if named else ', without a line of titles'}"
+        + (f", after {prints} other line(s)" if prints else ""),
+        plain=encoding == "UTF-8" and separator == "," and named and not prints, ends=text.endswith(("\n", "\r")),
     )  # fmt: skip
+
+
+def _prints(rows: list[list[str]]) -> int:
+    """Count the rows before a table that are no part of it: what a program prints when it starts, or a heading."""
+    cells = [sum(bool(cell.strip()) for cell in row) for row in rows[:_LINES]]
+    first = next((index for index, count in enumerate(cells) if count > 1), 0)
+    return first if cells[first:] and max(cells[first:]) > 2 else 0
 
 
 def _is_aside(line: str) -> bool:
@@ -174,9 +191,10 @@ def _separator(lines: list[str]) -> str:
             counts = [len(row) for row in _reader(lines, separator)]
         except csv.Error:
             continue
-        if not counts or counts[0] < 2:
+        usual = max(counts, key=lambda count: (counts.count(count) * (count > 1), count), default=0)
+        if usual < 2:
             continue
-        score = (sum(count == counts[0] for count in counts) / len(counts), counts[0])
+        score = (counts.count(usual) / len(counts), usual)
         if score > best and not (separator == " " and best[0] > 0.5):  # titles and bars have spaces around them
             best, chosen = score, separator
     return chosen
@@ -249,5 +267,10 @@ def number(text: str, place: tuple[Sheet, int, str], *, commas: bool) -> float:
         return float("nan")
     if _NUMBER.fullmatch(text) is None:
         sheet, line, title = place
+        if _DATE.search(text):
+            raise FileError(
+                sheet.path, f"line {line}, column {title}: {text[:40]!r} is a date or time of day, expected a number",
+                "write seconds",
+            )  # fmt: skip
         raise FileError(sheet.path, f"line {line}, column {title}: {text[:40]!r} is no number", "mend the cell")
     return float(text.replace(",", ".") if commas else text)
