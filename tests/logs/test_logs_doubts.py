@@ -3,14 +3,17 @@
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from log_samples import ARM, Sample, worn_sample, write_table
+from test_logs_bare import healthy_twin
 from test_logs_checks import motion
 
+import rejoint
 from real_so101 import FOLDER, NO_RECORDINGS, recorded
 from rejoint.logs import ImportOptions, import_logs
 from rejoint.logs.doubts import forced_reasons
@@ -205,3 +208,12 @@ def test_what_is_forced_is_kept_in_the_file(tmp_path: Path):
     imported = import_logs(source, ARM, out=tmp_path / "logs", options=FORCE)
     assert "before them" in forced_reasons(imported.logs[0].extra)[0]
     assert any(note.startswith("wave: imported by force, although the states") for note in imported.notes)
+
+
+def test_later_stages_repeat_what_was_forced(monkeypatch: pytest.MonkeyPatch):
+    log, _ = to_log(motion(shifted(worn_sample(seconds=40), 20)), ARM, FORCE)
+    said = "motion was imported by force, although the states follow their commands best"
+    assert rejoint.diagnose(log, arm=ARM).diagnosis.unseen[-1].startswith(said)
+    found = SimpleNamespace(twin=healthy_twin(), judgement=None, fitted=())
+    monkeypatch.setattr("rejoint.twin.fromlogs.identify_logs", lambda *_: found)
+    assert rejoint.identify(log, arm=ARM).notes[-1].startswith(said)

@@ -15,8 +15,11 @@ from wrong_files import FOUND, Case, Maker
 from wrong_recordings import wrong_bags, wrong_datasets, wrong_folders
 
 import rejoint.cli
+from rejoint.arms import so101
 from rejoint.cli import main
+from rejoint.logs import ImportOptions, import_logs
 from rejoint.logs.runlog import RunLog, read_log, write_log
+from rejoint.system.errors import FileError
 
 COMMANDS = typer.main.get_command(rejoint.cli.app)
 """The command line, built once: as it is called, four hundred times"""
@@ -171,3 +174,22 @@ def test_wrong_run_logs_are_refused(
             failed.append(f"{name} left behind: {left(tmp_path) - before}")
     assert not failed, "\n".join(failed)
     assert list(spare.iterdir()) == []
+
+
+def test_what_unfolds_to_any_size_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    make = Maker(folder=tmp_path / "in")
+    data = next(case.path for case in wrong_datasets(make) if case.name == "dataset right")
+    bag = next(case.path for case in wrong_bags(make) if case.name == "json right")
+    text = make.file("a.csv", wrong.text(wrong.lines()))
+    monkeypatch.setattr("rejoint.logs.runlog.VALUES_MOST", 1000)
+    monkeypatch.setattr("rejoint.logs.mcapfile._CHUNK_MOST", 1000)
+    monkeypatch.setattr("rejoint.logs.textfile.TEXT_MOST", 1000)
+    for source, said in (
+        (data, r"3900 numbers, expected at most 1000"),
+        (bag, "a chunk of"),
+        (text, "expected at most"),
+    ):
+        options = ImportOptions(angle_unit="deg") if source is data else ImportOptions()
+        with pytest.raises(FileError, match=said):
+            import_logs(source, so101(), out=tmp_path / "out", options=options)
+    assert not (tmp_path / "out").exists()

@@ -52,7 +52,7 @@ def diagnose_logs(
     for log in logs:
         log.require(arm.name, arm.joint_names)
     if states_alone(logs, "diagnosis"):
-        return diagnose_states(arm, logs, healthy, source, forced_remarks(logs))
+        return diagnose_states(arm, logs, healthy, source, [f"{remark}." for remark in forced_remarks(logs)])
     on_progress(0.0, "contacts and stops")
     height = table_height(arm, logs)
     excluded = find_exclusions(arm, logs, height)
@@ -73,7 +73,7 @@ def diagnose_logs(
     return Diagnosis(
         arm=arm.name, robot=source, condition=_condition(measurement, findings),
         verdict=f"{_rest(evidence, healthy)}{_verdict(measurement, findings, healthy)} {_motions(evidence)}",
-        findings=findings, unseen=(*_unseen(measurement), *forced_remarks(logs)),
+        findings=findings, unseen=(*_unseen(measurement), *(f"{remark}." for remark in forced_remarks(logs))),
         open_loop=None, measurement=measurement, healthy=healthy,
         evidence=evidence,
     )  # fmt: skip

@@ -48,7 +48,7 @@ def forced_remarks(logs: Sequence[RunLog]) -> list[str]:
     for log in logs:
         for reason in forced_reasons(log.extra):
             found.setdefault(reason, []).append(log.label)
-    return [f"{_named(labels)} imported by force, although {reason}." for reason, labels in found.items()]
+    return [f"{_named(labels)} imported by force, although {reason}" for reason, labels in found.items()]
 
 
 def _named(labels: list[str]) -> str:

@@ -15,14 +15,14 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
-import pyarrow.parquet as pq
 
 from rejoint.arms import Arm
 from rejoint.logs.joints import Match, match_joints, radians
 from rejoint.logs.options import ImportOptions
-from rejoint.logs.runlog import Array
+from rejoint.logs.runlog import Array, read_parquet
 from rejoint.logs.track import RecordedMotion, Track
 from rejoint.system.errors import FileError, first_line
+from rejoint.system.files import JSON_MOST, read_bounded
 
 _INFO = "meta/info.json"
 _STATE, _ACTION = "observation.state", "action"
@@ -63,7 +63,7 @@ def motions(source: Path, arm: Arm, options: ImportOptions) -> tuple[int, Iterat
 
 def _read_info(path: Path, options: ImportOptions) -> _Info:
     try:
-        data = json.loads(path.read_bytes())
+        data = json.loads(read_bounded(path, JSON_MOST, _REMEDY))
         version = str(data["codebase_version"])
         if not version.startswith("v3."):
             raise FileError(path, f"dataset version {version}, expected v3", "convert it with LeRobot's own converter")
@@ -104,7 +104,7 @@ def _read_frames(source: Path, info: _Info) -> pa.Table:
     tables = []
     for file in files:
         try:
-            tables.append(pq.read_table(file, columns=[_STATE, _ACTION, *_SCALARS]).combine_chunks())
+            tables.append(read_parquet(file, _REMEDY, [_STATE, _ACTION, *_SCALARS]).combine_chunks())
         except (OSError, pa.ArrowException, ValueError, KeyError) as error:
             raise FileError(file, f"not the frames of a dataset ({first_line(error)})", _REMEDY) from error
         held = set(tables[-1].column_names)

@@ -248,7 +248,8 @@ def read_parquet(path: Path, remedy: str, columns: list[str] | None = None) -> p
     """Read a Parquet file, its checksums verified; FileError if it is too large, else Arrow's errors as they come."""
     require_file(path, LOG_MOST, remedy)
     with pq.ParquetFile(path, page_checksum_verification=True) as file:
-        values = file.metadata.num_rows * file.metadata.num_columns
+        parts, leaves = range(file.metadata.num_row_groups), range(file.metadata.num_columns)
+        values = sum(file.metadata.row_group(part).column(leaf).num_values for part in parts for leaf in leaves)
         if values > VALUES_MOST:
             raise FileError(path, f"{values} numbers, expected at most {VALUES_MOST}", remedy)
         return file.read(columns)
