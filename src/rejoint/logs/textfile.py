@@ -15,7 +15,7 @@ from rejoint.system.errors import FileError
 from rejoint.system.files import MEGABYTE, read_bounded
 
 TEXT_MOST = 200 * MEGABYTE
-"""Largest text file that is read (chosen: two hours of six joints at 100 Hz with commands; it takes some ten times as much memory)"""
+"""Largest text file that is read (chosen: two hours of six joints at 100 Hz; takes ten times the memory)"""
 
 _BOMS = (
     (codecs.BOM_UTF8, "utf-8-sig", "UTF-8"), (codecs.BOM_UTF32_LE, "utf-32", "UTF-32"),
