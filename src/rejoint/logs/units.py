@@ -36,6 +36,8 @@ def check_normalised(motion: RecordedMotion, arm: Arm, options: ImportOptions, d
     """Look for normalised values that are declared as degrees, and the reverse; returns a note where nothing tells."""
     if options.angle_unit not in ("deg", "normalised"):
         return []
+    if options.calibration is None and motion.extra.get("format") != "lerobot":
+        return []  # nobody else normalises, and other encoders have other steps
     value, path = motion.state.value, motion.state.path
     if options.calibration is None:
         half, known = (arm.upper - arm.lower) / 2, False
@@ -119,7 +121,8 @@ def _by_grid(raw: Array, half: Array | None) -> tuple[str, str] | None:
             steps.append(own)
     if told and degrees > told / 2:
         return "deg", f"they come in steps of {360.0 / COUNTS_PER_TURN:.4f} on {degrees} joints, those of an encoder"
-    if told and normalised > told / 2:
+    apart = half is not None or len({round(step, 4) for step in steps}) > 1  # joints differ in their ranges
+    if told and normalised > told / 2 and apart:
         return "normalised", f"they come in steps of {', '.join(f'{step:.4f}' for step in steps)}, no degrees do"
     return None
 
