@@ -150,7 +150,7 @@ def of_version_2(dataset: Path) -> None:
         (without_frames, "80 frames in data, but meta/info.json promises 90"),
         (with_short_row, "row 12: 4 values in action, expected 6"),
         (with_hole, "row 12: action elbow_flex.pos is nan"),
-        (without_action, "file-000.parquet: .*action"),
+        (without_action, r"file-000.parquet: has no column action; found observation.state, .*timestamp"),
         (of_version_2, "dataset version v2.1, expected v3"),
     ],
 )

@@ -15,11 +15,13 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
+import pyarrow.parquet as pq
 
 from rejoint.arms import Arm
 from rejoint.logs.joints import Match, match_joints, radians
 from rejoint.logs.options import ImportOptions
 from rejoint.logs.runlog import Array, read_parquet
+from rejoint.logs.textfile import shown
 from rejoint.logs.track import RecordedMotion, Track
 from rejoint.system.errors import FileError, first_line
 from rejoint.system.files import JSON_MOST, read_bounded
@@ -29,6 +31,7 @@ _STATE, _ACTION = "observation.state", "action"
 _SCALARS = ("timestamp", "frame_index", "episode_index")
 _TOLERANCE = 1e-4
 """[s] how far a stamp may be from frame / fps. Source: ``tolerance_s`` of LeRobotDataset."""
+_NEEDED = "a log needs joint states and actions"
 _REMEDY = "download or record the dataset again"
 
 
@@ -67,13 +70,17 @@ def _read_info(path: Path, options: ImportOptions) -> _Info:
         version = str(data["codebase_version"])
         if not version.startswith("v3."):
             raise FileError(path, f"dataset version {version}, expected v3", "convert it with LeRobot's own converter")
+        absent = [key for key in (_STATE, _ACTION) if key not in data["features"]]
+        if absent:
+            found = shown(tuple(map(str, data["features"])))
+            raise FileError(path, f"has no feature {', '.join(absent)}; found {found}", _NEEDED)
         features = {key: data["features"][key] for key in (_STATE, _ACTION)}
         names = {key: _names(features[key], options, path, key) for key in features}
         info = _Info(path=path, fps=float(data["fps"]), frames=int(data["total_frames"]), names=names)
     except FileNotFoundError as error:
         raise FileError(path, "no such file", "give the folder of a LeRobot dataset") from error
     except KeyError as error:
-        raise FileError(path, f"has no entry {error}", "a log needs joint states and actions") from error
+        raise FileError(path, f"has no entry {error}", _NEEDED) from error
     except (OSError, ArithmeticError, ValueError, TypeError, AttributeError, RecursionError) as error:
         raise FileError(path, f"damaged ({error})", _REMEDY) from error
     if not 0 < info.fps < np.inf:
@@ -110,7 +117,8 @@ def _read_frames(source: Path, info: _Info) -> pa.Table:
         held = set(tables[-1].column_names)
         missing = [name for name in (_STATE, _ACTION, *_SCALARS) if name not in held]
         if missing:
-            raise FileError(file, f"has no column {', '.join(missing)}", _REMEDY)
+            found = shown(tuple(pq.read_schema(file).names))
+            raise FileError(file, f"has no column {', '.join(missing)}; found {found}", _REMEDY)
         if any(column.null_count for column in tables[-1].columns):
             raise FileError(file, "has rows without a value", _REMEDY)
         _check_types(tables[-1], file, info)
