@@ -112,7 +112,7 @@ def nonsense(motions, tmp_path_factory):
         ("diagnose", "names", "has joints a, b, c, d, e, expected shoulder_pan"),
         ("diagnose", "order", "has joints wrist_roll"),
         ("diagnose", "dead", "of dead readings"),
-        ("diagnose", "table", "some other table; turn it into one with `rejoint import`"),
+        ("diagnose", "table", "a Parquet table with the columns time; turn it into one with `rejoint import`"),
         ("identify", "empty", "no folder with run logs"),
         ("identify", "truncated", "a.parquet: not a readable run log"),
         ("identify", "short", "s of free motion, expected at least 20 s"),

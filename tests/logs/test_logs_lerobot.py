@@ -11,11 +11,13 @@ import pytest
 from log_samples import ARM
 
 from rejoint.logs import ImportOptions, detect, import_logs
+from rejoint.logs.doubts import forced_reasons
 from rejoint.system.errors import FileError, InputError
 
 DATASET = Path(__file__).parent / "lerobot_v3" / "dataset"
 DATA = Path("data/chunk-000/file-000.parquet")
-DEGREES = ImportOptions(angle_unit="deg")
+DEGREES = ImportOptions(angle_unit="deg", force=True)
+"""By force: the robot of make.py is a mock, whose states are its commands of two frames before."""
 
 
 def sent(episode: int) -> np.ndarray:
@@ -42,6 +44,14 @@ def test_each_episode_becomes_a_log(tmp_path: Path):
     assert any("gripper.pos" in note for note in imported.notes)
 
 
+def test_a_robot_that_repeats_its_commands_is_none(tmp_path: Path):
+    with pytest.raises(FileError, match=r"states of all joints are copies of the commands, 2 row.s. later.*--force"):
+        import_logs(DATASET, ARM, out=tmp_path / "logs", options=ImportOptions(angle_unit="deg"))
+    forced = import_logs(DATASET, ARM, out=tmp_path / "logs", options=DEGREES)
+    for log in forced.logs:
+        assert "copies of the commands" in forced_reasons(log.extra)[0]
+
+
 def test_the_unit_has_to_be_declared(tmp_path: Path):
     with pytest.raises(FileError, match=r"does not say the unit of observation.state and action; set --angle-unit"):
         import_logs(DATASET, ARM, out=tmp_path / "logs")
@@ -59,7 +69,7 @@ def test_normalised_values_need_the_calibration(tmp_path: Path):
     }  # fmt: skip
     calibration = tmp_path / "arm.json"
     calibration.write_text(json.dumps(motors))
-    options = ImportOptions(angle_unit="normalised", calibration=calibration)
+    options = ImportOptions(angle_unit="normalised", calibration=calibration, force=True)
     log = import_logs(DATASET, ARM, out=tmp_path / "logs", options=options).logs[1]
     # 2048 positions are half a turn, so that 100 stands for a quarter turn from the middle
     quarter_turns = (2048 - 100 * np.arange(5)) / 2048 * np.array([1, 1, 1, 1, -1])
@@ -90,7 +100,7 @@ def test_columns_without_names_are_named_by_the_user(dataset: Path, tmp_path: Pa
     (dataset / "meta/info.json").write_text(json.dumps(info))
     with pytest.raises(FileError, match=r"observation.state has 6 columns with the names None; .*--order"):
         import_logs(dataset, ARM, out=tmp_path / "logs", options=DEGREES)
-    options = ImportOptions(angle_unit="deg", joint_order=(*ARM.joint_names, "gripper"))
+    options = ImportOptions(angle_unit="deg", force=True, joint_order=(*ARM.joint_names, "gripper"))
     log = import_logs(dataset, ARM, out=tmp_path / "logs", options=options).logs[0]
     assert log.command.tolist() == np.deg2rad(sent(0)).tolist()
 
@@ -140,7 +150,7 @@ def of_version_2(dataset: Path) -> None:
         (without_frames, "80 frames in data, but meta/info.json promises 90"),
         (with_short_row, "row 12: 4 values in action, expected 6"),
         (with_hole, "row 12: action elbow_flex.pos is nan"),
-        (without_action, "file-000.parquet: .*action"),
+        (without_action, r"file-000.parquet: has no column action; found observation.state, .*timestamp"),
         (of_version_2, "dataset version v2.1, expected v3"),
     ],
 )

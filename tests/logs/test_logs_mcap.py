@@ -179,7 +179,10 @@ def test_missing_stamps_are_told_and_half_missing_ones_refused(tmp_path: Path):
 
 def test_topics_are_named_never_guessed(tmp_path: Path):
     source = messages(tmp_path / "own.mcap", {"/arm/a": [state(k, k) for k in range(5)], "/arm/b": [state(0, 0)] * 2})
-    with pytest.raises(FileError, match=r"no topic /joint_states; .*/arm/a \(sensor_msgs/JointState\).*--state-topic"):
+    with pytest.raises(
+        FileError,
+        match=r"no topic /joint_states; .*/arm/a \(sensor_msgs/JointState, 5 messages, 50 Hz\).*--state-topic",
+    ):
         import_logs(source, ARM, out=tmp_path / "logs")
     same = ImportOptions(state_topic="/arm/a", command_topic="/arm/a")
     with pytest.raises(FileError, match="cannot both come from /arm/a"):

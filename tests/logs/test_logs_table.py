@@ -122,10 +122,10 @@ def test_degrees_called_radians_are_refused(tmp_path: Path):
         import_logs(source, ARM, out=tmp_path / "logs")
 
 
-def test_radians_called_degrees_are_noted(tmp_path: Path):
+def test_radians_called_degrees_are_refused(tmp_path: Path):
     names = {f"{g}.{j}_rad": f"{g}.{j}_deg" for g in ("position", "command") for j in ARM.joint_names}
-    imported = import_logs(write_table(tmp_path / "wave.csv", sample(), names), ARM, out=tmp_path / "logs")
-    assert any("set --angle-unit rad if the file holds radians" in note for note in imported.notes)
+    with pytest.raises(FileError, match=r"no angle is beyond 0.7.* deg; the values are surely radians"):
+        import_logs(write_table(tmp_path / "wave.csv", sample(), names), ARM, out=tmp_path / "logs")
 
 
 @pytest.mark.parametrize(
@@ -192,7 +192,7 @@ def test_two_formats_in_one_folder_are_told_apart_by_the_user(tmp_path: Path):
     with pytest.raises(FileError, match="formats sage and csv; say with --format"):
         import_logs(folder, ARM, out=tmp_path / "logs")
     assert import_logs(folder, ARM, out=tmp_path / "logs", format="csv").logs[0].label == "wave"
-    with pytest.raises(InputError, match="'xls' is unknown; choose from sage, csv, mcap, lerobot"):
+    with pytest.raises(InputError, match="'xls' is unknown; choose from sage, csv, mcap, rosbag, lerobot"):
         import_logs(folder, ARM, out=tmp_path / "other", format="xls")
 
 
@@ -206,7 +206,7 @@ def test_a_full_folder_is_never_written_into(tmp_path: Path):
 
 def test_what_is_no_log_is_refused(tmp_path: Path):
     (tmp_path / "a.txt").write_text("hello\n")
-    with pytest.raises(FileError, match=r"no log in a known format; expected .*SAGE.*CSV.*MCAP.*LeRobot"):
+    with pytest.raises(FileError, match=r"no log: text without columns; expected .*SAGE.*columns.*MCAP.*LeRobot"):
         import_logs(tmp_path / "a.txt", ARM, out=tmp_path / "logs")
     with pytest.raises(FileError, match="no such file"):
         import_logs(tmp_path / "b", ARM, out=tmp_path / "logs")

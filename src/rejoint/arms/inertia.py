@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rejoint.arms.arm import Array
+from rejoint.system.errors import InputError
 
 LINK_RADIUS_RATIO = 1 / 20
 """Radius of the estimating cylinder by the summed link lengths (chosen: 26 mm for a myCobot 280, 63 mm for a UR5,
@@ -124,6 +125,11 @@ def plausible_links(
     ``ends`` is (n, 3) [m], see :func:`link_ends`; ``names`` are what the notes call the links.
     """
     reach = float(np.linalg.norm(ends, axis=1).sum())
+    if reach == 0.0:
+        raise InputError(
+            f"the tool lies in the axis of {', '.join(names)}: an arm without reach; give the place of its tip "
+            "(tip.position_m in a TOML file, --tip for a model)"
+        )
     result, notes = [], []
     for name, link, end in zip(names, links, ends, strict=True):
         repaired, problem = _plausible(link, _thick(end, reach), reach)

@@ -10,17 +10,22 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import msgspec
 import numpy as np
 from rich import progress as bars
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 from rejoint.system.errors import UnsavedError
 from rejoint.system.progress import Progress
 
+WIDTH = 80
+"""Characters of a line of a table where the terminal does not say its own"""
+_CELL = 24
+"""Characters of a cell up to which it stands on one line (chosen)"""
 _PLAIN_INTERVAL = 10.0  # [s] between lines where the output is a file and a bar would only be noise
 
 
@@ -45,14 +50,19 @@ class Terminal:
         self.results.print(text, markup=False)
 
     def table(self, title: str, headers: Sequence[str], rows: Sequence[Sequence[str]], bold: int | None = None) -> None:
-        """Print a table; the row ``bold`` is set off."""
-        table = Table(title=title, title_justify="left", header_style="bold")
-        for index, header in enumerate(headers):
-            table.add_column(header, justify="left" if index == 0 else "right", overflow="fold")
-        for index, row in enumerate(rows):
-            table.add_row(*row, style="bold" if index == bold else None)
-        wide = self.results if self.results.is_terminal else Console(file=sys.stdout, width=160, highlight=False)
-        wide.print(table)
+        """Print a table; the row ``bold`` is set off. One that is too wide is parted, its first column in each part."""
+        width = self.results.width if self.results.is_terminal else WIDTH
+        page = Console(file=sys.stdout, width=width, highlight=False)
+        for part, widths in _parts(headers, rows, width):
+            table = Table(title=Text(title), title_justify="left", header_style="bold")
+            for index, wide in zip(part, widths, strict=True):
+                # as text: square brackets are units here, and no markup
+                justify: Literal["left", "right"] = "left" if index == 0 else "right"
+                table.add_column(Text(headers[index]), justify=justify, overflow="fold", width=wide)
+            for number, row in enumerate(rows):
+                table.add_row(*(Text(row[index]) for index in part), style="bold" if number == bold else None)
+            page.print(table)
+            title = ""
 
     def finish(self, value: object) -> None:
         """Print ``value`` as one JSON object on the last line, if ``--json`` was given."""
@@ -86,6 +96,48 @@ class Terminal:
                 bar.update(task, completed=share, total=1.0, what=what)
 
             yield update
+
+
+def _parts(headers: Sequence[str], rows: Sequence[Sequence[str]], most: int) -> list[tuple[list[int], list[int]]]:
+    """Distribute columns to tables of at most ``most`` characters, the first to each; with the widths of columns."""
+    cells = [[header, *(row[index] for row in rows)] for index, header in enumerate(headers)]
+    natural = [max(map(len, column)) for column in cells]
+    least = [_least(column) for column in cells]
+    parts: list[list[int]] = [[0]]
+    for index in range(1, len(headers)):
+        if len(parts[-1]) > 1 and _across([least[one] for one in [*parts[-1], index]]) > most:
+            parts.append([0])
+        parts[-1].append(index)
+    found = []
+    for part in parts:
+        widths = [least[index] for index in part]
+        for place, index in enumerate(part):  # what is left goes to those whose text would break
+            widths[place] += min(natural[index] - widths[place], max(most - _across(widths), 0))
+        found.append((part, widths))
+    return found
+
+
+def _across(widths: Sequence[int]) -> int:
+    """Characters of a table with columns of these widths: a blank on both sides of each, and lines between."""
+    return sum(width + 3 for width in widths) + 1
+
+
+def _least(cells: Sequence[str]) -> int:
+    """Width that a column needs: words of its title and of long cells may stand below one another."""
+    words = [len(word) for cell in cells for word in cell.split()]
+    return min(max([*words, *(len(cell) for cell in cells[1:] if len(cell) <= _CELL)], default=1), WIDTH // 2)
+
+
+def results_of(value: object, *traces: str) -> Any:  # noqa: ANN401 - plain data of any kind
+    """Return a result as plain data without its ``traces``, fields of thousands of numbers that are in its files."""
+    plain = msgspec.to_builtins(value, enc_hook=_plain)
+
+    def kept(part: Any) -> Any:  # noqa: ANN401
+        if isinstance(part, dict):
+            return {key: kept(one) for key, one in part.items() if key not in traces}
+        return [kept(one) for one in part] if isinstance(part, list | tuple) else part
+
+    return kept(plain)
 
 
 def _plain(value: object) -> object:

@@ -34,6 +34,12 @@ def import_(
     command_topic: Annotated[str | None, typer.Option(help="MCAP topic of the commands.")] = None,
     stamp: Annotated[str | None, typer.Option(help=f"MCAP clock: {' or '.join(STAMPS)}.")] = None,
     calibration: Annotated[Path | None, typer.Option(help="LeRobot calibration file for normalised angles.")] = None,
+    columns: Annotated[
+        str | None, typer.Option("--map", help="CSV columns by other names: time=t,JOINT=q1,command.JOINT=u1.")
+    ] = None,
+    force: Annotated[
+        bool, typer.Option("--force", help="Go on where a log is doubted; the reasons stay in it.")
+    ] = False,
     json: Json = False,
 ) -> None:
     """Turn logs of other programs into run logs; units, joint order and clock are checked, never guessed.
@@ -42,8 +48,9 @@ def import_(
     """
     terminal = Terminal(json=json)
     options = ImportOptions(
-        angle_unit=angle_unit, time_unit=time_unit, joint_map=_pairs(joints), joint_order=_names(order),
+        angle_unit=angle_unit, time_unit=time_unit, joint_map=_pairs(joints, "--joints"), joint_order=_names(order),
         state_topic=state_topic, command_topic=command_topic, stamp=stamp, calibration=calibration,
+        columns=_pairs(columns, "--map"), force=force,
     )  # fmt: skip
     chosen = choose_arm(terminal, arm, base, tip, hold=hold)
     with terminal.progress("importing") as update:
@@ -90,13 +97,17 @@ def export(
     terminal.finish({"out": str(out)})
 
 
-def _pairs(text: str | None) -> dict[str, str] | None:
+def _pairs(text: str | None, option: str) -> dict[str, str] | None:
     if text is None:
         return None
     pairs = [part.split("=") for part in text.split(",")]
-    if any(len(pair) != 2 or not all(pair) for pair in pairs):
-        raise InputError(f"--joints {text!r}: expected theirs=ours,theirs=ours")
-    return {theirs.strip(): ours.strip() for theirs, ours in pairs}
+    if any(len(pair) != 2 or not all(side.strip() for side in pair) for pair in pairs):
+        sides = "theirs=ours" if option == "--joints" else "ours=theirs"
+        raise InputError(f"{option} {text!r}: expected {sides},{sides}")
+    found = {left.strip(): right.strip() for left, right in pairs}
+    if len(found) != len(pairs):
+        raise InputError(f"{option} {text!r}: says the same name twice")
+    return found
 
 
 def _names(text: str | None) -> tuple[str, ...] | None:

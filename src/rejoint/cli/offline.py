@@ -2,22 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace as changed
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
-import msgspec
+import numpy as np
 import typer
 
 import rejoint
-from rejoint.arms import Arm
+from rejoint.arms import Arm, tcp_position
 from rejoint.cli import show
-from rejoint.cli.console import Terminal
+from rejoint.cli.console import Terminal, results_of
 from rejoint.cli.options import ArmOption, Base, Hold, Json, Tip, choose_arm
+from rejoint.logs.bare import states_alone
+from rejoint.logs.doubts import forced_remarks
+from rejoint.logs.runlog import RunLog
+from rejoint.runs.given import as_logs
 from rejoint.runs.run import Run
 from rejoint.system.extras import require
 
 if TYPE_CHECKING:
+    from rejoint.runs.stages.replay import Replayed
     from rejoint.twin.judge import Candidate
     from rejoint.twin.judgement import Errors, Judgement
 
@@ -33,7 +39,10 @@ def diagnose_from_logs(terminal: Terminal, job: Run, logs: Path, good: Path | No
     with terminal.progress("diagnosing") as update:
         found = rejoint.diagnose(logs, run=job, healthy=good, on_progress=update).diagnosis
     show.diagnosis(terminal, found)
-    terminal.result(f"Next: rejoint identify --logs {logs} --arm {job.arm.name} --run {job.path}")
+    if states_alone(as_logs(logs), "diagnosis"):
+        terminal.result(f"Next: record commands as well; this diagnosis is in {job.path}")
+    else:
+        terminal.result(f"Next: rejoint identify --logs {logs} --arm {job.arm.name} --run {job.path}")
     terminal.finish({"run": str(job.path), "diagnosis": found})
 
 
@@ -43,6 +52,7 @@ def identify_from_logs(terminal: Terminal, job: Run, logs: Path, published: list
     with terminal.progress("identifying") as update:
         twin = rejoint.identify(logs, run=job, beside=beside, on_progress=update)
     show.twin(terminal, twin)
+    say_forced(terminal, as_logs(logs))
     if twin.judgement is not None:
         show_errors(terminal, twin.judgement)
     path = rejoint.report(job)
@@ -50,7 +60,7 @@ def identify_from_logs(terminal: Terminal, job: Run, logs: Path, published: list
     terminal.result(f"Report: {path}")
     terminal.finish({
         "run": str(job.path), "twin": str(job.folder.twin), "report": str(path), "fitted": twin.fitted,
-        "judgement": twin.judgement,
+        "judgement": None if twin.judgement is None else _without_trace(twin.judgement, job.folder.judgement),
     })  # fmt: skip
 
 
@@ -75,9 +85,19 @@ def replay(
     chosen = choose_arm(terminal, arm or found.arm, base, tip, hold=hold)
     found.require(chosen)
     replayed = rejoint.replay(twin, logs, arm=chosen, beside=read_sets(published, chosen), out=out)
+    say_forced(terminal, replayed.logs)
+    if replayed.judgement is None:
+        show_followed(terminal, chosen, replayed)
+        return
     show_errors(terminal, replayed.judgement)
     terminal.result(f"Page: {replayed.page}")
-    terminal.finish({**msgspec.to_builtins(replayed.judgement), "page": str(replayed.page)})
+    told = _without_trace(replayed.judgement, out / "replay.json")
+    terminal.finish({**told, "page": str(replayed.page)})
+
+
+def _without_trace(judgement: Judgement, file: Path) -> dict[str, Any]:
+    """Return a judgement as plain data; of the motion predicted worst, its name and the file with its traces."""
+    return results_of(judgement) | {"worst": {"motion": judgement.worst.motion, "traces": str(file)}}
 
 
 def read_sets(published: list[str] | None, arm: Arm) -> list[Candidate]:
@@ -92,18 +112,41 @@ def read_sets(published: list[str] | None, arm: Arm) -> list[Candidate]:
     return found
 
 
+def say_forced(terminal: Terminal, logs: Sequence[RunLog]) -> None:
+    """Repeat what spoke against logs that were imported by force."""
+    for remark in forced_remarks(logs):
+        terminal.say(f"  ! {remark}")
+
+
+def show_followed(terminal: Terminal, arm: Arm, replayed: Replayed) -> None:
+    """Print how the twin follows paths of which only states are known."""
+    rows, found = [], []
+    for log, follows in zip(replayed.logs, replayed.positions, strict=True):
+        off = 1e3 * np.linalg.norm(tcp_position(arm, follows) - tcp_position(arm, log.position), axis=1)
+        rms, most = float(np.sqrt(np.mean(off**2))), float(off.max())
+        seconds = float(log.time[-1] - log.time[0])
+        rows.append([log.label, f"{seconds:.0f}", f"{rms:.2f}", f"{most:.2f}"])
+        found.append({"motion": log.label, "seconds": seconds, "rms_mm": rms, "most_mm": most})
+    terminal.table("The twin, sent along the recorded path", ["motion", "s", "rms mm", "most mm"], rows)
+    terminal.result(
+        "These logs hold no commands: how well the twin predicts the arm cannot be told, and no page is written."
+    )
+    terminal.finish({"followed": found, "judgement": None, "page": None})
+
+
 def show_errors(terminal: Terminal, judgement: Judgement) -> None:
     """Print the errors of every motion, and which prediction to trust."""
     from rejoint.runs.report.trust import answer
 
     names = list(judgement.mean)
-    headers = ["motion", "s", *(f"{name}: free / contact / all mm" for name in names)]
+    headers = ["motion", "s", *names]
     rows = [
         [motion.motion, f"{motion.seconds:.0f}", *(_cell(motion.errors[name]) for name in names)]
         for motion in judgement.motions
     ]
     rows.append(["mean over motions", "", *(_cell(judgement.mean[name]) for name in names)])
-    terminal.table("Open-loop prediction error of the tool, rms, by encoder kinematics", headers, rows, len(rows) - 1)
+    title = "Open-loop error of the tool, rms by encoders: free / contact / all [mm]"
+    terminal.table(title, headers, rows, len(rows) - 1)
     for line in answer(judgement):
         terminal.result(line)
 

@@ -12,7 +12,7 @@ import rejoint
 from rejoint.arms import load_arm
 from rejoint.cli import offline, show
 from rejoint.cli import options as opt
-from rejoint.cli.console import Terminal
+from rejoint.cli.console import Terminal, results_of
 from rejoint.control.deployment import REACHED
 from rejoint.runs.folder import LOGS, RunFolder, locked
 from rejoint.runs.run import Run, newest_or_new
@@ -179,7 +179,7 @@ def compare(
     show.stage(terminal, "compare", found)
     terminal.result(f"Next: rejoint report {run}")
     terminal.finish({
-        "run": str(run), "recommended": found.recommendation, "comparison": found.comparison,
+        "run": str(run), "recommended": found.recommendation, "comparison": results_of(found.comparison, "outcomes"),
         "true_error": {row.controller: row.hold.true_error for row in found.comparison.rows},
     })  # fmt: skip
 

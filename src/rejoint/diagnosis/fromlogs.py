@@ -14,6 +14,7 @@ import numpy as np
 from rejoint.arms import Arm, tcp_position
 from rejoint.diagnosis.diagnosis import KINDS, Diagnosis, condition_of
 from rejoint.diagnosis.evidence import Evidence
+from rejoint.diagnosis.fromstates import diagnose_states
 from rejoint.diagnosis.healthy import HealthyReference
 from rejoint.diagnosis.logmetrics import COARSEST, MANY_LOGS, measure_joint
 from rejoint.diagnosis.measurement import Measurement
@@ -21,6 +22,8 @@ from rejoint.diagnosis.postures import Postures, joined, resting_postures
 from rejoint.diagnosis.regression import mean_of
 from rejoint.diagnosis.spans import join_logs
 from rejoint.diagnosis.verdict import Finding, find
+from rejoint.logs.bare import states_alone
+from rejoint.logs.doubts import forced_remarks
 from rejoint.logs.exclusions import Exclusions, find_exclusions, table_height
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
@@ -48,6 +51,8 @@ def diagnose_logs(
         raise InputError(f"the healthy reference is of arm {healthy.arm}, expected {arm.name}")
     for log in logs:
         log.require(arm.name, arm.joint_names)
+    if states_alone(logs, "diagnosis"):
+        return diagnose_states(arm, logs, healthy, source, [f"{remark}." for remark in forced_remarks(logs)])
     on_progress(0.0, "contacts and stops")
     height = table_height(arm, logs)
     excluded = find_exclusions(arm, logs, height)
@@ -68,7 +73,8 @@ def diagnose_logs(
     return Diagnosis(
         arm=arm.name, robot=source, condition=_condition(measurement, findings),
         verdict=f"{_rest(evidence, healthy)}{_verdict(measurement, findings, healthy)} {_motions(evidence)}",
-        findings=findings, unseen=_unseen(measurement), open_loop=None, measurement=measurement, healthy=healthy,
+        findings=findings, unseen=(*_unseen(measurement), *(f"{remark}." for remark in forced_remarks(logs))),
+        open_loop=None, measurement=measurement, healthy=healthy,
         evidence=evidence,
     )  # fmt: skip
 

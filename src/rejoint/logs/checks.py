@@ -1,43 +1,40 @@
 """What must hold for a track of samples before anybody fits a model to it.
 
-An error is raised where the numbers cannot be what they are said to be; a note is returned where they can,
-but the user should know. Every threshold is chosen, none is a property of a robot.
+An error is raised where the numbers cannot be what they are said to be, by `Doubts` where they hardly can be; a
+note is returned where they can, but the user should know. Every threshold is chosen, none is a property of a robot.
 """
 
 from __future__ import annotations
 
-from itertools import pairwise
-
 import numpy as np
 
 from rejoint.arms import Arm
-from rejoint.logs.runlog import Array
+from rejoint.logs.doubts import Doubts
+from rejoint.logs.runlog import TWO_TURNS
 from rejoint.logs.track import RecordedMotion, Track
 from rejoint.system.errors import FileError
 
-TWO_TURNS = 4.0 * np.pi
-"""[rad] chosen: no joint of a serial arm is logged further from its zero; a log in degrees nearly always is."""
 RATES = (1.0, 10_000.0)
 """[Hz] chosen: slower is no log of a moving arm, faster no control loop."""
+SLOWEST = 10.0
+"""[Hz] chosen: below it a reversal of a hobby arm, half a second, has too few samples to show friction or lag."""
+LOST = 0.05
+"""chosen: share of samples with the stamp of the one before from which the clock counts as too coarse."""
+SPIKE = 0.05
+"""[rad] chosen: of a single reading off the line between its neighbours; a hobby arm at its fastest has half of it
+where it reverses within 20 ms."""
+TOO_FAST, SPEED_ROWS = 4.0, 5
+"""chosen: how much faster than its servo a joint may seem, over that many rows."""
+FAR_OUT = 0.05
+"""chosen: share of samples beyond a limit by more than `LIMIT_MARGIN` from which unit or zero are doubted."""
 GAP_PERIODS = 5.0
 """chosen: steps of more median periods than this count as gaps."""
 LIMIT_MARGIN = 0.35
 """[rad] chosen: about 20 deg; calibration and zero offsets explain less."""
-STALE_SECONDS = 0.5
-"""[s] chosen: several times the lag of a hobby servo."""
-STALE_TRAVEL = 0.1
-"""[rad] chosen: more than friction holds back in the worst joint known to the project."""
-LAGS = (0.0, 0.05, 0.1, 0.15, 0.2, 0.3)
-"""[s] chosen: lags at which states are compared with commands."""
-RELATED = (0.3, 0.9)
-"""chosen: correlations below which a state does not follow a command, and above which it surely does."""
-RESTING = 1e-3
-"""[rad] chosen: below one step of a 12-bit encoder, a joint that moves less (rms) is at rest."""
-
 _TIME_REMEDY = "set the time unit (--time-unit), or take another file"
 
 
-def clean(track: Track) -> tuple[Track, list[str]]:
+def clean(track: Track, doubts: Doubts) -> tuple[Track, list[str]]:
     """Check numbers and clock of a track; returns it without doubled stamps, and notes."""
     _check_finite(track)
     if len(track) < 2:
@@ -51,11 +48,18 @@ def clean(track: Track) -> tuple[Track, list[str]]:
         )  # fmt: skip
     notes = []
     fresh = np.concatenate([[True], steps > 0])
-    if not fresh.all():
+    lost = int((~fresh).sum())
+    if lost:
+        if lost > LOST * len(track) and fresh[1:].any():
+            doubts.stop(
+                track.path, f"{track.what}: the clock counts in steps of {np.median(steps[steps > 0]):.3g} s, and "
+                f"{lost} of {len(track)} samples ({100 * lost / len(track):.0f} %) have the stamp of the one before "
+                "and are lost", "record finer stamps",
+            )  # fmt: skip
         first = track.where(int(np.argmin(fresh)))
-        notes.append(f"{track.what}: {int((~fresh).sum())} samples with a doubled stamp left out, first at {first}")
+        notes.append(f"{track.what}: {lost} samples with a doubled stamp left out, first at {first}")
         track = track.take(fresh)
-    return track, notes + _check_rate(track)
+    return track, notes + _check_rate(track, doubts)
 
 
 def _check_finite(track: Track) -> None:
@@ -71,15 +75,24 @@ def _check_finite(track: Track) -> None:
         )  # fmt: skip
 
 
-def _check_rate(track: Track) -> list[str]:
+def _check_rate(track: Track, doubts: Doubts) -> list[str]:
     if len(track) < 2:
         raise FileError(track.path, f"{track.what}: all samples have the same stamp", _TIME_REMEDY)
     steps = np.diff(track.time)
     period = float(np.median(steps))
-    if not RATES[0] <= 1.0 / period <= RATES[1]:
+    rate = 1.0 / period
+    sparse = track.what == "command"  # a command may stand for as long as it likes
+    if rate > RATES[1] or (rate < RATES[0] and not sparse):
         raise FileError(
             track.path, f"{track.what}: one sample in {period:.3g} s, expected {RATES[0]:g} to {RATES[1]:g} Hz",
             _TIME_REMEDY,
+        )  # fmt: skip
+    if sparse:
+        return []
+    if rate < 0.99 * SLOWEST:
+        doubts.stop(
+            track.path, f"{track.what}: {rate:.2g} samples in a second, expected at least {SLOWEST:g}: too few to "
+            "show friction or lag", "record faster",
         )  # fmt: skip
     gaps = steps > GAP_PERIODS * period
     if not gaps.any():
@@ -91,9 +104,9 @@ def _check_rate(track: Track) -> list[str]:
     ]
 
 
-def check_angles(motion: RecordedMotion, arm: Arm) -> list[str]:
+def check_angles(motion: RecordedMotion, arm: Arm, doubts: Doubts) -> list[str]:
     """Compare the angles with what they are said to be and with the limits of the arm."""
-    for track in (motion.state, motion.command):
+    for track in motion.tracks:
         if (np.abs(track.value) > TWO_TURNS).any():
             row, joint = np.unravel_index(int(np.argmax(np.abs(track.value))), track.value.shape)
             found = float(track.value[row, joint])
@@ -102,18 +115,52 @@ def check_angles(motion: RecordedMotion, arm: Arm) -> list[str]:
                 track.path, f"{track.what}, {track.where(int(row))}: {track.columns[joint]} is {found:.4g} rad, "
                 f"beyond two turns; {guess}", "set --angle-unit, or the unit in the column name",
             )  # fmt: skip
-    notes = _check_limits(motion.state, arm)
+    notes = _check_limits(motion.state, arm, doubts)
     extent = float(np.abs(motion.state.value).max())
     if motion.angle_unit == "deg" and np.rad2deg(extent) <= 2 * np.pi:
-        notes.append(
-            f"state: no angle is beyond {np.rad2deg(extent):.3g} deg; set --angle-unit rad if the file holds radians"
-        )
+        doubts.stop(
+            motion.state.path, f"state: no angle is beyond {np.rad2deg(extent):.3g} deg; the values are surely radians",
+            "set --angle-unit rad, or the unit in the column name",
+        )  # fmt: skip
+    notes += _spikes(motion.state)
+    _check_speed(motion.state, arm, doubts)
     if not (np.ptp(motion.state.value, axis=0) > 0).any():
         notes.append("state: no joint moves in this log")
     return notes
 
 
-def _check_limits(state: Track, arm: Arm) -> list[str]:
+def _check_speed(state: Track, arm: Arm, doubts: Doubts) -> None:
+    """Compare how fast joints move with what their servos can do: another unit of time shows here."""
+    if len(state) < SPEED_ROWS * 4:
+        return
+    speed = np.abs(state.value[SPEED_ROWS:] - state.value[:-SPEED_ROWS])
+    speed /= (state.time[SPEED_ROWS:] - state.time[:-SPEED_ROWS])[:, None]
+    usual = np.percentile(speed, 90, axis=0)
+    joint = int(np.argmax(usual / arm.max_speed))
+    if usual[joint] > TOO_FAST * arm.max_speed[joint]:
+        doubts.stop(
+            state.path, f"{state.what}: {state.columns[joint]} moves at {usual[joint]:.3g} rad/s and more in a tenth "
+            f"of the log, joint {arm.joint_names[joint]} at up to {arm.max_speed[joint]:.3g}", _TIME_REMEDY,
+        )  # fmt: skip
+
+
+def _spikes(state: Track) -> list[str]:
+    """Find single readings that jump out and back: damaged digits, or a bus that was misread."""
+    if len(state) < 3:
+        return []
+    before, value, after = state.value[:-2], state.value[1:-1], state.value[2:]
+    out = np.abs(value - 0.5 * (before + after))
+    found = (out > SPIKE) & (np.abs(after - before) < 0.5 * out)
+    if not found.any():
+        return []
+    row, joint = (int(i) for i in np.unravel_index(int(np.argmax(np.where(found, out, 0.0))), found.shape))
+    return [
+        f"state: {int(found.sum())} single reading(s) jump out and back, the farthest by {out[row, joint]:.3g} rad in "
+        f"{state.where(row + 1)}, {state.columns[joint]}; is the file damaged?"
+    ]
+
+
+def _check_limits(state: Track, arm: Arm, doubts: Doubts) -> list[str]:
     notes = []
     excess = np.maximum(state.value - arm.upper, arm.lower - state.value)
     for joint, name in enumerate(arm.joint_names):
@@ -124,70 +171,16 @@ def _check_limits(state: Track, arm: Arm) -> list[str]:
                 f"({arm.lower[joint]:.3g} to {arm.upper[joint]:.3g} rad, by up to {worst:.3g} rad)",
                 "check unit, joint order and zero posture (--angle-unit, --joints)",
             )  # fmt: skip
+        far = float(np.mean(excess[:, joint] > LIMIT_MARGIN))
+        if far > FAR_OUT:
+            doubts.stop(
+                state.path, f"{state.what}: {state.columns[joint]} is far outside the limits of joint {name} "
+                f"({arm.lower[joint]:.3g} to {arm.upper[joint]:.3g} rad) in {100 * far:.0f} % of the samples, by up to "
+                f"{worst:.3g} rad", "check unit, joint order and zero posture (--angle-unit, --joints)",
+            )  # fmt: skip
         if beyond.any():
             notes.append(
                 f"state: {state.columns[joint]} is beyond the limits of joint {name} in {int(beyond.sum())} samples, "
                 f"by up to {worst:.3g} rad"
             )
     return notes
-
-
-def check_agreement(state: Track, command: Array) -> list[str]:
-    """Compare states with the commands ``(T, n)`` [rad] in force: the same joints should move, the same way."""
-    notes = []
-    lowest, highest = _correlations(state, command)
-    for joint, name in enumerate(state.columns):
-        own, best = highest[joint, joint], int(np.argmax(highest[joint]))
-        if own >= RELATED[0]:
-            continue
-        if highest[joint, best] > RELATED[1]:
-            raise FileError(
-                state.path, f"the state of {name} follows the command of {state.columns[best]} "
-                f"(correlation {highest[joint, best]:.2f}), not its own ({own:.2f})",
-                "give the true joint order of states and commands",
-            )  # fmt: skip
-        if lowest[joint, joint] < -RELATED[1]:
-            notes.append(
-                f"state: {name} moves against its command (correlation {lowest[joint, joint]:.2f}); "
-                "is its axis turned around?"
-            )
-    return notes + _stale(state, command)
-
-
-def _correlations(state: Track, command: Array) -> tuple[Array, Array]:
-    """Lowest and highest correlation over `LAGS` of each state (rows) with each command; 0 where one rests."""
-    period = float(np.median(np.diff(state.time)))
-    n, rows = state.value.shape[1], len(state)
-    found = []
-    for lag in sorted({round(lag / period) for lag in LAGS}):
-        # over little of the log any two smooth motions look alike
-        if rows - lag >= max(20, 0.8 * rows):
-            moved = np.concatenate([state.value[lag:], command[: rows - lag]], axis=1)
-            moved = moved - moved.mean(axis=0)
-            scale = np.linalg.norm(moved, axis=0)
-            scale[scale < RESTING * np.sqrt(len(moved))] = np.inf
-            found.append((moved.T @ moved / np.outer(scale, scale))[:n, n:])
-    if not found:
-        return np.zeros((n, n)), np.ones((n, n))
-    return np.min(found, axis=0), np.max(found, axis=0)
-
-
-def _stale(state: Track, command: Array) -> list[str]:
-    """Find stretches in which no reading changes while the command moves on."""
-    changes = np.flatnonzero((np.diff(state.value, axis=0) != 0).any(axis=1)) + 1
-    edges = np.concatenate([[0], changes, [len(state)]])
-    found = []
-    for start, end in pairwise(edges.tolist()):
-        lasts = state.time[end - 1] - state.time[start]
-        # what the arm is told in its last moments before it moves, it may not have answered yet
-        answered = np.searchsorted(state.time, state.time[end - 1] - LAGS[-1])
-        travel = np.ptp(command[start:answered], axis=0).max() if lasts > STALE_SECONDS else 0.0
-        if travel > STALE_TRAVEL:
-            found.append((float(lasts), float(state.time[start])))
-    if not found:
-        return []
-    lasts, begin = max(found)
-    return [
-        f"state: the readings freeze {len(found)} time(s) while the command moves on, "
-        f"longest for {lasts:.3g} s from {begin:.6g} s"
-    ]

@@ -16,9 +16,10 @@ from typing import Any
 
 import numpy as np
 
-from rejoint.logs.mcapfile import COMMAND_TOPIC, METADATA, NANOSECONDS, POINT_TOPICS, STATE_TOPIC
+from rejoint.logs.bags import COMMAND_TOPIC, METADATA, POINT_TOPICS, STATE_TOPIC
+from rejoint.logs.columns import AXES
+from rejoint.logs.messages import NANOSECONDS
 from rejoint.logs.runlog import RunLog
-from rejoint.logs.table import AXES
 from rejoint.system.errors import InputError
 from rejoint.system.extras import require
 from rejoint.system.files import write_whole
@@ -71,7 +72,7 @@ def export_log(log: RunLog, path: Path) -> None:
 
 def _write_csv(log: RunLog, path: Path) -> None:
     titles, columns = ["time_s"], [log.time]
-    for group in ("position", "command"):
+    for group in ("position", "command") if log.commanded else ("position",):
         titles += [f"{group}.{name}_rad" for name in log.joint_names]
         columns += list(getattr(log, group).T)
     for group in ("target", "true_tcp"):
@@ -114,6 +115,7 @@ def _write_mcap(log: RunLog, stamps: list[int], path: Path) -> None:
                     {"name": list(log.joint_names), "position": values.tolist(), "velocity": [], "effort": []},
                 )
                 for topic, values in ((STATE_TOPIC, log.position[row]), (COMMAND_TOPIC, log.command[row]))
+                if log.commanded or topic == STATE_TOPIC
             ]
             for group, topic in POINT_TOPICS.items():
                 values = getattr(log, group)[row]

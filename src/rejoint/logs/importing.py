@@ -11,12 +11,13 @@ from pathlib import Path
 from typing import Protocol
 
 from rejoint.arms import Arm
-from rejoint.logs import lerobot, mcapfile, sage, table
+from rejoint.logs import lerobot, mcapfile, rosbag, sage, table
+from rejoint.logs.found import describe
 from rejoint.logs.joining import to_log
 from rejoint.logs.options import ImportOptions
 from rejoint.logs.runlog import RunLog, write_log
 from rejoint.logs.track import RecordedMotion
-from rejoint.system.errors import FileError, InputError
+from rejoint.system.errors import FileError, InputError, first_line
 from rejoint.system.progress import Progress, no_progress
 
 
@@ -30,18 +31,20 @@ class Imported:
 
 
 class _Reader(Protocol):
-    def fits(self, source: Path) -> bool: ...
+    def fits(self, source: Path, options: ImportOptions) -> bool: ...
 
     def motions(self, source: Path, arm: Arm, options: ImportOptions) -> tuple[int, Iterator[RecordedMotion]]: ...
 
 
-_READERS: dict[str, _Reader] = {"sage": sage, "csv": table, "mcap": mcapfile, "lerobot": lerobot}
+_READERS: dict[str, _Reader] = {
+    "sage": sage, "csv": table, "mcap": mcapfile, "rosbag": rosbag, "lerobot": lerobot,
+}  # fmt: skip
 FORMATS = tuple(_READERS)
 """Names of the formats that can be imported."""
 
 _EXPECTED = (
-    "a folder with SAGE's state_motor.csv, a CSV file with columns time_s, position.JOINT_rad and command.JOINT_rad, "
-    "an MCAP file, or a folder with LeRobot's meta/info.json"
+    "a folder with SAGE's state_motor.csv, text with columns such as time_s, position.JOINT_rad and command.JOINT_rad, "
+    "an MCAP file, a bag of ROS 2, or a folder with LeRobot's meta/info.json"
 )
 
 
@@ -77,9 +80,9 @@ def import_logs(
     options.check_joints(arm)
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise InputError(f"{out} exists already; name a new folder for the imported logs")
-    reader = _READERS[detect(source) if format is None else _known(format)]
+    reader = _READERS[detect(source, options) if format is None else _known(format)]
     total, motions = reader.motions(source, arm, options)
-    logs, notes = _checked(motions, arm, lambda done, name: on_progress(done / total, name))
+    logs, notes = _checked(motions, arm, options, lambda done, name: on_progress(done / total, name))
     if not logs:
         raise FileError(source, "holds no log", "take another one")
     _write_whole(out, logs)
@@ -87,13 +90,13 @@ def import_logs(
 
 
 def _checked(
-    motions: Iterator[RecordedMotion], arm: Arm, on_log: Callable[[int, str], object]
+    motions: Iterator[RecordedMotion], arm: Arm, options: ImportOptions, on_log: Callable[[int, str], object]
 ) -> tuple[dict[str, RunLog], dict[str, list[str]]]:
     """Turn motions into logs by file name; returns them and, by note, the logs that it is about."""
     logs: dict[str, RunLog] = {}
     notes: dict[str, list[str]] = {}
     for done, motion in enumerate(motions, start=1):
-        log, remarks = to_log(motion, arm)
+        log, remarks = to_log(motion, arm, options)
         name = _file_name(motion.name)
         if name in logs:
             raise FileError(motion.state.path, f"a second log with the name {name}", "import it into another folder")
@@ -104,12 +107,13 @@ def _checked(
     return logs, notes
 
 
-def detect(source: Path) -> str:
+def detect(source: Path, options: ImportOptions | None = None) -> str:
     """Name the format of the logs at a path by what they hold; FileError where none or more than one fits."""
+    options = options or ImportOptions()
     if not source.exists():
         raise FileError(source, "no such file or folder", "check the path")
     try:
-        fitting = [name for name, reader in _READERS.items() if reader.fits(source)]
+        fitting = [name for name, reader in _READERS.items() if reader.fits(source, options)]
     except OSError as error:
         raise FileError(source, f"not readable ({error})", "check its permissions") from error
     if len(fitting) > 1:
@@ -117,7 +121,11 @@ def detect(source: Path) -> str:
             source, f"holds logs of the formats {' and '.join(fitting)}", "say with --format which to import"
         )
     if not fitting:
-        raise FileError(source, f"no log in a known format; expected {_EXPECTED}", "convert it to one of these")
+        try:
+            found = describe(source)
+        except OSError as error:
+            raise FileError(source, f"not readable ({first_line(error)})", "check its permissions") from error
+        raise FileError(source, f"no log: {found}; expected {_EXPECTED}", "convert it to one of these")
     return fitting[0]
 
 

@@ -7,43 +7,64 @@ from dataclasses import replace
 import numpy as np
 
 from rejoint.arms import Arm
-from rejoint.logs.checks import check_agreement, check_angles, clean
+from rejoint.logs.agreement import check_agreement
+from rejoint.logs.checks import check_angles, clean
+from rejoint.logs.doubts import Doubts
+from rejoint.logs.options import ImportOptions
 from rejoint.logs.runlog import Array, RunLog
 from rejoint.logs.track import Points, RecordedMotion, Track
+from rejoint.logs.units import check_normalised, check_steps
 from rejoint.system.errors import FileError
 
 _EPOCH = 1e8
 """[s] chosen: three years; a robot's clock that reads more counts from 1970, where a float64 resolves 0.2 us."""
 
+NO_COMMANDS = (
+    "holds no commands: it is good for `diagnose` and `replay` of the states alone; stiffness, friction, lag and "
+    "zeros, and so a twin, cannot be told"
+)
 
-def to_log(motion: RecordedMotion, arm: Arm) -> tuple[RunLog, list[str]]:
+
+def to_log(motion: RecordedMotion, arm: Arm, options: ImportOptions | None = None) -> tuple[RunLog, list[str]]:
     """Check a motion and put it on the clock of its states.
 
     Row k holds state k and the command in force at that time: the last one stamped no later (zero-order
     hold). States before the first command are left out, since nobody knows what the arm was told then.
-    Raises FileError where the two tracks cannot belong together.
+    Raises FileError where the two tracks cannot belong together; where it is doubted, unless ``options``
+    force it, and then the log keeps the reasons.
     """
-    state, notes = clean(motion.state)
-    command, more = clean(motion.command)
+    options = options or ImportOptions()
+    doubts = Doubts(force=options.force)
+    state, notes = clean(motion.state, doubts)
+    command, more = (None, [NO_COMMANDS]) if motion.command is None else clean(motion.command, doubts)
     motion = _near_zero(replace(motion, state=state, command=command, notes=(*motion.notes, *notes, *more)))
-    state, command = motion.state, motion.command
-    _check_one_clock(state, command)
-    notes = [*motion.notes, *check_angles(motion, arm)]
-    held = np.searchsorted(command.time, state.time, side="right") - 1
-    known = held >= 0
-    if not known.all():
-        notes.append(f"state: {int((~known).sum())} samples before the first command left out")
-    state, held = state.take(known), held[known]
-    notes += _phase_notes(state, command, held)
-    commanded = command.value[held]
-    notes += check_agreement(state, commanded)
+    if motion.command is not None:
+        _check_one_clock(motion.state, motion.command)
+    notes = [*motion.notes, *check_angles(motion, arm, doubts), *check_normalised(motion, arm, options, doubts)]
+    check_steps(motion, arm, doubts)
+    state, commanded = motion.state, np.full(motion.state.value.shape, np.nan)
+    if motion.command is not None:
+        state, commanded, more = _joined(state, motion.command)
+        notes += [*more, *check_agreement(state, commanded, doubts)]
+    notes += [f"imported by force, although {reason}" for reason in doubts.reasons]
     log = RunLog(
         arm=arm.name, joint_names=arm.joint_names, robot=motion.robot, label=motion.name,
         time=state.time, position=state.value, command=commanded,
         target=_at(state.time, motion.points.get("target")), true_tcp=_at(state.time, motion.points.get("true_tcp")),
-        extra=motion.extra,
+        extra=motion.extra | doubts.kept,
     )  # fmt: skip
     return log, notes
+
+
+def _joined(state: Track, command: Track) -> tuple[Track, Array, list[str]]:
+    """Return the states from the first command on, the command (T, n) [rad] in force at each, and notes."""
+    held = np.searchsorted(command.time, state.time, side="right") - 1
+    known = held >= 0
+    notes = []
+    if not known.all():
+        notes.append(f"state: {int((~known).sum())} samples before the first command left out")
+    state, held = state.take(known), held[known]
+    return state, command.value[held], notes + _phase_notes(state, command, held)
 
 
 def _near_zero(motion: RecordedMotion) -> RecordedMotion:
@@ -54,7 +75,8 @@ def _near_zero(motion: RecordedMotion) -> RecordedMotion:
     origin = float(np.floor(start))
     points = {name: Points(time=p.time - origin, value=p.value) for name, p in motion.points.items()}
     return replace(
-        motion, state=motion.state.shifted(origin), command=motion.command.shifted(origin), points=points,
+        motion, state=motion.state.shifted(origin), points=points,
+        command=None if motion.command is None else motion.command.shifted(origin),
         extra=motion.extra | {"clock_origin_s": f"{origin:.0f}"},
     )  # fmt: skip
 

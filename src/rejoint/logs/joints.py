@@ -13,6 +13,7 @@ from rejoint.arms import Arm
 from rejoint.logs.options import ImportOptions
 from rejoint.logs.runlog import Array
 from rejoint.system.errors import FileError
+from rejoint.system.files import JSON_MOST, read_bounded
 
 _SO101_NAMES = {
     "Rotation": "shoulder_pan", "Pitch": "shoulder_lift", "Elbow": "elbow_flex", "Wrist_Pitch": "wrist_flex",
@@ -101,13 +102,13 @@ def radians(values: Array, unit: str, arm: Arm, options: ImportOptions, path: Pa
         raise FileError(path, f"{worst:g} is no normalised value, which lie in -100..100", "set another --angle-unit")
     if options.calibration is None:
         raise FileError(path, "normalised values need a calibration", "give the calibration file of the arm")
-    return values * _half_ranges(options.calibration, arm, options) / 100.0
+    return values * half_ranges(options.calibration, arm, options) / 100.0
 
 
-def _half_ranges(path: Path, arm: Arm, options: ImportOptions) -> Array:
+def half_ranges(path: Path, arm: Arm, options: ImportOptions) -> Array:
     """Read (n,) [rad] from the middle of each joint's calibrated range to the end that 100 stands for."""
     try:
-        motors = json.loads(path.read_bytes())
+        motors = json.loads(read_bounded(path, JSON_MOST, "give the file that lerobot-calibrate wrote"))
         spans = {
             name: (int(motor["range_max"]) - int(motor["range_min"])) * (-1 if motor["drive_mode"] else 1)
             for name, motor in motors.items()

@@ -20,15 +20,18 @@ import pyarrow.parquet as pq
 from rejoint.arms import Arm
 from rejoint.logs.joints import Match, match_joints, radians
 from rejoint.logs.options import ImportOptions
-from rejoint.logs.runlog import Array
+from rejoint.logs.runlog import Array, read_parquet
+from rejoint.logs.textfile import shown
 from rejoint.logs.track import RecordedMotion, Track
 from rejoint.system.errors import FileError, first_line
+from rejoint.system.files import JSON_MOST, read_bounded
 
 _INFO = "meta/info.json"
 _STATE, _ACTION = "observation.state", "action"
 _SCALARS = ("timestamp", "frame_index", "episode_index")
 _TOLERANCE = 1e-4
 """[s] how far a stamp may be from frame / fps. Source: ``tolerance_s`` of LeRobotDataset."""
+_NEEDED = "a log needs joint states and actions"
 _REMEDY = "download or record the dataset again"
 
 
@@ -41,7 +44,7 @@ class _Info:
     """names of the columns of state and action"""
 
 
-def fits(source: Path) -> bool:
+def fits(source: Path, options: ImportOptions) -> bool:  # noqa: ARG001 - it declares nothing about this
     """Tell whether a folder is a LeRobot dataset."""
     return (source / _INFO).is_file()
 
@@ -63,17 +66,21 @@ def motions(source: Path, arm: Arm, options: ImportOptions) -> tuple[int, Iterat
 
 def _read_info(path: Path, options: ImportOptions) -> _Info:
     try:
-        data = json.loads(path.read_bytes())
+        data = json.loads(read_bounded(path, JSON_MOST, _REMEDY))
         version = str(data["codebase_version"])
         if not version.startswith("v3."):
             raise FileError(path, f"dataset version {version}, expected v3", "convert it with LeRobot's own converter")
+        absent = [key for key in (_STATE, _ACTION) if key not in data["features"]]
+        if absent:
+            found = shown(tuple(map(str, data["features"])))
+            raise FileError(path, f"has no feature {', '.join(absent)}; found {found}", _NEEDED)
         features = {key: data["features"][key] for key in (_STATE, _ACTION)}
         names = {key: _names(features[key], options, path, key) for key in features}
         info = _Info(path=path, fps=float(data["fps"]), frames=int(data["total_frames"]), names=names)
     except FileNotFoundError as error:
         raise FileError(path, "no such file", "give the folder of a LeRobot dataset") from error
     except KeyError as error:
-        raise FileError(path, f"has no entry {error}", "a log needs joint states and actions") from error
+        raise FileError(path, f"has no entry {error}", _NEEDED) from error
     except (OSError, ArithmeticError, ValueError, TypeError, AttributeError, RecursionError) as error:
         raise FileError(path, f"damaged ({error})", _REMEDY) from error
     if not 0 < info.fps < np.inf:
@@ -104,13 +111,14 @@ def _read_frames(source: Path, info: _Info) -> pa.Table:
     tables = []
     for file in files:
         try:
-            tables.append(pq.read_table(file, columns=[_STATE, _ACTION, *_SCALARS]).combine_chunks())
+            tables.append(read_parquet(file, _REMEDY, [_STATE, _ACTION, *_SCALARS]).combine_chunks())
         except (OSError, pa.ArrowException, ValueError, KeyError) as error:
             raise FileError(file, f"not the frames of a dataset ({first_line(error)})", _REMEDY) from error
         held = set(tables[-1].column_names)
         missing = [name for name in (_STATE, _ACTION, *_SCALARS) if name not in held]
         if missing:
-            raise FileError(file, f"has no column {', '.join(missing)}", _REMEDY)
+            found = shown(tuple(pq.read_schema(file).names))
+            raise FileError(file, f"has no column {', '.join(missing)}; found {found}", _REMEDY)
         if any(column.null_count for column in tables[-1].columns):
             raise FileError(file, "has rows without a value", _REMEDY)
         _check_types(tables[-1], file, info)
@@ -140,7 +148,11 @@ def _check_types(table: pa.Table, file: Path, info: _Info) -> None:
 def _episode(table: pa.Table, number: int, arm: Arm, options: ImportOptions, info: _Info) -> RecordedMotion:
     rows = np.flatnonzero(table["episode_index"].to_numpy() == number)
     chosen = table.take(rows)
-    order = np.argsort(chosen["frame_index"].to_numpy(), kind="stable")
+    index = chosen["frame_index"].to_numpy()
+    order = np.argsort(index, kind="stable")
+    if len(np.unique(index)) < len(index):
+        twice = int(index[order][1:][np.diff(index[order]) == 0][0])
+        raise FileError(info.path.parents[1], f"episode {number} has frame {twice} twice", _REMEDY)
     time, note = _time(chosen, info)
     name = f"episode_{number:06d}"
     unit = options.angle_unit or ""

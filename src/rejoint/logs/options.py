@@ -17,7 +17,7 @@ STAMPS = ("header", "log")
 OPTIONS = {
     "angle_unit": "--angle-unit", "time_unit": "--time-unit", "joint_map": "--joints", "joint_order": "--order",
     "state_topic": "--state-topic", "command_topic": "--command-topic", "stamp": "--stamp",
-    "calibration": "--calibration",
+    "calibration": "--calibration", "columns": "--map",
 }  # fmt: skip
 """What errors call a declaration: the option of `rejoint import` that makes it."""
 
@@ -41,15 +41,22 @@ class ImportOptions:
     stamp: str | None = None
     """MCAP: ``header`` takes the stamps in the messages, ``log`` the times at which they were recorded"""
     calibration: Path | None = None
-    """LeRobot: the JSON file of the motors' calibration, which normalised values refer to"""
+    """LeRobot: the JSON file of the motors' calibration, which normalised values refer to; with degrees it only tells
+    these from normalised values"""
+    columns: Mapping[str, str] | None = None
+    """CSV: what the log calls it -> column of the file, such as ``{"time": "t", "elbow": "q3"}``"""
+    force: bool = False
+    """go on where a log is doubted, and keep the reasons in it (`Doubts`)"""
 
     def __post_init__(self) -> None:
         for name, known in (("angle_unit", ANGLE_UNITS), ("time_unit", tuple(TIME_UNITS)), ("stamp", STAMPS)):
             value = getattr(self, name)
             if value is not None and value not in known:
                 raise InputError(f"{OPTIONS[name]} {value!r} is unknown; choose from {', '.join(known)}")
-        if (self.angle_unit == "normalised") != (self.calibration is not None):
-            raise InputError("--angle-unit normalised and --calibration belong together; give both or neither")
+        if self.angle_unit == "normalised" and self.calibration is None:
+            raise InputError("--angle-unit normalised and --calibration belong together; give the calibration as well")
+        if self.calibration is not None and self.angle_unit not in ("normalised", "deg"):
+            raise InputError("--calibration belongs together with --angle-unit normalised or deg; give one of these")
         if self.joint_order is not None and len(set(self.joint_order)) != len(self.joint_order):
             raise InputError(f"--order names a joint twice: {', '.join(self.joint_order)}")
 
@@ -65,7 +72,7 @@ class ImportOptions:
     def refuse_others(self, path: Path, format_name: str, *allowed: str) -> None:
         """Raise FileError for a declaration that says nothing about this format."""
         for field in fields(self):
-            if getattr(self, field.name) is not None and field.name not in allowed:
+            if field.name != "force" and getattr(self, field.name) is not None and field.name not in allowed:
                 raise FileError(
                     path, f"{OPTIONS[field.name]} does not apply to a file of format {format_name}", "leave it out"
                 )

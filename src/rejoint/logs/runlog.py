@@ -20,6 +20,7 @@ import pyarrow.parquet as pq
 from numpy.typing import ArrayLike, NDArray
 
 from rejoint.arms import Arm, load_arm
+from rejoint.logs.found import describe
 from rejoint.system.errors import FileError, InputError, first_line
 from rejoint.system.files import CHANGED, MEGABYTE, require_file, write_whole
 
@@ -34,6 +35,9 @@ LOG_MOST = 1000 * MEGABYTE
 VALUES_MOST = 200_000_000
 """Most numbers in a log that is read (chosen: 1.6 GB of memory, 70 hours of six joints at 40 Hz): a small file may
 unfold to any size"""
+
+TWO_TURNS = 4.0 * np.pi
+"""[rad] chosen: no joint of a serial arm is logged further from its zero; a log in degrees nearly always is."""
 
 _METADATA_KEY = b"rejoint"
 _AXES = ("x", "y", "z")
@@ -64,7 +68,7 @@ class RunLog:
     position: Array
     """(T, n) [rad] measured joint positions"""
     command: Array
-    """(T, n) [rad] sent joint positions"""
+    """(T, n) [rad] sent joint positions; NaN in every row where nobody recorded them"""
     target: Array
     """(T, 3) [m] TCP target; NaN where there is none"""
     true_tcp: Array
@@ -96,7 +100,7 @@ class RunLog:
                 raise InputError(f"run log {self.label}: {name} has shape {array.shape}, expected {shape}")
             array.setflags(write=False)
             object.__setattr__(self, name, array)
-        for name in ("time", "position", "command"):
+        for name in ("time", "position", *(("command",) if self.commanded else ())):
             if not np.isfinite(getattr(self, name)).all():
                 raise InputError(f"run log {self.label}: {name} holds values that are not finite")
         if (np.diff(self.time) <= 0).any():
@@ -106,6 +110,11 @@ class RunLog:
 
     def __len__(self) -> int:
         return len(self.time)
+
+    @property
+    def commanded(self) -> bool:
+        """Whether the log holds commands; one of states alone has NaN in their place."""
+        return not np.isnan(self.command).all() or not self.command.size
 
     def rows(self, which: slice) -> RunLog:
         """Return some of the rows, with all else as it is."""
@@ -173,12 +182,18 @@ class RunLog:
         write_log(Path(path), self)
 
     def require(self, arm: str, joint_names: tuple[str, ...]) -> None:
-        """Raise InputError unless the log is of that arm, its joints in that order."""
+        """Raise InputError unless the log is of that arm, its joints in that order, its angles possible."""
         if self.arm != arm:
             raise InputError(f"run log {self.label} is of arm {self.arm}, expected {arm}; name its arm with --arm")
         if self.joint_names != joint_names:
             found, expected = ", ".join(self.joint_names), ", ".join(joint_names)
             raise InputError(f"run log {self.label} has joints {found}, expected {expected}; import it again")
+        for what, values in (("position", self.position), ("command", self.command)):
+            farthest = float(np.abs(values).max(initial=0.0, where=np.isfinite(values)))
+            if farthest > TWO_TURNS:
+                raise InputError(
+                    f"run log {self.label}: a {what} of {farthest:.4g} rad, beyond two turns; give radians"
+                )
 
 
 def write_log(path: Path, log: RunLog) -> None:
@@ -199,7 +214,7 @@ def read_log(path: Path) -> RunLog:
     try:
         table = read_parquet(path, remedy)
         if _METADATA_KEY not in (table.schema.metadata or {}):
-            raise FileError(path, "no run log, but some other table", "turn it into one with `rejoint import`")
+            raise FileError(path, f"no run log, but {describe(path)}", "turn it into one with `rejoint import`")
         header = json.loads(table.schema.metadata[_METADATA_KEY])
         if header["format"] != FORMAT:
             raise FileError(path, f"run log of format {header['format']}, expected {FORMAT}", remedy)
@@ -219,6 +234,11 @@ def read_log(path: Path) -> RunLog:
             raise FileError(path, CHANGED, remedy)
     except FileNotFoundError as error:
         raise FileError(path, "no such file", "check the path") from error
+    except pa.ArrowInvalid as error:
+        found = describe(path)
+        if "Parquet" in found:
+            raise FileError(path, f"not a readable run log ({first_line(error)})", remedy) from error
+        raise FileError(path, f"no run log, but {found}", "turn it into one with `rejoint import`") from error
     except (OSError, pa.ArrowException, KeyError, TypeError, ValueError, RecursionError, InputError) as error:
         raise FileError(path, f"not a readable run log ({first_line(error)})", remedy) from error
     return log
@@ -228,7 +248,8 @@ def read_parquet(path: Path, remedy: str, columns: list[str] | None = None) -> p
     """Read a Parquet file, its checksums verified; FileError if it is too large, else Arrow's errors as they come."""
     require_file(path, LOG_MOST, remedy)
     with pq.ParquetFile(path, page_checksum_verification=True) as file:
-        values = file.metadata.num_rows * file.metadata.num_columns
+        parts, leaves = range(file.metadata.num_row_groups), range(file.metadata.num_columns)
+        values = sum(file.metadata.row_group(part).column(leaf).num_values for part in parts for leaf in leaves)
         if values > VALUES_MOST:
             raise FileError(path, f"{values} numbers, expected at most {VALUES_MOST}", remedy)
         return file.read(columns)

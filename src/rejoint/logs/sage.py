@@ -19,14 +19,16 @@ from rejoint.arms import Arm
 from rejoint.logs.joints import match_joints, radians
 from rejoint.logs.options import TIME_UNITS, ImportOptions
 from rejoint.logs.runlog import Array
+from rejoint.logs.textfile import TEXT_MOST
 from rejoint.logs.track import RecordedMotion, Track
 from rejoint.system.errors import FileError
+from rejoint.system.files import read_bounded
 
 _CONTROL, _STATE, _JOINTS = "control.csv", "state_motor.csv", "joint_list.txt"
 _REMEDY = "mend the line or leave this motion out"
 
 
-def fits(source: Path) -> bool:
+def fits(source: Path, options: ImportOptions) -> bool:  # noqa: ARG001 - it declares nothing about this
     """Tell whether a folder is a SAGE motion or holds some."""
     return bool(_folders(source))
 
@@ -78,7 +80,7 @@ def _read(folder: Path, arm: Arm, options: ImportOptions) -> RecordedMotion:
 
 def _lines(path: Path) -> list[str]:
     try:
-        return path.read_text(encoding="utf-8-sig").splitlines()
+        return read_bounded(path, TEXT_MOST, "cut it into several motions").decode("utf-8-sig").splitlines()
     except FileNotFoundError as error:
         raise FileError(path, "no such file, but a SAGE motion needs it", "copy the whole folder") from error
     except (OSError, UnicodeDecodeError) as error:

@@ -1,151 +1,154 @@
-"""CSV files with named columns, one row per control cycle.
+"""Text files with named columns, one row per control cycle.
 
-Columns: ``time``, ``position.JOINT`` and ``command.JOINT``, and where known ``target.x`` .. ``true_tcp.z``.
-A name ends in its unit (``time_s``, ``time_ms``, ``position.elbow_flex_deg``, ``target.x_mm``) unless the
+Columns: ``time``, ``position.JOINT`` and ``command.JOINT``, and where known ``target.x`` .. ``true_tcp.z``; others by a
+map. A name ends in its unit (``time_s``, ``time_ms``, ``position.elbow_flex_deg``, ``target.x_mm``) unless the
 options give it; a column with no unit at all, or with two, is refused.
 """
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from rejoint.arms import Arm
+from rejoint.logs.columns import AXES, GROUPS, LENGTHS, Column, understood
 from rejoint.logs.joints import match_joints, radians
-from rejoint.logs.options import OPTIONS, TIME_UNITS, ImportOptions
+from rejoint.logs.options import TIME_UNITS, ImportOptions
 from rejoint.logs.runlog import Array
+from rejoint.logs.textfile import Sheet, has_decimal_commas, head, number, read_sheet
 from rejoint.logs.track import Points, RecordedMotion, Track
 from rejoint.system.errors import FileError
 
-AXES = ("x", "y", "z")
-_LENGTHS = {"m": 1.0, "mm": 1e3}
-_GROUPS = ("position", "command", "target", "true_tcp")
-_UNITS = {
-    "time": tuple(TIME_UNITS), "position": ("rad", "deg"), "command": ("rad", "deg"),
-    "target": tuple(_LENGTHS), "true_tcp": tuple(_LENGTHS),
-}  # fmt: skip
+_ENDINGS = (".csv", ".tsv", ".txt", ".dat", ".log")
+_EXPECTED = "a time, position.JOINT and command.JOINT"
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Column:
-    index: int
-    title: str
-    group: str
-    """``time``, ``position``, ``command``, ``target`` or ``true_tcp``"""
-    name: str
-    """joint or axis"""
-    unit: str
-
-
-def fits(source: Path) -> bool:
-    """Tell whether a CSV file has columns of joint positions or commands, or a folder holds such files."""
-    return bool(_files(source))
+def fits(source: Path, options: ImportOptions) -> bool:
+    """Tell whether a file is text with columns, or a folder holds some with those of a log."""
+    if source.is_dir():
+        return bool(_files(source, options)[0])
+    return source.is_file() and head(source) is not None
 
 
 def motions(source: Path, arm: Arm, options: ImportOptions) -> tuple[int, Iterator[RecordedMotion]]:
-    """Count the CSV logs at a path and read them one by one, sorted by name."""
-    options.refuse_others(source, "csv", "angle_unit", "time_unit", "joint_map", "calibration")
-    files = [source] if source.is_file() else _files(source)
+    """Count the text files with logs at a path and read them one by one, sorted by name."""
+    options.refuse_others(source, "csv", "angle_unit", "time_unit", "joint_map", "calibration", "columns")
+    files, others = _files(source, options) if source.is_dir() else ([source], [])
     if not files:
         raise FileError(source, "no CSV file with columns position.JOINT here", "check the path or the format")
-    return len(files), (_read(file, arm, options) for file in files)
+    left = [f"files without columns of a log left out: {', '.join(file.name for file in others)}"] * bool(others)
+    return len(files), (_read(file, arm, options, left if file == files[0] else []) for file in files)
 
 
-def _files(source: Path) -> list[Path]:
-    if source.is_dir():
-        return sorted(file for file in source.glob("*.csv") if file.is_file() and _has_columns(file))
-    return [source] if source.is_file() and _has_columns(source) else []
+def _files(folder: Path, options: ImportOptions) -> tuple[list[Path], list[Path]]:
+    """Return the files of a folder that hold columns of a log, and other tables in it."""
+    found: list[Path] = []
+    others: list[Path] = []
+    for file in sorted(file for file in folder.iterdir() if file.suffix.lower() in _ENDINGS and file.is_file()):
+        sheet = head(file)
+        named = sheet is not None and any(title.startswith(("position.", "command.")) for title in sheet.titles)
+        mapped = sheet is not None and bool(
+            {*(options.columns or {}), *(options.columns or {}).values()} & {*sheet.titles}
+        )
+        if named or mapped:
+            found.append(file)
+        elif sheet is not None or file.suffix.lower() == ".csv":
+            others.append(file)
+    return found, others
 
 
-def _has_columns(file: Path) -> bool:
-    try:
-        with file.open(encoding="utf-8-sig", newline="") as lines:
-            header = next(csv.reader([lines.readline(65_536)]), [])
-    except (OSError, UnicodeDecodeError, csv.Error):
-        return False
-    return any(title.startswith(("position.", "command.")) for title in header)
-
-
-def _read(file: Path, arm: Arm, options: ImportOptions) -> RecordedMotion:
-    titles, values, number = _cells(file)
-    columns, ignored = _columns(titles, options, file)
-    notes = [f"columns ignored: {', '.join(ignored)}"] * bool(ignored)
-    times = [column for column in columns if column.group == "time"]
-    if len(times) != 1:
-        found = " and ".join(column.title for column in times) or "none"
-        raise FileError(
-            file, f"{found} of the columns {', '.join(titles)} says the time, expected one",
-            f"name one {' or '.join(f'time_{unit}' for unit in TIME_UNITS)}",
-        )  # fmt: skip
-    time = values[:, times[0].index] / TIME_UNITS[times[0].unit]
-    tracks, units = {}, []
+def _read(file: Path, arm: Arm, options: ImportOptions, notes: list[str]) -> RecordedMotion:
+    sheet = read_sheet(file)
+    doubled = sorted({title for title in sheet.titles if title and sheet.titles.count(title) > 1})
+    if doubled:
+        raise FileError(file, f"line 1: column {', '.join(doubled)} stands there twice", "rename one of them")
+    columns, ignored = understood(sheet, arm, options)
+    time_column = _time_column(sheet, columns)
+    sheet, cut = _without_cut_line(sheet, columns)
+    values, commas = _values(sheet, columns)
+    notes = [*notes, *cut, *[f"columns ignored: {', '.join(ignored)}"] * bool(ignored)]
+    if not sheet.plain or commas:
+        notes.append(f"read as {sheet.found}{', decimal commas' * commas}")
+    time = values[:, time_column.index] / TIME_UNITS[time_column.unit]
+    tracks, units = {}, set()
     for what, group in (("state", "position"), ("command", "command")):
         chosen = [column for column in columns if column.group == group]
-        names, full = [column.name for column in chosen], [column.title for column in chosen]
-        match = match_joints(names, arm, options, file, group, full)
-        joints = [chosen[index] for index in match.columns]
-        raw = values[:, [column.index for column in joints]]
-        for unit in {column.unit for column in joints}:
-            of_unit = np.array([column.unit == unit for column in joints])
-            raw = np.where(of_unit, radians(np.where(of_unit, raw, 0.0), unit, arm, options, file), raw)
-            units.append(unit)
-        notes += [f"columns of {group} that are no joints dropped: {', '.join(match.dropped)}"] * bool(match.dropped)
-        tracks[what] = Track(
-            path=file, what=what, time=time, value=raw, columns=match.names,
-            place="line", number=number,
-        )  # fmt: skip
+        if group == "command" and not chosen:
+            continue
+        track, dropped = _track(sheet, chosen, (what, group), (time, values), arm, options)
+        tracks[what] = track
+        units |= {column.unit for column in chosen}
+        notes += [f"columns of {group} that are no joints dropped: {', '.join(dropped)}"] * bool(dropped)
     return RecordedMotion(
-        name=file.stem, state=tracks["state"], command=tracks["command"], angle_unit="/".join(sorted(set(units))),
+        name=file.stem, state=tracks["state"], command=tracks.get("command"), angle_unit="/".join(sorted(units)),
         points=_points(time, values, columns, file), robot=f"csv:{file.stem}",
         extra={"source": file.name, "format": "csv"}, notes=tuple(notes),
     )  # fmt: skip
 
 
-def _columns(titles: list[str], options: ImportOptions, file: Path) -> tuple[list[_Column], list[str]]:
-    columns, ignored = [], []
-    for index, title in enumerate(titles):
-        group = _group(title)
-        if group is None:
-            ignored.append(title)
-            continue
-        name = title.removeprefix(f"{group}.")
-        stem, _, ending = name.rpartition("_")
-        known = bool(stem) and ending in _UNITS[group]
-        unit = _unit(title, group, ending if known else None, options, file)
-        columns.append(_Column(index=index, title=title, group=group, name=stem if known else name, unit=unit))
-    return columns, ignored
-
-
-def _group(title: str) -> str | None:
-    """Tell what a column holds by its title; None for something that a log does not need."""
-    if title in ("time", *(f"time_{unit}" for unit in TIME_UNITS)):
-        return "time"
-    group, _, name = title.partition(".")
-    return group if group in _GROUPS and name else None
-
-
-def _unit(title: str, group: str, written: str | None, options: ImportOptions, file: Path) -> str:
-    name = {"time": "time_unit", "position": "angle_unit", "command": "angle_unit"}.get(group)
-    declared, option = (getattr(options, name), OPTIONS[name]) if name else (None, "")
-    if written and declared and written != declared:
+def _time_column(sheet: Sheet, columns: list[Column]) -> Column:
+    times = [column for column in columns if column.group == "time"]
+    if len(times) != 1:
+        found = " and ".join(column.title for column in times) or "none"
         raise FileError(
-            file, f"column {title} is in {written} by its name, but {option} says {declared}",
-            f"leave {option} out or rename the column",
+            sheet.path, f"{found} of the columns {sheet.shown} says the time, expected one; the file is {sheet.found}",
+            f"name one {' or '.join(f'time_{unit}' for unit in TIME_UNITS)}, or map yours: --map time=THEIRS",
         )  # fmt: skip
-    unit: str | None = written or declared
-    if unit is None:
-        endings = " or ".join(f"{title}_{unit}" for unit in _UNITS[group])
-        more = f" or set {option}" if option else ""
-        raise FileError(file, f"column {title} does not say its unit", f"rename it {endings}{more}")
-    return unit
+    if not any(column.group in GROUPS[:2] for column in columns):
+        raise FileError(
+            sheet.path, f"no column with joint positions; found {sheet.found}: {sheet.shown}",
+            f"name them position.JOINT and command.JOINT, or map yours: --map JOINT=THEIRS; expected {_EXPECTED}",
+        )  # fmt: skip
+    return times[0]
 
 
-def _points(time: Array, values: Array, columns: list[_Column], file: Path) -> dict[str, Points]:
+def _track(
+    sheet: Sheet, chosen: list[Column], what: tuple[str, str], numbers: tuple[Array, Array], arm: Arm,
+    options: ImportOptions,
+) -> tuple[Track, tuple[str, ...]]:  # fmt: skip
+    """Return states or commands in the arm's order, and the columns that are no joints."""
+    names, titles = [column.name for column in chosen], [column.title for column in chosen]
+    match = match_joints(names, arm, options, sheet.path, what[1], titles)
+    joints = [chosen[index] for index in match.columns]
+    raw = numbers[1][:, [column.index for column in joints]]
+    for unit in {column.unit for column in joints}:
+        of_unit = np.array([column.unit == unit for column in joints])
+        raw = np.where(of_unit, radians(np.where(of_unit, raw, 0.0), unit, arm, options, sheet.path), raw)
+    track = Track(
+        path=sheet.path, what=what[0], time=numbers[0], value=raw, columns=match.names, place="line",
+        number=np.array(sheet.numbers, dtype=np.int64),
+    )  # fmt: skip
+    return track, match.dropped
+
+
+def _without_cut_line(sheet: Sheet, columns: list[Column]) -> tuple[Sheet, list[str]]:
+    """Leave the last row out where it may have been cut in the middle of a number: its line does not end."""
+    if sheet.ends or len(sheet.rows) < 3 or not columns:
+        return sheet, []
+    last = max(column.index for column in columns)
+    shortest = min(len(row[last].strip()) for row in sheet.rows[:-1])
+    if last != len(sheet.titles) - 1 or len(sheet.rows[-1][last].strip()) >= shortest:
+        return sheet, []
+    line = sheet.numbers[-1]
+    left = replace(sheet, rows=sheet.rows[:-1], numbers=sheet.numbers[:-1])
+    return left, [f"line {line}, the last, does not end and may be cut: left out"]
+
+
+def _values(sheet: Sheet, columns: list[Column]) -> tuple[Array, bool]:
+    """Read the numbers (T, columns), NaN where a log needs none, and whether they have decimal commas."""
+    needed = [column.index for column in columns]
+    commas = has_decimal_commas(sheet, needed)
+    values = np.full((len(sheet.rows), len(sheet.titles)), np.nan)
+    for index, (row, line) in enumerate(zip(sheet.rows, sheet.numbers, strict=True)):
+        for column in needed:
+            values[index, column] = number(row[column], (sheet, line, sheet.titles[column]), commas=commas)
+    return values, commas
+
+
+def _points(time: Array, values: Array, columns: list[Column], file: Path) -> dict[str, Points]:
     points = {}
     for group in ("target", "true_tcp"):
         axes = {column.name: column for column in columns if column.group == group}
@@ -154,52 +157,6 @@ def _points(time: Array, values: Array, columns: list[_Column], file: Path) -> d
             continue
         if set(axes) != set(AXES) or count != len(AXES):
             raise FileError(file, f"columns of {group} are not x, y and z, once each", "name all three or none")
-        scale = np.array([_LENGTHS[axes[axis].unit] for axis in AXES])
+        scale = np.array([LENGTHS[axes[axis].unit] for axis in AXES])
         points[group] = Points(time=time, value=values[:, [axes[axis].index for axis in AXES]] / scale)
     return points
-
-
-def _cells(file: Path) -> tuple[list[str], Array, np.ndarray]:
-    """Read the header, the numbers (T, columns) and their line numbers (T,).
-
-    A cell is NaN where it is empty, and in a column that a log does not need where it holds no number.
-    """
-    remedy = "mend the line or take another file"
-    try:
-        text = file.read_bytes().decode("utf-8-sig")
-    except FileNotFoundError as error:
-        raise FileError(file, "no such file", "check the path") from error
-    except (OSError, UnicodeDecodeError) as error:
-        raise FileError(file, f"not readable text ({error})", "save it as UTF-8") from error
-    reader = csv.reader(io.StringIO(text, newline=""), strict=True)
-    rows, numbers = [], []
-    try:
-        titles = [title.strip() for title in next(reader, [])]
-        doubled = sorted({title for title in titles if titles.count(title) > 1})
-        if doubled:
-            raise FileError(file, f"line 1: column {', '.join(doubled)} stands there twice", "rename one of them")
-        needed = [_group(title) is not None for title in titles]
-        for row in reader:
-            if not row:
-                continue
-            if len(row) != len(titles):
-                found = f"line {reader.line_num}: {len(row)} columns, the header has {len(titles)}"
-                raise FileError(file, found, remedy)
-            rows.append([
-                _cell(cell, need, (file, reader.line_num, title))
-                for cell, need, title in zip(row, needed, titles, strict=True)
-            ])  # fmt: skip
-            numbers.append(reader.line_num)
-    except csv.Error as error:
-        raise FileError(file, f"line {reader.line_num}: {error}", remedy) from error
-    return titles, np.array(rows, dtype=float).reshape(len(rows), len(titles)), np.array(numbers, dtype=np.int64)
-
-
-def _cell(text: str, needed: bool, place: tuple[Path, int, str]) -> float:
-    if not text.strip() or not needed:
-        return np.nan
-    try:
-        return float(text)
-    except ValueError as error:
-        file, line, title = place
-        raise FileError(file, f"line {line}, column {title}: {text[:40]!r} is no number", "mend the cell") from error

@@ -61,7 +61,8 @@ class RecordedMotion:
 
     name: str
     state: Track
-    command: Track
+    command: Track | None
+    """None where the file holds no commands"""
     angle_unit: str
     """unit that the file's angles were taken to be in"""
     robot: str
@@ -70,3 +71,8 @@ class RecordedMotion:
     """``target`` and ``true_tcp`` where the file has them"""
     extra: dict[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+
+    @property
+    def tracks(self) -> tuple[Track, ...]:
+        """States, and commands where there are any."""
+        return (self.state,) if self.command is None else (self.state, self.command)

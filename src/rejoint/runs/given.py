@@ -15,6 +15,7 @@ import numpy as np
 from rejoint.arms import Arm, Array, load_arm
 from rejoint.control.comparison.targets import draw_targets, read_targets, require_reachable
 from rejoint.control.robot import Robot
+from rejoint.logs.found import describe
 from rejoint.logs.runlog import RunLog, read_log
 from rejoint.robots import open_robot, place_of
 from rejoint.runs.folder import LOGS, RunFolder
@@ -170,7 +171,10 @@ def as_logs(given: LogsLike) -> list[RunLog]:
         return [read_log(path)]
     files = sorted(path.glob("*.parquet")) if path.is_dir() else []
     if not files:
-        raise FileError(path, "no folder with run logs (.parquet)", "make one with: rejoint import SOURCE FOLDER")
+        found = describe(path) if path.exists() else "nothing there"
+        raise FileError(
+            path, f"no folder with run logs (.parquet): {found}", "make one with: rejoint import SOURCE FOLDER"
+        )
     return [read_log(file) for file in files]
 
 

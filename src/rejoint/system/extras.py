@@ -13,7 +13,7 @@ from rejoint.system.errors import MissingExtraError
 EXTRAS: dict[str, tuple[str, ...]] = {
     "train": ("mujoco", "torch", "skrl", "gymnasium", "onnx", "tensorboard", "cmaes"),
     "report": ("matplotlib", "jinja2", "PIL"),
-    "logs": ("mcap", "mcap_protobuf", "mcap_ros2"),
+    "logs": ("mcap", "mcap_protobuf", "mcap_ros2", "rosbags", "zstandard"),
     "camera": ("cv2", "scipy"),
 }
 """Modules that this package imports, by the extra that installs them"""

@@ -285,4 +285,5 @@ def _losses(problem: Problem, x: Array) -> Array:
 
 def _ratio(losses: Array, reference: Array) -> float:
     """Geometric mean over the joints of how losses compare."""
-    return float(np.exp(np.mean(np.log(losses / reference))))
+    least = np.finfo(float).tiny  # a joint that stands still is predicted without any loss
+    return float(np.exp(np.mean(np.log(np.maximum(losses, least) / np.maximum(reference, least)))))

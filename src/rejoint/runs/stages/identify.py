@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 
 from rejoint.arms import Arm
 from rejoint.diagnosis.segments import is_excitation
+from rejoint.logs.bare import require_commands
+from rejoint.logs.doubts import forced_remarks
 from rejoint.logs.runlog import RunLog, read_log
 from rejoint.runs.folder import LOGS
 from rejoint.runs.given import ArmLike, LogsLike, RunLike, as_logs, as_run, run_of_logs
@@ -85,6 +87,7 @@ def identify(
     about, chosen = run_of_logs(run, logs, arm)
     with exclusive(about):
         motions = as_logs(logs)
+        require_commands(motions, "identification")
         if about is None and all(is_excitation(log) for log in motions):
             return _from_excitation(chosen, motions, seed or 0, on_progress, quick=quick)
         twin = _from_any_motion(chosen, motions, beside, on_progress, quick=quick)
@@ -111,7 +114,8 @@ def _from_any_motion(
 
     few = LogSettings(coarse_seconds=20.0, fit_seconds=20.0, fast_seconds=5.0, contact_seconds=20.0)
     found = identify_logs(arm, logs, few if quick else LogSettings(), on_progress, beside)
-    return replace(found.twin, judgement=found.judgement, fitted=found.fitted)
+    notes = (*found.twin.notes, *forced_remarks(logs))
+    return replace(found.twin, judgement=found.judgement, fitted=found.fitted, notes=notes)
 
 
 def _excitation(run: Run) -> RunLog:

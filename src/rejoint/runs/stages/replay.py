@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rejoint.arms import Array, load_arm
+from rejoint.logs.bare import states_alone
 from rejoint.logs.runlog import RunLog
 from rejoint.runs.folder import RunFolder, locked
 from rejoint.runs.given import ArmLike, LogsLike, TwinLike, as_arm, as_logs, as_twin
@@ -31,8 +32,9 @@ class Replayed:
     logs: tuple[RunLog, ...]
     positions: tuple[Array, ...]
     """(T, n) [rad] predicted positions, row by row of each log, open loop from its first measured one"""
-    judgement: Judgement
-    """errors of every motion, of the twin, of no twin and of those beside it, in free space and in contact"""
+    judgement: Judgement | None
+    """errors of every motion, of the twin, of no twin and of those beside it, in free space and in contact; None for
+    logs of states alone, by which no twin can be judged"""
     page: Path | None = None
     """with figures, where a folder was given"""
 
@@ -47,7 +49,8 @@ def replay(
 ) -> Replayed:
     """Predict every motion open loop with a twin, and compare that with what the encoders measured.
 
-    A motion that the twin was fitted to flatters it.
+    A motion that the twin was fitted to flatters it. Of logs of states alone, the path is sent to the twin as its
+    command: `positions` are then how an arm like it would have followed.
 
     Parameters
     ----------
@@ -72,7 +75,7 @@ def replay(
     ContractError
         if the twin is of another arm
     InputError
-        if a log is of another arm
+        if a log is of another arm, or only some hold commands
 
     Examples
     --------
@@ -85,8 +88,12 @@ def replay(
     known = as_twin(twin)
     chosen = load_arm(known.arm) if arm is None else as_arm(arm)
     known.require(chosen)
+    motions = as_logs(logs)
+    if states_alone(motions, "replay"):
+        sent = [replace(log, command=log.position) for log in motions]
+        follows = predict_logs(chosen, [Candidate.of(TWIN, known)], sent, threads=THREADS)[TWIN]
+        return Replayed(logs=tuple(motions), positions=tuple(follows), judgement=None)
     with nullcontext() if out is None else locked(RunFolder(Path(out))):
-        motions = as_logs(logs)
         paths = predict_logs(chosen, [Candidate.of(TWIN, known), *beside], motions, threads=THREADS)
         judgement = judge_paths(chosen, paths, motions)
         page = None if out is None else _write(Path(out), judgement, twin, logs)

@@ -1,0 +1,181 @@
+"""Bags of ros2_control, in MCAP and sqlite3: commands as its controllers take them; written by rosbags."""
+
+import sqlite3
+from pathlib import Path
+
+import numpy as np
+import pytest
+from log_samples import ARM, COUNT, Sample, worn_sample
+from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import Writer as BagWriter
+from rosbags.typesys import Stores, get_typestore
+from scipy.interpolate import BPoly
+
+from rejoint.logs import ImportOptions, detect, import_logs
+from rejoint.system.errors import FileError
+
+STORE = get_typestore(Stores.ROS2_JAZZY)
+KINDS = STORE.types
+STORAGES = {"mcap": StoragePlugin.MCAP, "rosbag": StoragePlugin.SQLITE3}
+START = 1_750_000_000_000_000_000
+NAMES = [*ARM.joint_names, "gripper"]
+ARRAYS, TRAJECTORIES = "/forward_position_controller/commands", "/joint_trajectory_controller/joint_trajectory"
+
+
+def header(stamp: int):
+    time = KINDS["builtin_interfaces/msg/Time"](sec=stamp // 10**9, nanosec=stamp % 10**9)
+    return KINDS["std_msgs/msg/Header"](stamp=time, frame_id="")
+
+
+def state(stamp: int, position: np.ndarray):
+    none = np.zeros(0)
+    return KINDS["sensor_msgs/msg/JointState"](
+        header=header(stamp), name=NAMES, position=np.append(position, 0.5), velocity=none, effort=none
+    )
+
+
+def array(values: np.ndarray):
+    layout = KINDS["std_msgs/msg/MultiArrayLayout"](dim=[], data_offset=0)
+    return KINDS["std_msgs/msg/Float64MultiArray"](layout=layout, data=np.asarray(values, dtype=float))
+
+
+def trajectory(after: list[float], *orders: np.ndarray, names: list[str] | None = None, stamp: int = 0):
+    """Points (K, n) of positions, then velocities, then accelerations."""
+    none = np.zeros(0)
+    points = [
+        KINDS["trajectory_msgs/msg/JointTrajectoryPoint"](
+            positions=orders[0][k], velocities=orders[1][k] if len(orders) > 1 else none,
+            accelerations=orders[2][k] if len(orders) > 2 else none, effort=none,
+            time_from_start=KINDS["builtin_interfaces/msg/Duration"](sec=int(t), nanosec=round((t % 1) * 1e9)),
+        )
+        for k, t in enumerate(after)
+    ]  # fmt: skip
+    kind = KINDS["trajectory_msgs/msg/JointTrajectory"]
+    return kind(header=header(stamp), joint_names=names or list(ARM.joint_names), points=points)
+
+
+def write(path: Path, storage: str, messages: list[tuple[str, int, object]]) -> Path:
+    """Write a bag of messages at times [ns] since its start; returns its data file."""
+    with BagWriter(path, version=9, storage_plugin=STORAGES[storage]) as bag:
+        links = {}
+        for topic, time, message in sorted(messages, key=lambda one: one[1]):
+            if topic not in links:
+                links[topic] = bag.add_connection(topic, message.__msgtype__, typestore=STORE)
+            bag.write(links[topic], START + time, STORE.serialize_cdr(message, message.__msgtype__))
+    return next(file for file in path.iterdir() if file.suffix in (".mcap", ".db3"))
+
+
+def states(found: Sample, late: int = 0) -> list[tuple[str, int, object]]:
+    """Joint states that are recorded some ns after their stamps."""
+    rows = zip((found.time * 1e9).round().astype(int).tolist(), found.position, strict=True)
+    return [("/joint_states", t + late, state(START + t, q)) for t, q in rows]
+
+
+@pytest.mark.parametrize("storage", STORAGES)
+def test_arrays_are_commands_in_the_order_of_the_controller(tmp_path: Path, storage: str):
+    found = worn_sample(seconds=6)
+    order = [3, 0, 4, 1, 2]
+    sent = [(ARRAYS, round(1e9 * t), array(u[order])) for t, u in zip(found.time, found.command, strict=True)]
+    source = write(tmp_path / "bag", storage, states(found) + sent)
+    assert detect(source) == detect(source.parent) == storage
+    with pytest.raises(FileError, match=r"command topic /forward.*, message 1: 0 names for 5 positions; set --order"):
+        import_logs(source, ARM, out=tmp_path / "logs")
+    options = ImportOptions(joint_order=tuple(ARM.joint_names[i] for i in order))
+    imported = import_logs(source.parent, ARM, out=tmp_path / "logs", options=options)
+    log = imported.logs[0]
+    assert log.position.tolist() == found.position.tolist()
+    assert log.command.tolist() == found.command.tolist()
+    said = " ".join(imported.notes)
+    assert f"commands from {ARRAYS} (std_msgs/msg/Float64MultiArray, 300 messages, 50 Hz)" in said
+    assert "times are those of the recording" in said
+
+
+@pytest.mark.parametrize("storage", STORAGES)
+@pytest.mark.parametrize("degree", [1, 2, 3])
+def test_trajectories_are_followed_between_their_points(tmp_path: Path, storage: str, degree: int):
+    rng = np.random.default_rng(degree)
+    after = [0.0, 0.7, 1.5, 2.6, 4.0]
+    orders = [0.5 * rng.normal(size=(5, 5)), 0.3 * rng.normal(size=(5, 5)), 0.4 * rng.normal(size=(5, 5))][:degree]
+    truth = BPoly.from_derivatives(after, np.stack(orders, axis=1))  # by SciPy, an independent judge
+    time = 0.02 * np.arange(260)
+    asked = truth(np.clip(time, 0, 4.0))
+    lagging = truth(np.clip(time - 0.08, 0, 4.0))
+    position = np.round(0.98 * lagging / COUNT) * COUNT
+    goals = [(TRAJECTORIES, 0, trajectory(after, *orders, names=[*ARM.joint_names]))]
+    source = write(tmp_path / "bag", storage, states(Sample(time=time, position=position, command=asked)) + goals)
+    log = import_logs(source, ARM, out=tmp_path / "logs", options=ImportOptions(force=True)).logs[0]
+    np.testing.assert_allclose(log.command, asked, atol=1e-6)  # stamps in whole nanoseconds, clocks in seconds
+    np.testing.assert_array_equal(log.position, position)
+
+
+def test_a_goal_starts_where_the_joints_are_and_replaces_the_one_before(tmp_path: Path):
+    time = 0.02 * np.arange(250)
+    position = np.zeros((250, 5))
+    position[:, 1] = -0.4
+    ones = np.ones((1, 5))
+    goals = [
+        (TRAJECTORIES, 10**9, trajectory([1.0], 0.4 * ones)),
+        (TRAJECTORIES, 15 * 10**8, trajectory([2.0], -0.2 * ones, names=list(ARM.joint_names)[::-1])),
+    ]
+    still = Sample(time=time, position=position, command=position)
+    log = import_logs(
+        write(tmp_path / "bag", "rosbag", states(still) + goals), ARM, out=tmp_path / "logs",
+        options=ImportOptions(force=True),
+    ).logs[0]  # fmt: skip
+    t = log.time - log.time[0]  # from the first goal on
+    assert t[-1] == pytest.approx(3.98)
+    for joint, start in ((0, 0.0), (1, -0.4)):
+        first = start + (0.4 - start) * t
+        second = start + (-0.2 - start) * np.minimum((t - 0.5) / 2.0, 1.0)
+        np.testing.assert_allclose(log.command[:, joint], np.where(t < 0.5 - 1e-9, first, second), atol=1e-6)
+
+
+def test_several_controllers_are_told_apart_by_the_user(tmp_path: Path):
+    found = worn_sample(seconds=6)
+    goals = [(TRAJECTORIES, 0, trajectory([5.0], found.command[-1:]))]
+    sent = [(ARRAYS, round(1e9 * t), array(u)) for t, u in zip(found.time, found.command, strict=True)]
+    grip = [("/gripper_controller/commands", 0, array(np.zeros(1)))]
+    source = write(tmp_path / "bag", "rosbag", states(found) + goals + sent + grip)
+    with pytest.raises(FileError, match=r"no topic /joint_commands; found /forward.*50 Hz\), /grip.*--command-topic"):
+        import_logs(source, ARM, out=tmp_path / "logs")
+    options = ImportOptions(command_topic=ARRAYS, joint_order=ARM.joint_names)
+    assert len(import_logs(source, ARM, out=tmp_path / "logs", options=options).logs[0]) == 300
+
+
+def test_a_bag_without_commands_is_one_of_states(tmp_path: Path):
+    imported = import_logs(
+        write(tmp_path / "bag", "rosbag", states(worn_sample(seconds=6))), ARM, out=tmp_path / "logs"
+    )
+    assert not imported.logs[0].commanded
+    assert any("no topic with commands; found /joint_states (sensor_msgs/msg/JointState" in n for n in imported.notes)
+
+
+@pytest.mark.parametrize(
+    ("goal", "said"),
+    [
+        (trajectory([1.0, 0.5], np.zeros((2, 5))), "its points are not one after another in time"),
+        (trajectory([], np.zeros((0, 5))), "it has no points"),
+        (trajectory([1.0], np.zeros((1, 4))), "5 names, but 4 positions"),
+        (trajectory([1.0], np.zeros((1, 5)), names=[*"abcde"]), "no column for joint shoulder_pan"),
+    ],
+)
+def test_a_goal_that_is_none_is_named(tmp_path: Path, goal: object, said: str):
+    source = write(tmp_path / "bag", "rosbag", [*states(worn_sample(seconds=6)), (TRAJECTORIES, 10**9, goal)])
+    with pytest.raises(FileError, match=said):
+        import_logs(source, ARM, out=tmp_path / "logs")
+    assert not (tmp_path / "logs").exists()
+
+
+def test_a_bag_that_was_not_closed_is_refused(tmp_path: Path):
+    source = write(tmp_path / "bag", "rosbag", states(worn_sample(seconds=6)))
+    source.with_name(f"{source.name}-wal").write_bytes(b"rest")
+    with pytest.raises(FileError, match=r"was not closed: part of it is still in .*db3-wal"):
+        import_logs(source, ARM, out=tmp_path / "logs")
+
+
+def test_another_database_is_no_bag(tmp_path: Path):
+    with sqlite3.connect(tmp_path / "a.db3") as database:
+        database.execute("CREATE TABLE joints (q REAL)")
+    database.close()
+    with pytest.raises(FileError, match=r"damaged or not readable \(ReaderError: .*missing tables"):
+        import_logs(tmp_path / "a.db3", ARM, out=tmp_path / "logs")
