@@ -57,8 +57,8 @@ SETTING = np.dtype(
 )  # fmt: skip
 """What a servo is told, in the units of the law: outputs in 0.1 % PWM, ``least`` and ``most`` in counts (equal: none),
 ``acceleration`` and ``speed`` of the reference in counts/s^2 and counts/s, currents in A, ``torque_on`` 0, 1 or 2
-(damping); then what it finds: ``voltage`` [V] of its supply, ``warmth`` [K] beside that of its own work, ``stall`` [N m]
-at `NOMINAL_VOLTAGE`, and ``bias`` [N m], a constant torque on the joint that no model of its masses explains."""
+(damping); then what it finds: ``voltage`` [V] of its supply, ``warmth`` [K] beside that of its own work, ``stall``
+[N m] at `NOMINAL_VOLTAGE`, and ``bias`` [N m], a constant torque on the joint that no model of its masses explains."""
 
 STATUS = np.dtype(
     [
@@ -100,7 +100,7 @@ def ramp(setting, status):
 
 @njit(cache=True)
 def sense(status, count, positions, tick):
-    """Take over an encoder reading [counts], and the speed over the last `WINDOW`; ``positions`` (WINDOW,) is a ring."""
+    """Take over an encoder reading [counts], and the speed over `WINDOW`; ``positions`` (WINDOW,) is a ring."""
     status.filtered += _ENCODER_SHARE * (count - status.filtered)
     status.position = int(np.rint(status.filtered))
     slot = tick % WINDOW
@@ -210,8 +210,6 @@ def tick_servo(setting, status, errors, positions, tick, count, powered, speed, 
         status.output = protect(setting, status, 0, temperature + setting.warmth)
     else:
         ramp(setting, status)
-        status.output = protect(
-            setting, status, output_of(setting, status, errors, tick), temperature + setting.warmth
-        )
+        status.output = protect(setting, status, output_of(setting, status, errors, tick), temperature + setting.warmth)
         status.moving = status.rate != 0.0 or status.speed != 0
     return torque_of(setting, status, powered, speed, no_load_speed)

@@ -52,7 +52,7 @@ class Decoder:
     def feed(self, data: bytes) -> list[Packet]:
         """Take bytes and return the packets that are whole now. What cannot begin a packet is dropped."""
         self._held += data
-        found = []
+        found: list[Packet] = []
         while True:
             start = self._held.find(HEADER)
             if start < 0:
@@ -67,7 +67,7 @@ class Decoder:
                 found.append(packet)
 
     def expire(self) -> list[Packet]:
-        """Give up the packet whose rest did not come; return the ones that stood inside what it had taken for its own."""
+        """Give up the packet whose rest did not come; return those that stood inside it."""
         held, self._held = self._held, b""
         return self.feed(held[1:])
 
