@@ -8,7 +8,7 @@ from urllib.parse import parse_qs, urlsplit
 
 from rejoint.robots.address import tcp_address
 
-FORM = "feetech:///dev/DEVICE, feetech://HOST:PORT, each with ?calibration=FILE.json"
+FORM = "feetech:///dev/DEVICE or feetech://HOST:PORT"
 _PORT = 9000
 _BAUD = 1_000_000
 """[1/s] of a servo as sold"""

@@ -7,9 +7,9 @@ every request, as this driver relies on.
 
 from __future__ import annotations
 
-import os
 import socket
 from collections.abc import Sequence
+from typing import Any
 
 import serial
 from scservo_sdk import (
@@ -22,11 +22,31 @@ from scservo_sdk import (
     PortHandler,
     sms_sts,
 )
+from serial.urlhandler.protocol_socket import Serial as SocketSerial
 
+MODEL = 3
+"""Address of the register that tells a servo's kind"""
 WAIT = 0.02
 """[s] of one look for bytes (chosen: between looks the client sees whether its 50 ms are over)"""
 WRITE_WAIT = 0.5
 """[s] for the port to take a request (chosen)"""
+
+
+class _Remote(SocketSerial):  # type: ignore[misc]  # pyserial has no types
+    """A port of another machine: small packets do not wait for each other, and a broken one is closed all the same."""
+
+    _socket: Any
+
+    def open(self) -> None:
+        """Connect."""
+        super().open()
+        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+
+    def close(self) -> None:
+        """Disconnect; pyserial's own way leaves the socket open where the other side has gone, and sleeps."""
+        line, self._socket, self.is_open = self._socket, None, False
+        if line is not None:
+            line.close()
 
 
 class _Port(PortHandler):  # type: ignore[misc]  # the maker's package has no types
@@ -34,10 +54,8 @@ class _Port(PortHandler):  # type: ignore[misc]  # the maker's package has no ty
 
     def setupPort(self, _rate: int) -> bool:  # noqa: N802 - the maker's name
         """Open it; OSError where that fails."""
-        self.ser = serial.serial_for_url(self.port_name, baudrate=self.baudrate, timeout=WAIT, write_timeout=WRITE_WAIT)
-        if self.port_name.startswith("socket://"):  # small packets must not wait for each other
-            with socket.socket(fileno=os.dup(self.ser.fileno())) as line:
-                line.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        kind = _Remote if self.port_name.startswith("socket://") else serial.Serial
+        self.ser = kind(self.port_name, baudrate=self.baudrate, timeout=WAIT, write_timeout=WRITE_WAIT)
         self.is_open = True
         self.tx_time_per_byte = (1000.0 / self.baudrate) * 10.0
         return True
@@ -54,17 +72,14 @@ class Wire:
         self._blocks: dict[tuple[int, int], GroupSyncRead] = {}
 
     def model(self, servo: int) -> int:
-        """Return the model number of a servo."""
-        self._free()
-        number, result, _ = self._client.ping(servo)
-        _judge(result, servo)
-        return int(number)
+        """Return the model number of a servo; the client's ping asks for it as well, but takes no late answer."""
+        return int.from_bytes(self.read(servo, MODEL, 2), "little")
 
     def answers(self, servo: int) -> bool:
         """Tell whether a servo answers."""
         try:
             self.model(servo)
-        except (TimeoutError, ValueError):
+        except (TimeoutError, ValueError, IndexError):
             return False
         return True
 
