@@ -9,7 +9,7 @@ from rejoint.arms import load_arm
 from rejoint.lab.emulator.feetech import packets
 from rejoint.lab.emulator.feetech.arm import HOMING, build_arm
 from rejoint.lab.emulator.feetech.bus import ServoBus
-from rejoint.lab.emulator.feetech.packets import BROADCAST, Decoder, Packet
+from rejoint.lab.emulator.feetech.packets import BROADCAST, Packet, PacketFinder
 from rejoint.lab.emulator.feetech.registers import MODEL, SIZE, TABLE
 
 ARM = load_arm("so101")
@@ -26,7 +26,7 @@ def word(value):
 
 def answers(bus, number, code, *parameters):
     found = bus.execute(Packet(number, code, b"".join(p if isinstance(p, bytes) else bytes([p]) for p in parameters)))
-    return [Decoder().feed(answer.data)[0] for answer in found]
+    return [PacketFinder().feed(answer.data)[0] for answer in found]
 
 
 def value(bus, number, address, size=2):
@@ -175,7 +175,7 @@ def test_a_supply_with_resistance_sags_under_load():
 def test_no_packet_ends_the_bus(number, code, parameters):
     before = bytes(BUS.arm.servos[0].cells[:5])
     for answer in BUS.execute(Packet(number, code, parameters)):
-        assert len(Decoder().feed(answer.data)) == 1
+        assert len(PacketFinder().feed(answer.data)) == 1
     BUS.arm.advance(0.001)
     assert bytes(BUS.arm.servos[0].cells[:5]) == before
     assert np.isfinite(BUS.arm.angles).all()

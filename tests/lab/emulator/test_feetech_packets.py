@@ -13,8 +13,8 @@ from rejoint.lab.emulator.feetech.packets import (
     SYNC_READ,
     SYNC_WRITE,
     WRITE,
-    Decoder,
     Packet,
+    PacketFinder,
     encode,
     magnitude,
     signed,
@@ -41,7 +41,7 @@ PACKETS = st.builds(
 @pytest.mark.parametrize("text", GOLDEN)
 def test_bytes_that_lerobot_sent_are_these_packets(text):
     assert encode(GOLDEN[text]) == bytes.fromhex(text)
-    assert Decoder().feed(bytes.fromhex(text)) == [GOLDEN[text]]
+    assert PacketFinder().feed(bytes.fromhex(text)) == [GOLDEN[text]]
 
 
 @given(value=st.integers(-2047, 2047), bit=st.sampled_from([11, 15]))
@@ -59,7 +59,7 @@ def test_a_number_that_does_not_fit_is_refused():
 def test_packets_come_whole_however_they_are_cut(sent, cuts):
     stream = b"".join(map(encode, sent))
     places = [0, *sorted(min(cut, len(stream)) for cut in cuts), len(stream)]
-    decoder, found = Decoder(), []
+    decoder, found = PacketFinder(), []
     for begin, end in pairwise(places):
         found += decoder.feed(stream[begin:end])
     assert found == sent
@@ -69,13 +69,13 @@ def test_packets_come_whole_however_they_are_cut(sent, cuts):
 @settings(deadline=None)
 @given(noise=st.binary(max_size=40).filter(lambda noise: b"\xff" not in noise), sent=PACKETS)
 def test_garbage_before_a_packet_is_skipped(noise, sent):
-    assert Decoder().feed(noise + encode(sent)) == [sent]
+    assert PacketFinder().feed(noise + encode(sent)) == [sent]
 
 
 @settings(deadline=None)
 @given(noise=st.binary(max_size=60), sent=PACKETS)
 def test_after_any_garbage_and_a_pause_the_next_packet_is_found(noise, sent):
-    decoder = Decoder()
+    decoder = PacketFinder()
     decoder.feed(noise)
     while decoder.pending:
         decoder.expire()
@@ -85,7 +85,7 @@ def test_after_any_garbage_and_a_pause_the_next_packet_is_found(noise, sent):
 @settings(deadline=None)
 @given(sent=PACKETS, other=PACKETS, cut=st.integers(1, 5))
 def test_a_packet_that_broke_off_costs_no_later_one_and_doubled_ones_come_twice(sent, other, cut):
-    decoder = Decoder()
+    decoder = PacketFinder()
     found = decoder.feed(encode(sent)[:-cut] + encode(other) * 2)
     while decoder.pending:
         found += decoder.expire()
@@ -98,13 +98,13 @@ def test_a_wrong_byte_makes_no_other_packet_with_the_same_place(sent, place, fli
     """One wrong byte is always noticed: by the header, the length or the sum."""
     whole = bytearray(encode(sent))
     whole[place % len(whole)] ^= flip
-    assert sent not in Decoder().feed(bytes(whole))
+    assert sent not in PacketFinder().feed(bytes(whole))
 
 
 @settings(deadline=None)
 @given(data=st.lists(st.binary(max_size=80), max_size=8))
 def test_nothing_ends_the_reader_and_it_keeps_no_more_than_a_packet(data):
-    decoder = Decoder()
+    decoder = PacketFinder()
     for part in data:
         for packet in decoder.feed(part):
             assert encode(packet) in b"".join(data)

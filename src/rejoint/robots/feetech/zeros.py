@@ -24,7 +24,7 @@ _STEP = 2 * np.pi / COUNTS_PER_TURN
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Calibrated:
+class MotorRanges:
     """What a calibration of LeRobot says of the motors (n,) of an arm's joints."""
 
     ids: tuple[int, ...]
@@ -56,7 +56,7 @@ class Zeros:
         return np.clip(goal, self.low, self.high)
 
 
-def read_calibration(path: Path, arm: Arm) -> Calibrated:
+def read_calibration(path: Path, arm: Arm) -> MotorRanges:
     """Read LeRobot's calibration of ``arm``; FileError where it is none, InputError where its numbers cannot be."""
     motors = read_homing(path)
     columns = match_joints(list(motors), arm, ImportOptions(), path, "calibration").columns
@@ -71,11 +71,11 @@ def read_calibration(path: Path, arm: Arm) -> Calibrated:
     low, high = np.array(numbers["range_min"]), np.array(numbers["range_max"])
     if not ((low >= 0) & (low < high) & (high < COUNTS_PER_TURN)).all():
         raise InputError(f"{path}: ranges must rise within 0 and {COUNTS_PER_TURN - 1}; run lerobot-calibrate again")
-    return Calibrated(ids=tuple(numbers["id"]), homing=np.array(numbers["homing_offset"]), low=low, high=high)
+    return MotorRanges(ids=tuple(numbers["id"]), homing=np.array(numbers["homing_offset"]), low=low, high=high)
 
 
 def zeros_of(
-    arm: Arm, file: Calibrated | None, homing: Counts, low: Counts, high: Counts, degrees: tuple[float, ...]
+    arm: Arm, file: MotorRanges | None, homing: Counts, low: Counts, high: Counts, degrees: tuple[float, ...]
 ) -> Zeros:
     """Zeros of an arm whose servos hold these offsets and limits (n,); RobotError where the file is not theirs."""
     if degrees and len(degrees) != arm.joints:

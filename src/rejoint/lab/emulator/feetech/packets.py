@@ -38,7 +38,7 @@ def encode(packet: Packet) -> bytes:
     return HEADER + body + bytes((checksum(body),))
 
 
-class Decoder:
+class PacketFinder:
     """Finds packets in a stream of bytes that may hold anything else as well."""
 
     def __init__(self) -> None:

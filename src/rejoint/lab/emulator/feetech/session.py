@@ -8,7 +8,7 @@ from rejoint.lab.emulator.conversation import ByteStream, Conversation
 from rejoint.lab.emulator.faults import NONE, Faults
 from rejoint.lab.emulator.feetech.arm import ServoArm
 from rejoint.lab.emulator.feetech.bus import BYTE, Answer, ServoBus
-from rejoint.lab.emulator.feetech.packets import READ, SYNC_READ, Decoder, Packet, encode
+from rejoint.lab.emulator.feetech.packets import READ, SYNC_READ, Packet, PacketFinder, encode
 from rejoint.lab.emulator.wirefaults import SPLIT_PAUSE
 
 ADAPTER = 0.001
@@ -28,8 +28,8 @@ class BusSession(Conversation[Packet]):
         self.bus.muted = self._muted
         self._adapter, self._spells = adapter, faults.mute
 
-    def _finder(self) -> Decoder:
-        return Decoder()
+    def _finder(self) -> PacketFinder:
+        return PacketFinder()
 
     def _muted(self) -> set[int]:
         now = self._elapsed(self._clock())
