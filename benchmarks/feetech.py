@@ -38,7 +38,7 @@ def cycles(bus, count=CYCLES):
 
 
 def system_calls(count=CYCLES):
-    """Return times [s] of the processor (count,) in what no driver can do without: a write, two waits and two reads of a terminal."""
+    """Return times [s] of the processor (count,) in two writes and two waits at a terminal, which any driver needs."""
     import os
     import pty
     import select

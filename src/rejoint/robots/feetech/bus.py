@@ -6,7 +6,8 @@ before it comes on. Nothing that the servos keep is written: their lock is shut,
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+import struct
+from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from typing import TypeVar
 
@@ -45,6 +46,7 @@ QUIET = 0.03
 """[s] of silence after which no answer is on its way any more (chosen: longer than a USB adapter holds bytes back)"""
 RETRY = 0.05
 """[s] between questions whether a silent servo is back (chosen)"""
+_ROW = struct.Struct("<HHHBBBBBHH")
 _LOAD_FULL = 1000.0
 _DECI = 0.1
 
@@ -97,15 +99,15 @@ class FeetechBus(Bus):
         """Ask all servos for what they measure."""
         answers = self.wire.read_all(self.ids, PRESENT, BLOCK)
         self._require([servo for servo in self.ids if servo not in answers])
-        rows = np.frombuffer(b"".join(answers[servo] for servo in self.ids), np.uint8).reshape(-1, BLOCK)
-        words = rows[:, :6].copy().view("<u2").astype(np.int64)
-        voltage = np.asarray(rows[:, VOLTAGE - PRESENT], float) * _DECI
+        columns = zip(*(_ROW.unpack(answers[servo]) for servo in self.ids), strict=True)
+        position, _, load, volt, heat, _, status, _, _, _ = columns  # plain numbers: five are too few for arrays
+        voltage = np.array(volt) * _DECI
         sags = voltage < SAGGING * self.supply
-        status = rows[:, 9].astype(np.int64)
         return Reading(
-            position=self.zeros.radians(_signs(words[:, 0], 15)), load=_signs(words[:, 2], 10) / _LOAD_FULL,
-            voltage=voltage, temperature=rows[:, 7].astype(float), fault=(status != 0) | sags,
-            trouble=self._troubles(status, voltage, sags) if status.any() or sags.any() else None,
+            position=self.zeros.radians(np.array([_signed(word, 15) for word in position])),
+            load=np.array([_signed(word, 10) / _LOAD_FULL for word in load]), voltage=voltage,
+            temperature=np.array(heat, float), fault=np.array([bits != 0 for bits in status]) | sags,
+            trouble=self._troubles(status, voltage, sags) if any(status) or sags.any() else None,
         )  # fmt: skip
 
     def send(self, goal: Array) -> None:
@@ -176,7 +178,7 @@ class FeetechBus(Bus):
     def _registers(self, address: int, until: float | None, *, sign: int = 16) -> Counts:
         """Two registers of every servo, as a number whose bit ``sign`` is its sign."""
         words = [self._register(servo, address, 2, until) for servo in self.ids]
-        return _signs(np.array(words, dtype=np.int64), sign)
+        return np.array([_signed(word, sign) for word in words], dtype=np.int64)
 
     def _register(self, servo: int, address: int, size: int, until: float | None) -> int:
         return int.from_bytes(self._sure(partial(self.wire.read, servo, address, size), until), "little")
@@ -210,7 +212,7 @@ class FeetechBus(Bus):
     def _call(self, servo: int) -> str:
         return f"{self._arm.joint_names[self.ids.index(servo)]} (servo {servo})"
 
-    def _troubles(self, status: Counts, voltage: Array, sags: NDArray[np.bool_]) -> tuple[str, ...]:
+    def _troubles(self, status: Sequence[int], voltage: Array, sags: NDArray[np.bool_]) -> tuple[str, ...]:
         """Put into words what each servo complains of; empty for nothing."""
         found = []
         for bits, volt, sagging, before in zip(status, voltage, sags, self.supply, strict=True):
@@ -221,10 +223,9 @@ class FeetechBus(Bus):
         return tuple(found)
 
 
-def _signs(words: Counts, bit: int) -> Counts:
-    """Return numbers that are written as their size and a ``bit`` for the sign."""
-    sign = 1 << bit
-    return np.where(words & sign, -(words & ~sign), words)
+def _signed(word: int, bit: int) -> int:
+    """Return a number that is written as its size and a ``bit`` for the sign."""
+    return -(word & ~(1 << bit)) if word & 1 << bit else word
 
 
 def _listed(names: Iterable[object]) -> str:

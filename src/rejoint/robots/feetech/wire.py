@@ -28,8 +28,6 @@ MODEL = 3
 """Address of the register that tells a servo's kind"""
 WAIT = 0.02
 """[s] of one look for bytes (chosen: between looks the client sees whether its 50 ms are over)"""
-WRITE_WAIT = 0.5
-"""[s] for the port to take a request (chosen)"""
 
 
 class _Remote(SocketSerial):  # type: ignore[misc]  # pyserial has no types
@@ -55,7 +53,7 @@ class _Port(PortHandler):  # type: ignore[misc]  # the maker's package has no ty
     def setupPort(self, _rate: int) -> bool:  # noqa: N802 - the maker's name
         """Open it; OSError where that fails."""
         kind = _Remote if self.port_name.startswith("socket://") else serial.Serial
-        self.ser = kind(self.port_name, baudrate=self.baudrate, timeout=WAIT, write_timeout=WRITE_WAIT)
+        self.ser = kind(self.port_name, baudrate=self.baudrate, timeout=WAIT, write_timeout=0)
         self.is_open = True
         self.tx_time_per_byte = (1000.0 / self.baudrate) * 10.0
         return True
