@@ -1,20 +1,33 @@
 """What a control cycle of an SO-101 costs: time on the bus, and time of the processor, at the emulated bus.
 
-The emulator runs in a process of its own, on a pseudo-terminal, as slow as the wire and a USB adapter are.
+The emulator runs in a process of its own, on a pseudo-terminal, as slow as the wire and a USB adapter are. With the
+recordings of a real SO-101, `python -m benchmarks.feetech LOGS [EVERY]`, how well the plant on the law of its servos
+predicts them, all or every so many: open loop, from the first measured pose, at the registers that LeRobot leaves.
 """
 
 import subprocess
 import sys
 import time
 from contextlib import closing
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
+from rejoint.arms import load_arm
+from rejoint.lab.plant.plant import Plant
+from rejoint.lab.plant.stsplant import StsPlant
+from rejoint.lab.plant.wear import load_wear
+from rejoint.logs import import_logs
 from rejoint.robots import place_of
 from rejoint.robots.feetech.bus import FeetechBus
 from rejoint.system.errors import NoReplyError
+from rejoint.twin.judge import judge_paths
+from rejoint.twin.judgement import NO_TWIN
 
 CYCLES = 2000
+DELAY = 0.005
+"""[s] from a command to the servos (chosen: half of what the twin's fit finds at most; the error is flat there)"""
 BUS, PROCESSOR = 3.0, 0.3
 """[ms] that a cycle should take at most, at the 99th percentile"""
 
@@ -79,7 +92,37 @@ def main():
     print(f"late answers: {np.isnan(taken[:, 0]).sum()} of {len(taken)}")
 
 
-def _arm():
-    from rejoint.arms import load_arm
+def predict(folder, every=1):
+    """Print the errors of two plants on the motions in ``folder``: that of the law, and that of a linear servo."""
+    arm = _arm()
+    wear = load_wear("so101", arm)
+    with TemporaryDirectory() as kept:
+        names = sorted(path.name for path in folder.iterdir() if (path / "control.csv").exists())[::every]
+        logs = [import_logs(folder / name, arm, out=Path(kept) / name).logs[0] for name in names]
+    paths = {NO_TWIN: [log.command[np.maximum(np.arange(len(log)) - 1, 0)] for log in logs]}
+    for name, kind in (("linear servo", Plant), ("law of the firmware", StsPlant)):
+        paths[name] = [replay(kind(arm, [wear], seed=0), log) for log in logs]
+    found = judge_paths(arm, paths, logs)
+    print(f"{len(logs)} motions; free space, means over motions")
+    for name, errors in found.mean.items():
+        print(f"{name:20s} tool {1e3 * errors.free.tcp:.2f} mm, joints {np.degrees(errors.free.joint):.2f} deg")
 
+
+def replay(plant, log):
+    """Return positions (T, n) [rad] of a plant that gets the commands of a log `DELAY` after they were sent."""
+    plant.reset(log.position[:1])
+    ticks = np.rint((log.time - log.time[0]) * 1e3)
+    found = [plant.encoder()[0]]
+    for k in range(1, len(log)):
+        plant.command(log.command[k - 1][None], DELAY)
+        plant.advance((ticks[k] - ticks[k - 1]) / 1e3)
+        found.append(plant.encoder()[0])
+    return np.array(found)
+
+
+def _arm():
     return load_arm("so101")
+
+
+if __name__ == "__main__":
+    predict(Path(sys.argv[1]), *map(int, sys.argv[2:]))

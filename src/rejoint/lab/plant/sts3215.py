@@ -52,13 +52,14 @@ SETTING = np.dtype(
         ("speed", "f8"), ("threshold", "i8"), ("unloading", "i8"), ("protective", "i8"), ("protection_ticks", "i8"),
         ("overload", "i8"), ("current_limit", "f8"), ("current_ticks", "i8"), ("heat_limit", "f8"),
         ("low_voltage", "f8"), ("high_voltage", "f8"), ("torque_on", "i8"), ("voltage", "f8"), ("warmth", "f8"),
-        ("stall", "f8"), ("bias", "f8"),
+        ("stall", "f8"), ("bias", "f8"), ("viscous", "f8"),
     ]
 )  # fmt: skip
 """What a servo is told, in the units of the law: outputs in 0.1 % PWM, ``least`` and ``most`` in counts (equal: none),
 ``acceleration`` and ``speed`` of the reference in counts/s^2 and counts/s, currents in A, ``torque_on`` 0, 1 or 2
 (damping); then what it finds: ``voltage`` [V] of its supply, ``warmth`` [K] beside that of its own work, ``stall``
-[N m] at `NOMINAL_VOLTAGE`, and ``bias`` [N m], a constant torque on the joint that no model of its masses explains."""
+[N m] at `NOMINAL_VOLTAGE`, ``bias`` [N m], a constant torque on the joint that no model of its masses explains, and
+``viscous`` [N m s/rad], what its friction grows with speed."""
 
 STATUS = np.dtype(
     [
@@ -74,7 +75,7 @@ DEFAULTS = {
     "least": 0, "most": 0, "acceleration": 10_000.0, "speed": 7500.0, "threshold": 2, "unloading": 44,
     "protective": 200, "protection_ticks": 2000, "overload": 800, "current_limit": 310 * 0.0065, "current_ticks": 2000,
     "heat_limit": 70.0, "low_voltage": 4.0, "high_voltage": 14.0, "torque_on": 1, "voltage": NOMINAL_VOLTAGE,
-    "warmth": 0.0, "stall": 2.94, "bias": 0.0,
+    "warmth": 0.0, "stall": 2.94, "bias": 0.0, "viscous": 0.0,
 }  # fmt: skip
 """A servo as sold (C018), powered, with its torque on."""
 

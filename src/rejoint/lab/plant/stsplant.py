@@ -1,8 +1,10 @@
 """The plant with STS3215 servos: the bodies, gears and friction of `rejoint.lab.plant.plant`, the law of the firmware.
 
 What a wear profile calls ``position_gain`` was measured on an arm with some P; the stall torque that makes the law
-give that gain at that P is this joint's. Its ``offset`` is no part of the law, which knows counts alone: it is taken
-for a constant torque, of cables or masses, that turns the joint by as much at that gain.
+give that gain at that P is this joint's. Its ``damping_gain`` and the back-EMF of its motor are the viscous friction
+that was measured; what this motor's own back-EMF leaves of it is friction of the joint. Its ``offset`` is no part of
+the law, which knows counts alone: it is taken for a constant torque, of cables or masses, that turns the joint by as
+much at that gain.
 """
 
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False, disallow-untyped-decorators=False
@@ -38,6 +40,11 @@ class StsPlant(Plant):
         gain = np.array([wear.position_gain for wear in wears])
         self.settings["stall"] = gain / (sts3215.GAIN_PER_P * RECORDED_P)
         self.settings["bias"] = gain * np.array([wear.offset for wear in wears])
+        if np.isfinite(arm.servo_acceleration):
+            self.settings["acceleration"] = arm.servo_acceleration / arm.encoder_step
+        no_load = servo.no_load_speed(arm.max_speed)
+        measured = np.array([wear.damping_gain + wear.torque_limit / no_load for wear in wears])
+        self.settings["viscous"] = np.maximum(measured - self.settings["stall"] / no_load, 0.0)
         self.status = np.zeros(shape, sts3215.STATUS)
         """(B, n) how the servos stand, as `sts3215.STATUS`"""
         self._errors = np.zeros((*shape, sts3215.WINDOW), np.int64)
@@ -124,8 +131,8 @@ def _drive(
             load = servo.gear_torque(joint, gear_angle, gear_speed)
             unit = uniform(key[i], tick[i] * n + j) if state.powered else 0.5
             applied[i, 2 * j] = (
-                state.torque + settings[i, j].bias + servo.friction_torque(joint, state, speed, load)
-                + servo.disturbance(joint, angle, speed, unit)
+                state.torque + settings[i, j].bias - settings[i, j].viscous * speed
+                + servo.friction_torque(joint, state, speed, load) + servo.disturbance(joint, angle, speed, unit)
             )  # fmt: skip
             applied[i, 2 * j + 1] = load
             servo.warm_up(joint, state)

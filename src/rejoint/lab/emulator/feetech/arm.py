@@ -19,6 +19,8 @@ NAMES = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_rol
 """Motors of an SO-101 in the order of their IDs, 1 to 6 (LeRobot)."""
 HOMING = (-1470, 63, 911, -388, 85, -1021)
 """[counts] homing offsets of the emulated servos (chosen: as wild as those of real arms, whose horns sit anywhere)"""
+PROMPT = 254
+"""[100 counts/s^2] acceleration that LeRobot sets, beside leaving most of the other registers as they were sold"""
 CURRENT_UNIT = 0.0065
 """[A] of the registers of currents"""
 _GRIPPER = (-0.17, 1.75)  # [rad] range of the jaw: so101_new_calib.xml
@@ -50,6 +52,7 @@ class ServoArm:
         self._owed = 0.0
         for servo, homing, limits in zip(self.servos, HOMING, self._ranges(), strict=True):
             servo["Homing_Offset"], servo["Torque_Enable"] = homing, 1
+            servo["Acceleration"] = servo["Maximum_Acceleration"] = PROMPT
             servo["Min_Position_Limit"], servo["Max_Position_Limit"] = limits
         for index in range(len(self.servos)):
             self.settle(index)
