@@ -1,7 +1,7 @@
 """LeRobot's own bus on an emulated arm, in an environment of its own: run with the device of its serial line.
 
-`make judge` installs what it needs into .judge; LeRobot's heavier dependencies, which its bus does not use, are stood in
-for. Prints what it saw, as JSON.
+`make judge` installs what it needs into .judge; LeRobot's heavier dependencies, which its bus does not use, are stood
+in for. Writes what it saw to standard output, as JSON.
 """
 
 import json
@@ -45,10 +45,8 @@ def judge(device):
         bus.write("P_Coefficient", name, 16)
     seen["offsets"] = bus.set_half_turn_homings()
     seen["middle"] = bus.sync_read("Present_Position", normalize=False)
-    new = {
-        name: MotorCalibration(id=c.id, drive_mode=0, homing_offset=seen["offsets"][name], range_min=1000, range_max=3000)
-        for name, c in held.items()
-    }  # fmt: skip
+    ranges = {"drive_mode": 0, "range_min": 1000, "range_max": 3000}
+    new = {name: MotorCalibration(id=c.id, homing_offset=seen["offsets"][name], **ranges) for name, c in held.items()}
     bus.write_calibration(new)
     seen["calibrated"] = bus.is_calibrated
     bus.sync_write("Goal_Position", seen["middle"], normalize=False)
@@ -63,4 +61,4 @@ def judge(device):
 
 if __name__ == "__main__":
     stand_in_for_what_the_bus_does_not_use()
-    print(json.dumps(judge(sys.argv[1])))
+    sys.stdout.write(json.dumps(judge(sys.argv[1])) + "\n")

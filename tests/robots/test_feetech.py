@@ -88,11 +88,39 @@ def test_known_addresses(text, detail):
     assert (place.default_arm, place.default_period, place.virtual) == ("so101", (0.020, 0.020), False)
 
 
+def test_gains_of_the_address_are_reached_in_small_steps_and_lost_with_the_power():
+    with serving() as server:
+        sagging = server.arm.angles
+        with closing(open_robot(f"{server.address}?p=48&i=2&dead=0")) as robot:
+            for _ in range(40):
+                state = robot.step(ARM.rest[None])
+        for servo in server.arm.servos[:5]:
+            written = [data[0] for address, data in servo.writes if address == 21]
+            assert written == [36, 40, 44, 48]
+            assert (servo["I_Coefficient"], servo["CW_Dead_Zone"], servo["CCW_Dead_Zone"], servo["Lock"]) == (
+                2,
+                0,
+                0,
+                1,
+            )
+            servo.cycle_power()
+            assert (servo["P_Coefficient"], servo["I_Coefficient"], servo["Integral_Limit"]) == (32, 0, 0)
+    assert np.abs(state.position[0] - ARM.rest).max() < np.abs(sagging - ARM.rest).max() + np.radians(1.0)
+
+
+def test_gains_that_a_servo_does_not_bear_are_taken_back():
+    arm = build_arm(ARM, "so101")
+    arm.ailments.warmth[1] = 32.0
+    with serving(arm=arm) as server, pytest.raises(AddressError, match=r"shoulder_lift .servo 2. does not bear p=36"):
+        open_robot(f"{server.address}?p=48")
+    assert arm.servos[1]["P_Coefficient"] == 32
+
+
 @pytest.mark.parametrize(
     "text",
     ["feetech:", "feetech:///", "feetech://", "feetech:/x:y@", "feetech://h:0", "feetech:///dev/x?baud=fast",
      "feetech://h:1?baud=9600", "feetech:///dev/x?speed=1", "feetech:///dev/x?zero=a", "feetech:///dev/x?zero=400",
-     "feetech:///dev/x?calibration=", "feetech://h:1/x"],
+     "feetech:///dev/x?calibration=", "feetech:///dev/x?p=99", "feetech:///dev/x?i=x", "feetech://h:1/x"],
 )  # fmt: skip
 def test_malformed_addresses_name_their_form(text):
     if text == "feetech:/x:y@":

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from urllib.parse import parse_qs, urlsplit
 
 from rejoint.robots.address import tcp_address
+from rejoint.robots.feetech.gains import KNOBS, Gains, read_gains
 
 FORM = "feetech:///dev/DEVICE or feetech://HOST:PORT"
 _PORT = 9000
 _BAUD = 1_000_000
 """[1/s] of a servo as sold"""
-_OPTIONS = ("baud", "calibration", "zero")
+_OPTIONS = ("baud", "calibration", "zero", *KNOBS)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,6 +30,8 @@ class FeetechAddress:
     """LeRobot's calibration of this arm; None for the limits that its servos hold"""
     zero: tuple[float, ...] = ()
     """[deg] angle of each joint, by the arm's description, in the middle of its range; none for zero"""
+    gains: Gains = field(default_factory=dict)
+    """of the servos' own loop, by `rejoint.robots.feetech.gains.KNOBS`; none: as they are"""
 
     def __str__(self) -> str:
         return self.text
@@ -38,7 +41,7 @@ def feetech_address(text: str) -> FeetechAddress:
     """Read ``feetech:///dev/DEVICE`` or ``feetech://HOST:PORT``; ValueError for anything else.
 
     After a question mark: ``calibration=FILE.json`` (LeRobot's), ``zero=DEG,DEG,...`` (a number per joint), and for a
-    device ``baud=N``.
+    device ``baud=N``; the servos' own gains are ``p``, ``i``, ``d`` and ``dead``.
     """
     plain, _, query = text.partition("?")
     options = parse_qs(query, strict_parsing=True, keep_blank_values=True) if query else {}
@@ -62,6 +65,7 @@ def feetech_address(text: str) -> FeetechAddress:
     return FeetechAddress(
         text=text, port=port, baud=int(baud), zero=_degrees(given.get("zero")),
         calibration=Path(given["calibration"]).expanduser() if "calibration" in given else None,
+        gains=read_gains({name: given[name] for name in KNOBS if name in given}),
     )  # fmt: skip
 
 

@@ -1,7 +1,8 @@
 """An SO-100 or SO-101 on the bus of its servos: one synchronous read and one synchronous write a cycle.
 
 The arm is never dropped: torque is never switched off, and where it is off, the goal is set to where the joint is
-before it comes on. Nothing that the servos keep is written: their lock is shut, and of their settings none is changed.
+before it comes on. Nothing that the servos keep is written: their lock is shut, and of their settings none is changed
+but the gains that the address asks for, until the power goes.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 from rejoint.arms import Arm, Array
 from rejoint.robots.bus import Bus, Reading
 from rejoint.robots.feetech.address import FeetechAddress
+from rejoint.robots.feetech.gains import HEAVIEST, HOTTEST, INTEGRAL_LIMIT, KNOBS, LIMITED, PAUSE, way
 from rejoint.robots.feetech.wire import Wire
 from rejoint.robots.feetech.zeros import Counts, Zeros, read_calibration, zeros_of
 from rejoint.robots.link import persist
@@ -33,7 +35,7 @@ T = TypeVar("T")
 
 MODELS = {777: "STS3215", 2825: "STS3250"}
 """Servos with this register table and 4096 counts a turn"""
-LIMITS, HOMING, MODE, TORQUE, GOAL, LOCK, PRESENT, VOLTAGE = 9, 31, 33, 40, 42, 55, 56, 62
+LIMITS, HOMING, MODE, TORQUE, GOAL, LOCK, PRESENT, LOAD, VOLTAGE = 9, 31, 33, 40, 42, 55, 56, 60, 62
 """Addresses of registers (Feetech's memory table of the STS/SMS series)."""
 BLOCK = 15
 """registers from `PRESENT` on: position, speed, load, voltage, temperature, -, status, moving, goal, current"""
@@ -91,6 +93,8 @@ class FeetechBus(Bus):
             self._registers(LIMITS + 2, until), self.address.zero,
         )  # fmt: skip
         self._hold(until)
+        for servo in self.ids:
+            self._tune(servo, until)
         if self._supply is None:
             self._supply = _DECI * np.array([self._register(servo, VOLTAGE, 1, until) for servo in self.ids])
         self._was_ready = True
@@ -174,6 +178,26 @@ class FeetechBus(Bus):
             here = self._sure(partial(self.wire.read, servo, PRESENT, 2), until)
             self._sure(partial(self.wire.write, servo, GOAL, here), until)
             self._sure(partial(self.wire.write, servo, TORQUE, [1]), until)
+
+    def _tune(self, servo: int, until: float | None) -> None:
+        """Bring the gains of a servo in small steps to those of the address; RobotError where it does not bear them."""
+        for name, wanted in self.address.gains.items():
+            knob = KNOBS[name]
+            before = self._register(servo, knob.registers[0], 1, until)
+            if name == "i" and wanted:
+                self._sure(partial(self.wire.write, servo, INTEGRAL_LIMIT, [LIMITED]), until)
+            for value in way(before, wanted, knob.stride):
+                self._sure(partial(self.wire.write, servo, knob.registers[0], [value] * len(knob.registers)), until)
+                self.clock.wait(PAUSE)
+                load = _signed(self._register(servo, LOAD, 2, until), 10) / _LOAD_FULL
+                heat = self._register(servo, VOLTAGE + 1, 1, until)
+                if abs(load) > HEAVIEST or heat > HOTTEST:
+                    data = [before] * len(knob.registers)
+                    self._sure(partial(self.wire.write, servo, knob.registers[0], data), until)
+                    raise RobotError(
+                        f"{self._call(servo)} does not bear {name}={value}: load {100 * load:.0f} %, {heat} deg C; "
+                        f"{name} is {before} again"
+                    )
 
     def _registers(self, address: int, until: float | None, *, sign: int = 16) -> Counts:
         """Two registers of every servo, as a number whose bit ``sign`` is its sign."""
