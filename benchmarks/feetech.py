@@ -2,7 +2,8 @@
 
 The emulator runs in a process of its own, on a pseudo-terminal, as slow as the wire and a USB adapter are. With the
 recordings of a real SO-101, `python -m benchmarks.feetech LOGS [EVERY]`, how well the plant on the law of its servos
-predicts them, all or every so many: open loop, from the first measured pose, at the registers that LeRobot leaves.
+predicts them, all or every so many: open loop, from the first measured pose, with the acceleration that LeRobot sets.
+With `gains` instead of LOGS, what gains of the servos leave of the error at ten targets, in virtual time.
 """
 
 import subprocess
@@ -14,13 +15,18 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from rejoint.arms import load_arm
+from rejoint.arms import load_arm, tcp_position
+from rejoint.control.default import DefaultController
+from rejoint.control.integrator import IntegratorController
+from rejoint.control.loop import Schedule, run
 from rejoint.lab.plant.plant import Plant
 from rejoint.lab.plant.stsplant import StsPlant
 from rejoint.lab.plant.wear import load_wear
 from rejoint.logs import import_logs
 from rejoint.robots import place_of
+from rejoint.robots.emulated import EmulatedRobot
 from rejoint.robots.feetech.bus import FeetechBus
+from rejoint.robots.feetech.gains import LIMITED
 from rejoint.system.errors import NoReplyError
 from rejoint.twin.judge import judge_paths
 from rejoint.twin.judgement import NO_TWIN
@@ -28,6 +34,8 @@ from rejoint.twin.judgement import NO_TWIN
 CYCLES = 2000
 DELAY = 0.005
 """[s] from a command to the servos (chosen: half of what the twin's fit finds at most; the error is flat there)"""
+DWELL = 5.0
+"""[s] at each target"""
 BUS, PROCESSOR = 3.0, 0.3
 """[ms] that a cycle should take at most, at the 99th percentile"""
 
@@ -108,6 +116,33 @@ def predict(folder, every=1):
         print(f"{name:20s} tool {1e3 * errors.free.tcp:.2f} mm, joints {np.degrees(errors.free.joint):.2f} deg")
 
 
+def gains():
+    """Print what gains of the servos leave of the error at ten targets, alone and under the integrator."""
+    arm = _arm()
+    targets = np.random.default_rng(0).uniform(arm.targets.lower, arm.targets.upper, (10, 3))
+    for p, i in ((16, 0), (32, 0), (48, 0), (48, 4), (64, 8)):
+        found = [
+            _settled(arm, controller(arm), targets, p, i) for controller in (DefaultController, IntegratorController)
+        ]
+        print(f"| {p}, {i} | {found[0]:.1f} | {found[1]:.1f} |")
+
+
+def _settled(arm, controller, targets, p, i):
+    """Mean distance [mm] of the tool by the encoders from its target in the last second of `DWELL`."""
+    wears = [load_wear("so101", arm)]
+    robot = EmulatedRobot(arm, wears, seed=0, period=(0.020, 0.020))
+    robot.plant = StsPlant(arm, wears, seed=0)
+    for name, value in {"p": p, "i": i, "integral_limit": LIMITED if i else 0}.items():
+        robot.plant.settings[name] = value
+    robot.restart(arm.rest)
+    recording = run(robot, controller, targets[None], Schedule(dwell=DWELL))
+    time, tool = recording.time[:, 0] - recording.time[0, 0], tcp_position(arm, recording.position[:, 0])
+    last = [(time >= (k + 1) * DWELL - 1.0) & (time < (k + 1) * DWELL) for k in range(len(targets))]
+    return 1e3 * np.mean(
+        [np.linalg.norm(tool[rows] - at, axis=1).mean() for rows, at in zip(last, targets, strict=True)]
+    )
+
+
 def replay(plant, log):
     """Return positions (T, n) [rad] of a plant that gets the commands of a log `DELAY` after they were sent."""
     plant.reset(log.position[:1])
@@ -125,4 +160,7 @@ def _arm():
 
 
 if __name__ == "__main__":
-    predict(Path(sys.argv[1]), *map(int, sys.argv[2:]))
+    if sys.argv[1] == "gains":
+        gains()
+    else:
+        predict(Path(sys.argv[1]), *map(int, sys.argv[2:]))

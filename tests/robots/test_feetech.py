@@ -17,12 +17,22 @@ from rejoint.lab.emulator.faults import parse_faults
 from rejoint.robots import open_robot, place_of
 from rejoint.robots.feetech.address import FeetechAddress
 from rejoint.robots.feetech.zeros import Zeros, read_calibration, zeros_of
-from rejoint.system.errors import AddressError, ConnectionLostError, FileError, GuardTripError, InputError, RobotError
+from rejoint.system.errors import (
+    AddressError,
+    ConnectionLostError,
+    FileError,
+    GuardTripError,
+    InputError,
+    MissingExtraError,
+    PowerLostError,
+    RobotError,
+)
 
 pytest.importorskip("scservo_sdk", reason="the maker's client is not installed: pip install 'rejoint[feetech]'")
 from rejoint.lab.emulator.feetech.arm import HOMING, NAMES, build_arm
 from rejoint.lab.emulator.feetech.emulate import serve_bus
 from rejoint.lab.emulator.feetech.session import BusSession
+from rejoint.robots.feetech.bus import FeetechBus
 
 ARM = load_arm("so101")
 TARGETS = np.array([[[0.33, 0.05, 0.22], [0.31, -0.05, 0.20]]])
@@ -226,6 +236,26 @@ def test_a_servo_that_cannot_be_driven_is_named(change, says):
     with serving(arm=arm) as server, pytest.raises(AddressError, match=says):
         open_robot(server.address)
     assert never_dropped(arm)
+
+
+def test_an_arm_that_lost_its_torque_meanwhile_is_not_switched_on_again():
+    arm = build_arm(ARM, "so101")
+    with serving(arm=arm) as server, closing(FeetechBus(place_of(server.address).detail, ARM)) as bus:
+        bus.open()
+        bus.prepare()
+        bus.close()
+        arm.servos[3].cycle_power()
+        arm.settle(3)
+        bus.open()
+        with pytest.raises(PowerLostError, match=r"wrist_flex .servo 4. has lost its torque"):
+            bus.prepare()
+    assert arm.servos[3]["Torque_Enable"] == 0
+
+
+def test_without_the_client_the_extra_is_named(monkeypatch):
+    monkeypatch.setattr("rejoint.system.extras.find_spec", lambda name: None if name == "scservo_sdk" else object())
+    with pytest.raises(MissingExtraError, match=r"rejoint.feetech"):
+        open_robot("feetech://127.0.0.1:1")
 
 
 def test_where_nothing_is_the_error_is_one_line():
