@@ -266,9 +266,8 @@ def test_where_nothing_is_the_error_is_one_line():
 
 
 @pytest.mark.realtime
-@pytest.mark.parametrize("fault", ["drop=0.005,garbage=0.01,half=0.005,echo=0.005,double=0.01", "stall=0.3/1"])
-def test_a_lossy_bus_is_got_over(fault):
-    recording, error, arm = drive(fault)
+def test_a_lossy_bus_is_got_over():
+    recording, error, arm = drive("drop=0.005,garbage=0.01,half=0.005,echo=0.005,double=0.01,stall=0.3/1.2")
     assert error is None
     assert np.isfinite(recording.position).all()
     assert never_dropped(arm)
@@ -276,7 +275,7 @@ def test_a_lossy_bus_is_got_over(fault):
 
 @pytest.mark.realtime
 def test_a_servo_that_is_silent_for_two_seconds_is_waited_for():
-    recording, error, arm = drive("mute=2@1/2", dwell=2.5)
+    recording, error, arm = drive("mute=2@0.7/2", dwell=2.0)
     assert error is None
     assert np.diff(recording.time[:, 0]).max() > 1.5
     assert never_dropped(arm)
@@ -299,6 +298,7 @@ def test_a_servo_that_stays_silent_is_named_and_the_arm_holds(monkeypatch):
     [
         ("overload=3@1", "elbow_flex reports a servo fault (overload)"),
         ("voltage@1", "the supply sags to 7.0 V from 12.0 V"),
+        ("sag=12", "the supply sags to"),
         ("overheat=2@0", "shoulder_lift is at"),
     ],
 )
@@ -311,7 +311,7 @@ def test_what_servos_suffer_from_is_named_and_holds_the_arm(fault, says):
 
 @pytest.mark.realtime
 def test_a_cable_that_is_pulled_and_put_back_is_taken_up_again():
-    recording, error, arm = drive("gone=1/1", dwell=2.0)
+    recording, error, arm = drive("gone=0.7/1")
     assert error is None
     assert np.diff(recording.time[:, 0]).max() > 0.9
     assert never_dropped(arm)
