@@ -19,6 +19,7 @@ from rejoint.arms import Arm, Array
 from rejoint.robots.bus import Bus, Reading
 from rejoint.robots.feetech.address import FeetechAddress
 from rejoint.robots.feetech.gains import HEAVIEST, HOTTEST, INTEGRAL_LIMIT, KNOBS, LIMITED, PAUSE, way
+from rejoint.robots.feetech.law import FULL, Law
 from rejoint.robots.feetech.wire import Wire
 from rejoint.robots.feetech.zeros import Counts, Zeros, read_calibration, zeros_of
 from rejoint.robots.link import persist
@@ -35,7 +36,7 @@ T = TypeVar("T")
 
 MODELS = {777: "STS3215", 2825: "STS3250"}
 """Servos with this register table and 4096 counts a turn"""
-LIMITS, HOMING, MODE, TORQUE, GOAL, LOCK, PRESENT, LOAD, VOLTAGE = 9, 31, 33, 40, 42, 55, 56, 60, 62
+LIMITS, SETTINGS, HOMING, MODE, TORQUE, GOAL, LOCK, PRESENT, LOAD, VOLTAGE = 9, 21, 31, 33, 40, 42, 55, 56, 60, 62
 """Addresses of registers (Feetech's memory table of the STS/SMS series)."""
 BLOCK = 15
 """registers from `PRESENT` on: position, speed, load, voltage, temperature, -, status, moving, goal, current"""
@@ -49,7 +50,6 @@ QUIET = 0.03
 RETRY = 0.05
 """[s] between questions whether a silent servo is back (chosen)"""
 _ROW = struct.Struct("<HHHBBBBBHH")
-_LOAD_FULL = 1000.0
 _DECI = 0.1
 
 
@@ -65,6 +65,7 @@ class FeetechBus(Bus):
         self.ids = self._file.ids if self._file is not None else tuple(range(1, arm.joints + 1))
         self._wire: Wire | None = None
         self._zeros: Zeros | None = None
+        self._laws: list[Law] = []
         self._supply: Array | None = None
         self._goal: Counts | None = None
         self._was_ready = False
@@ -95,6 +96,7 @@ class FeetechBus(Bus):
         self._hold(until)
         for servo in self.ids:
             self._tune(servo, until)
+        self._laws = [self._law(servo, until) for servo in self.ids]
         if self._supply is None:
             self._supply = _DECI * np.array([self._register(servo, VOLTAGE, 1, until) for servo in self.ids])
         self._was_ready = True
@@ -109,7 +111,8 @@ class FeetechBus(Bus):
         sags = voltage < SAGGING * self.supply
         return Reading(
             position=self.zeros.radians(np.array([_signed(word, 15) for word in position])),
-            load=np.array([_signed(word, 10) / _LOAD_FULL for word in load]), voltage=voltage,
+            load=np.array([law.load(_signed(word, 10)) for law, word in zip(self._laws, load, strict=True)]),
+            voltage=voltage,
             temperature=np.array(heat, float), fault=np.array([bits != 0 for bits in status]) | sags,
             trouble=self._troubles(status, voltage, sags) if any(status) or sags.any() else None,
         )  # fmt: skip
@@ -189,7 +192,7 @@ class FeetechBus(Bus):
             for value in way(before, wanted, knob.stride):
                 self._sure(partial(self.wire.write, servo, knob.registers[0], [value] * len(knob.registers)), until)
                 self.clock.wait(PAUSE)
-                load = _signed(self._register(servo, LOAD, 2, until), 10) / _LOAD_FULL
+                load = _signed(self._register(servo, LOAD, 2, until), 10) / FULL
                 heat = self._register(servo, VOLTAGE + 1, 1, until)
                 if abs(load) > HEAVIEST or heat > HOTTEST:
                     data = [before] * len(knob.registers)
@@ -198,6 +201,11 @@ class FeetechBus(Bus):
                         f"{self._call(servo)} does not bear {name}={value}: load {100 * load:.0f} %, {heat} deg C; "
                         f"{name} is {before} again"
                     )
+
+    def _law(self, servo: int, until: float | None) -> Law:
+        """Read the settings in force that make a load of a duty."""
+        data = self._sure(partial(self.wire.read, servo, SETTINGS, 7), until)
+        return Law(p=data[0], startup=data[3], above=data[5], below=data[6])
 
     def _registers(self, address: int, until: float | None, *, sign: int = 16) -> Counts:
         """Two registers of every servo, as a number whose bit ``sign`` is its sign."""
