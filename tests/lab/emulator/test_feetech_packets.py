@@ -44,6 +44,7 @@ def test_bytes_that_lerobot_sent_are_these_packets(text):
     assert PacketFinder().feed(bytes.fromhex(text)) == [GOLDEN[text]]
 
 
+@settings(deadline=None)
 @given(value=st.integers(-2047, 2047), bit=st.sampled_from([11, 15]))
 def test_numbers_with_a_sign_come_back(value, bit):
     assert signed(magnitude(value, bit), bit) == value
