@@ -180,7 +180,7 @@ def test_an_arm_is_read_and_goes_where_it_is_sent(pty):
         assert state.position[0] == pytest.approx(ARM.rest, abs=np.radians(0.2))
         assert state.load[0] == pytest.approx(server.arm.plant.load[0], abs=0.0081)
         lead = server.arm.plant.status["goal"][0] - server.arm.plant.status["position"][0]
-        assert state.load[0] == pytest.approx(np.where(abs(lead) > 1, lead * 8 / 1000, 0.0), abs=1e-9)
+        assert state.load[0] == pytest.approx(lead * 8 / 1000, abs=1e-9)
         assert (state.voltage == 12.0).all()
         assert (state.temperature < 30).all()
         assert not state.fault.any()

@@ -21,8 +21,7 @@ def test_the_load_of_a_servo_at_rest_is_its_gain_times_its_error(error, p, start
     servo.status["goal"] = error
     servo.advance(0.4, blocked=True)
     law = Law(p=p, startup=startup, above=dead, below=dead)
-    expected = error * p / 4 / 1000 if abs(error) > dead else 0.0
-    assert law.load(int(servo.status["output"][0])) == pytest.approx(expected, abs=0.0011)
+    assert law.load(int(servo.status["output"][0]), error) == pytest.approx(error * p / 4 / 1000, abs=0.0011)
 
 
 @given(duty=st.integers(-1023, 1023))

@@ -106,12 +106,15 @@ class FeetechBus(Bus):
         answers = self.wire.read_all(self.ids, PRESENT, BLOCK)
         self._require([servo for servo in self.ids if servo not in answers])
         columns = zip(*(_ROW.unpack(answers[servo]) for servo in self.ids), strict=True)
-        position, _, load, volt, heat, _, status, _, _, _ = columns  # plain numbers: five are too few for arrays
+        position, _, duty, volt, heat, _, status, _, goal, _ = columns  # plain numbers: five are too few for arrays
+        place, force = [_signed(word, 15) for word in position], [_signed(word, 15) for word in goal]
         voltage = np.array(volt) * _DECI
         sags = voltage < SAGGING * self.supply
         return Reading(
-            position=self.zeros.radians(np.array([_signed(word, 15) for word in position])),
-            load=np.array([law.load(_signed(word, 10)) for law, word in zip(self._laws, load, strict=True)]),
+            position=self.zeros.radians(np.array(place)),
+            load=np.array(
+                [law.load(_signed(word, 10), g - p) for law, word, g, p in zip(self._laws, duty, force, place, strict=True)]
+            ),
             voltage=voltage,
             temperature=np.array(heat, float), fault=np.array([bits != 0 for bits in status]) | sags,
             trouble=self._troubles(status, voltage, sags) if any(status) or sags.any() else None,
