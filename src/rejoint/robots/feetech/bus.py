@@ -107,14 +107,13 @@ class FeetechBus(Bus):
         self._require([servo for servo in self.ids if servo not in answers])
         columns = zip(*(_ROW.unpack(answers[servo]) for servo in self.ids), strict=True)
         position, _, duty, volt, heat, _, status, _, goal, _ = columns  # plain numbers: five are too few for arrays
-        place, force = [_signed(word, 15) for word in position], [_signed(word, 15) for word in goal]
+        place, pushed = [_signed(word, 15) for word in position], [_signed(word, 10) for word in duty]
+        error = [_signed(word, 15) - here for word, here in zip(goal, place, strict=True)]
         voltage = np.array(volt) * _DECI
         sags = voltage < SAGGING * self.supply
         return Reading(
             position=self.zeros.radians(np.array(place)),
-            load=np.array(
-                [law.load(_signed(word, 10), g - p) for law, word, g, p in zip(self._laws, duty, force, place, strict=True)]
-            ),
+            load=np.array([law.load(*seen) for law, *seen in zip(self._laws, pushed, error, strict=True)]),
             voltage=voltage,
             temperature=np.array(heat, float), fault=np.array([bits != 0 for bits in status]) | sags,
             trouble=self._troubles(status, voltage, sags) if any(status) or sags.any() else None,
