@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/ready
 
-.PHONY: repair test wheel-test check docs bench format clean
+.PHONY: repair test wheel-test judge check docs bench format clean
 
 repair: $(READY)
 	$(BIN)/rejoint repair emulated:worn
@@ -16,6 +16,12 @@ test: $(READY)
 # The wheel in a fresh environment without extras: it deploys, and names the extra that other commands need.
 wheel-test: $(READY)
 	$(BIN)/python -m pytest wheeltest
+
+# LeRobot's own bus judges the emulated one, in a folder of its own: its other dependencies are none of ours.
+judge: $(READY)
+	$(BIN)/python -m pip install --quiet --no-deps --upgrade --target .judge lerobot==0.4.4 feetech-servo-sdk==1.0.0 \
+		draccus==0.10.0 deepdiff orderly-set cachebox tqdm pyserial numpy pyyaml mergedeep typing-inspect mypy-extensions typing-extensions
+	$(BIN)/python -m pytest tests/robots/test_lerobot_judge.py
 
 check: $(READY)
 	$(BIN)/ruff format --check .
@@ -37,7 +43,7 @@ format: $(READY)
 # A half-made environment has no `ready` file and is made again.
 $(READY): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[train,report,logs,camera,dev]"
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[train,report,logs,camera,feetech,dev]"
 	touch $(READY)
 
 # What builds the site; nothing else needs it.
@@ -51,4 +57,4 @@ $(VENV)/bench: $(READY)
 	touch $(VENV)/bench
 
 clean:
-	rm -rf $(VENV) build dist site
+	rm -rf $(VENV) .judge build dist site

@@ -33,14 +33,15 @@ def test_known_addresses(text, detail):
         "serial:///dev/x?speed=1", "http://host:9000", "serial:///dev/x?baud", "tcp://[::1",
     ],
 )  # fmt: skip
-def test_malformed_addresses_name_their_form_once_or_all_three(address):
-    forms = {"emulated": r"emulated:PROFILE", "tcp": r"tcp://HOST:PORT", "serial": r"serial:///dev/DEVICE"}
+def test_malformed_addresses_name_their_form_once_or_all_of_them(address):
+    forms = {"emulated": r"emulated:PROFILE", "tcp": r"tcp://HOST:PORT", "serial": r"serial:///dev/DEVICE",
+             "feetech": r"feetech:///dev/DEVICE or feetech://HOST:PORT"}  # fmt: skip
     scheme, colon, _ = address.partition(":")
     expected = [form for name, form in forms.items() if not (colon and scheme in forms) or name == scheme]
     with pytest.raises(AddressError) as caught:
         open_robot(address)
     assert [str(caught.value).count(form) for form in forms.values()] == [int(f in expected) for f in forms.values()]
-    assert len(str(caught.value)) < 140
+    assert len(str(caught.value)) < 160
 
 
 @pytest.mark.parametrize("address", ["tcp://127.0.0.1:1", "tcp://nosuchhost.invalid:9000", "serial:///dev/nosuchport"])

@@ -20,7 +20,9 @@ from rejoint.runs.run import Run as OpenRun
 from rejoint.runs.run import newest_or_new
 from rejoint.system.errors import InputError
 
-ROBOT_HELP = "Robot: emulated:PROFILE (in process), tcp://HOST:PORT, or serial:///dev/ttyAMA0."
+ROBOT_HELP = (
+    "Robot: emulated:PROFILE (in process), tcp://HOST:PORT, serial:///dev/ttyAMA0, or feetech:///dev/ttyACM0 (SO-101)."
+)
 
 Robot = Annotated[str, typer.Argument(help=ROBOT_HELP, metavar="ROBOT")]
 OptionalRobot = Annotated[

@@ -11,11 +11,23 @@ from rejoint.arms import load_arm
 from rejoint.cli.console import Terminal
 from rejoint.cli.options import Json, Seed
 from rejoint.robots import SIMULATOR
+from rejoint.system.errors import InputError
 from rejoint.system.extras import require
+
+SERVED = {"mycobot280": ("A myCobot 280", "worn"), "so101": ("An SO-101", "so101")}
+"""How the arms that can be served are called, and their usual wear profile"""
 
 
 def emulate(
-    wear: Annotated[str, typer.Option(help="Wear profile: a name, `worn?seed=N`, or a .toml file.")] = "worn",
+    arm: Annotated[
+        str, typer.Option(help="mycobot280, on its vendor's protocol, or so101, on its servos' own bus.")
+    ] = ("mycobot280"),
+    wear: Annotated[
+        str | None,
+        typer.Option(
+            help="Wear profile: a name, `worn?seed=N`, or a .toml file; by default worn, or so101 for that arm."
+        ),
+    ] = None,
     host: Annotated[str, typer.Option(help="Address to listen on; 0.0.0.0 lets other machines in.")] = "127.0.0.1",
     port: Annotated[int, typer.Option(help="TCP port; 0 takes a free one.", min=0, max=65535)] = 9000,
     pty: Annotated[bool, typer.Option("--pty", help="Serve a serial line (pseudo terminal) instead of TCP.")] = False,
@@ -24,35 +36,42 @@ def emulate(
     seed: Seed = 0,
     json: Json = False,
 ) -> None:
-    """Serve a worn arm in real time on the myCobot's own wire protocol, until Ctrl-C.
+    """Serve a worn arm in real time on its own wire protocol, until Ctrl-C.
 
     Example: `rejoint emulate --wear worn --port 9000`, then in another terminal
-    `rejoint repair tcp://127.0.0.1:9000`.
+    `rejoint repair tcp://127.0.0.1:9000`; or `rejoint emulate --arm so101` and `rejoint repair feetech://127.0.0.1:9000`.
 
     `--fault drop=0.05,stall=1.5/4,freeze=3@5,die@20` loses 5 % of the answers, lets the link stand still for 1.5 s
     every 4 s, freezes the encoder of joint 3 after 5 s and ends without a word after 20 s, counted from the first
     byte of a client. Shares of answers: drop=P, garbage=P, stale=P, split=P, half=P, double=P, echo=P. The link:
     slow=S, stall=D/E, gone=T/D (closed at T, back after D), silent@T, die@T. Joints, from 1: freeze=J@T (the encoder),
     blind=J@T (its servo too), jump=J@T, limit=J@T, overheat=J@T, current=J@T, overload=J@T, voltage@T.
+    On the bus of an SO-101 alone: mute=J@T/D (a servo that is silent for D), sag=R (a supply of R ohm).
     """
     require("rejoint emulate", SIMULATOR)
-    from rejoint.lab.emulator.emulate import emulate as serve
+    from rejoint.lab.emulator.emulate import emulate as emulate_mycobot
     from rejoint.lab.emulator.faults import parse_faults
+    from rejoint.lab.emulator.feetech.emulate import emulate_bus
     from rejoint.lab.emulator.servers import beyond_loopback
 
     terminal = Terminal(json=json)
     served: list[str] = []
-    arm = load_arm("mycobot280")
-    faults = parse_faults(fault, arm.joints)
+    chosen = load_arm(arm)
+    if chosen.name not in SERVED:
+        raise InputError(f"no wire protocol is known for {chosen.name}; expected --arm {' or '.join(SERVED)}")
+    name, profile = SERVED[chosen.name]
+    wear = wear or profile
+    faults = parse_faults(fault, chosen.joints)
+    serve = emulate_bus if chosen.name == "so101" else emulate_mycobot
 
     def announce(address: str) -> None:
         served.append(address)
-        terminal.say(f"A myCobot 280 with the wear profile '{wear}' answers at {address}  (Ctrl-C ends it)")
+        terminal.say(f"{name} with the wear profile '{wear}' answers at {address}  (Ctrl-C ends it)")
         if beyond_loopback(address):
             terminal.say(f"Other machines can drive it too, without a password: it listens on {host}.")
         if fault:
             terminal.say(f"Faults: {fault}")
 
-    serve(arm, wear, host=host, port=port, pty=pty, seed=seed, announce=announce, log=log, faults=faults)
+    serve(chosen, wear, host=host, port=port, pty=pty, seed=seed, announce=announce, log=log, faults=faults)
     terminal.say("Emulator ended.")
     terminal.finish({"wear": wear, "address": served[-1], "faults": fault})

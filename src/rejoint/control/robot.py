@@ -32,6 +32,8 @@ class JointState:
     """(B, n) [deg C] servo temperatures, None where the robot does not report them"""
     fault: NDArray[np.bool_] | None = None
     """(B, n) whether a servo reports a fault, None where the robot does not report it"""
+    trouble: tuple[str, ...] | None = None
+    """(n,) what the servos of a single arm complain of, in words, empty for nothing; None where nobody tells"""
     load: Array | None = None
     """(B, n) torque that each servo says it gives, as a share of its largest, -1 to 1, positive with the joint; None
     where the robot does not report it"""

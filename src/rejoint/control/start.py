@@ -99,7 +99,7 @@ def _outside(arm: Arm, state: JointState) -> str:
 
 def _unwell(arm: Arm, state: JointState) -> str:
     if state.fault is not None and state.fault.any():
-        return say_faulty(arm.joint_names, np.asarray(state.fault.any(axis=0)))
+        return say_faulty(arm.joint_names, np.asarray(state.fault.any(axis=0)), state.trouble)
     if state.temperature is None:
         return ""
     if not ((state.temperature > COLDEST) & (state.temperature < HOTTEST)).all():

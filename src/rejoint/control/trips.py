@@ -23,7 +23,7 @@ def trip_error(b: int, run_state: RunState, limits: GuardLimits) -> GuardTripErr
     if Reason.TEMPERATURE in flags and state.temperature is not None:
         details.append(say_hot(names, state.temperature[b], limits.max_temperature))
     if Reason.SERVO_FAULT in flags and state.fault is not None:
-        details.append(say_faulty(names, state.fault[b]))
+        details.append(say_faulty(names, state.fault[b], state.trouble))
     if Reason.OUT_OF_RANGE in flags:
         degrees = np.round(np.degrees(state.position[b]), 1).tolist()
         details.append(f"measured {degrees} deg lies far outside the joint limits; check the arm's zero")
@@ -43,7 +43,8 @@ def say_hot(names: tuple[str, ...], temperature: Array, limit: float) -> str:
     return f"{names[hot]} is at {temperature[hot]:.0f} deg C, limit {limit:.0f}; let it cool"
 
 
-def say_faulty(names: tuple[str, ...], fault: NDArray[np.bool_]) -> str:
-    """Name the joints whose servos report a ``fault`` (n,)."""
+def say_faulty(names: tuple[str, ...], fault: NDArray[np.bool_], trouble: tuple[str, ...] | None = None) -> str:
+    """Name the joints whose servos report a ``fault`` (n,), and what they complain of where they tell."""
     faulty = ", ".join(np.array(names)[fault])
-    return f"{faulty} reports a servo fault; free the arm and clear the fault"
+    words = "; ".join(dict.fromkeys(filter(None, trouble or ())))
+    return f"{faulty} reports a servo fault{f' ({words})' if words else ''}; free the arm and clear the fault"

@@ -34,7 +34,7 @@ def corrected_homing(source: Path, arm: Arm, offset: Array) -> tuple[dict[str, A
     a gripper's, stay as they are. FileError where ``source`` is no calibration, InputError where a servo cannot
     hold it.
     """
-    motors = _read(source)
+    motors = read_homing(source)
     columns = match_joints(list(motors), arm, ImportOptions(), source, "calibration").columns
     names, changes = list(motors), {}
     for joint, column, angle in zip(arm.joint_names, columns, offset, strict=True):
@@ -55,7 +55,8 @@ def write_homing(path: Path, motors: dict[str, Any]) -> None:
     write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
 
 
-def _read(source: Path) -> dict[str, Any]:
+def read_homing(source: Path) -> dict[str, Any]:
+    """Read the motors of a calibration of LeRobot; FileError where it is none."""
     try:
         motors = json.loads(read_bounded(source, JSON_MOST, _REMEDY))
         for motor in motors.values():

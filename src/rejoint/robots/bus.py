@@ -31,6 +31,8 @@ class Vitals:
     """(n,) [deg C]"""
     fault: NDArray[np.bool_] | None = None
     """(n,) whether a servo reports a fault"""
+    trouble: tuple[str, ...] | None = None
+    """(n,) what each servo complains of, in words, where its bus can tell; empty for nothing"""
 
     @property
     def alarming(self) -> bool:

@@ -76,7 +76,7 @@ class BusRobot:
         self._state = JointState(
             time=np.array([now]), position=np.array(reading.position, float)[None],
             age=np.array([self._continuity.accept(now, reading.position, self._command)]),
-            temperature=self._health.temperature, fault=self._health.fault,
+            temperature=self._health.temperature, fault=self._health.fault, trouble=self._health.trouble,
             load=None if reading.load is None else np.array(reading.load, float)[None],
             voltage=None if reading.voltage is None else np.array(reading.voltage, float)[None],
         )  # fmt: skip
@@ -134,6 +134,7 @@ def bus_family(
     parse: Callable[[str], T],
     default_arm: str = DEFAULT_ARM,
     default_period: tuple[float, float] = (0.050, 0.050),
+    needs: tuple[str, ...] = (),
 ) -> Family[T]:
     """Family of arms behind a ``bus``, which is made from what ``parse`` read from the address, and the arm."""
 
@@ -145,5 +146,6 @@ def bus_family(
         return robot
 
     return Family(
-        scheme=scheme, form=form, parse=parse, connect=connect, default_arm=default_arm, default_period=default_period
-    )
+        scheme=scheme, form=form, parse=parse, connect=connect, default_arm=default_arm, default_period=default_period,
+        needs=needs,
+    )  # fmt: skip

@@ -35,6 +35,8 @@ class Health:
         """(1, n) [deg C]"""
         self.fault: NDArray[np.bool_] | None = None
         """(1, n) whether a servo reports a fault"""
+        self.trouble: tuple[str, ...] | None = None
+        """(n,) what each complains of, in words"""
         self._turn = 0
         self._due = 0.0
         self._cost = 0.0
@@ -58,7 +60,7 @@ class Health:
         if found.temperature is not None:
             self.temperature = np.array(found.temperature, float)[None]
         if found.fault is not None:
-            self.fault = np.array(found.fault, bool)[None]
+            self.fault, self.trouble = np.array(found.fault, bool)[None], found.trouble
 
     def _ask(self) -> None:
         began, question = self._clock.now(), self._questions[self._turn]

@@ -10,6 +10,7 @@ from rejoint.robots.address import SerialAddress, TcpAddress, serial_address, tc
 from rejoint.robots.bus import Bus
 from rejoint.robots.busrobot import bus_family
 from rejoint.robots.family import DEFAULT_ARM, Family, Opening, Place
+from rejoint.robots.feetech.address import FORM, FeetechAddress, feetech_address
 
 SIMULATOR = "mujoco"
 """Module that emulated arms need."""
@@ -19,6 +20,8 @@ _BAUD = 1_000_000
 """[1/s] of the serial port on a myCobot's Raspberry Pi (vendor's manual); the M5 version needs 115200"""
 _MYCOBOT_PERIOD = (0.050, 0.050)
 """[s] shortest cycle of control and feedback that the vendor of the myCobot names (its FAQ)"""
+_FEETECH_PERIOD = (0.020, 0.020)
+"""[s] 50 Hz (chosen: a cycle needs 3 ms of the bus, and controllers the rest on a slow computer)"""
 _EMULATED_PERIOD = (0.020, 0.030)
 """[s] Park et al. 2024 name 20 ms; the wire adds up to half of it (chosen)"""
 
@@ -53,6 +56,12 @@ def _mycobot(address: TcpAddress | SerialAddress, arm: Arm) -> Bus:
     return MyCobotBus(address, arm)
 
 
+def _feetech(address: FeetechAddress, arm: Arm) -> Bus:
+    from rejoint.robots.feetech.bus import FeetechBus
+
+    return FeetechBus(address, arm)
+
+
 EMULATED = Family(
     scheme="emulated", form="emulated:PROFILE", parse=_profile,
     connect=_emulated, default_arm=_profile_arm, default_period=_EMULATED_PERIOD, virtual=True, needs=(SIMULATOR,),
@@ -65,6 +74,10 @@ MYCOBOT_SERIAL = bus_family(
     _mycobot, scheme="serial", form="serial:///dev/DEVICE", parse=lambda text: serial_address(text, baud=_BAUD),
     default_period=_MYCOBOT_PERIOD,
 )  # fmt: skip
+FEETECH = bus_family(
+    _feetech, scheme="feetech", form=FORM, parse=feetech_address,
+    default_arm="so101", default_period=_FEETECH_PERIOD, needs=("feetech",),
+)  # fmt: skip
 
-FAMILIES: tuple[Family[Any], ...] = (EMULATED, MYCOBOT_TCP, MYCOBOT_SERIAL)
+FAMILIES: tuple[Family[Any], ...] = (EMULATED, MYCOBOT_TCP, MYCOBOT_SERIAL, FEETECH)
 """To add one that comes with the package: a module with a `Family`, and its name here"""

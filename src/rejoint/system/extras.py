@@ -15,6 +15,7 @@ EXTRAS: dict[str, tuple[str, ...]] = {
     "report": ("matplotlib", "jinja2", "PIL"),
     "logs": ("mcap", "mcap_protobuf", "mcap_ros2", "rosbags", "zstandard"),
     "camera": ("cv2", "scipy"),
+    "feetech": ("scservo_sdk",),
 }
 """Modules that this package imports, by the extra that installs them"""
 

@@ -8,8 +8,8 @@ import numpy as np
 
 from rejoint.arms import Array
 from rejoint.lab.emulator.ailments import OVER_CURRENT_BIT, OVERLOAD_BIT, VOLTAGE_BIT
+from rejoint.lab.emulator.armlike import ArmLike
 from rejoint.lab.emulator.faults import Faults, Onset
-from rejoint.lab.emulator.firmware import Firmware
 from rejoint.lab.emulator.plantlike import Mask
 
 READINGS = frozenset({0x20, 0x23, 0x3B, 0x3D, 0xD5})
@@ -34,16 +34,16 @@ LOW_VOLTAGE = 7.0
 class ArmFaults:
     """Lets the faults of the arm begin when their time has come. What begins at 0 has been so from the start."""
 
-    def __init__(self, faults: Faults, firmware: Firmware) -> None:
-        self._firmware = firmware
-        ailments, servos = firmware.ailments, firmware.arm.joints
+    def __init__(self, faults: Faults, arm: ArmLike) -> None:
+        self._emulated = arm
+        ailments, servos = arm.ailments, arm.arm.joints
         onsets: list[tuple[Onset, Callable[[Mask], object]]] = []
 
         def plan(kind: tuple[Onset, ...], begin: Callable[[Mask], object]) -> None:
             onsets.extend((onset, begin) for onset in kind)
 
-        plan(faults.freeze, firmware.freeze)
-        plan(faults.blind, firmware.blind)
+        plan(faults.freeze, arm.freeze)
+        plan(faults.blind, arm.blind)
         plan(faults.jump, self._jump)
         plan(faults.limit, self._run_beyond)
         plan(faults.overheat, self._heat)
@@ -63,7 +63,7 @@ class ArmFaults:
         passed, self._then = elapsed - self._then, elapsed
         while self._waiting and self._waiting[0][0].after <= elapsed:
             onset, begin = self._waiting.pop(0)
-            joints = np.zeros(self._firmware.arm.joints, dtype=bool)
+            joints = np.zeros(self._emulated.arm.joints, dtype=bool)
             joints[list(onset.joints)] = True
             begin(joints)
             if onset.after == 0.0:
@@ -76,37 +76,37 @@ class ArmFaults:
     def was_asked(self, command: int) -> None:
         """Take a jump back once it was read: it is one of a single reading."""
         if command in READINGS and self._jumped.any():
-            self._firmware.ailments.misreading -= self._jumped
+            self._emulated.ailments.misreading -= self._jumped
             self._jumped[:] = 0.0
 
     def _inwards(self) -> Array:
         """(n,) 1 where the lower limit is the nearer one, -1 elsewhere."""
-        arm = self._firmware.arm
-        return np.where(self._firmware.angles < 0.5 * (arm.lower + arm.upper), 1.0, -1.0)
+        arm = self._emulated.arm
+        return np.where(self._emulated.angles < 0.5 * (arm.lower + arm.upper), 1.0, -1.0)
 
     def _jump(self, joints: Mask) -> None:
         jump = JUMP * self._inwards() * joints
         self._jumped += jump
-        self._firmware.ailments.misreading += jump
+        self._emulated.ailments.misreading += jump
 
     def _run_beyond(self, joints: Mask) -> None:
         self._running[joints] = -self._inwards()[joints]
 
     def _go_on_running(self, passed: float) -> None:
-        arm, angles = self._firmware.arm, self._firmware.angles
+        arm, angles = self._emulated.arm, self._emulated.angles
         end = np.where(self._running > 0, arm.upper + BEYOND_LIMIT, arm.lower - BEYOND_LIMIT)
         left = np.where(self._running == 0, 0.0, np.maximum(self._running * (end - angles), 0.0))
-        self._firmware.ailments.misreading += self._running * np.minimum(left, RUN_AWAY * passed)
+        self._emulated.ailments.misreading += self._running * np.minimum(left, RUN_AWAY * passed)
         self._running[left <= RUN_AWAY * passed] = 0.0
 
     def _heat(self, joints: Mask) -> None:
         self._heating |= joints
 
     def _go_on_heating(self, passed: float) -> None:
-        missing = np.maximum(HOT - self._firmware.temperature, 0.0)
-        self._firmware.ailments.warmth += np.where(self._heating, np.minimum(missing, HEATING * passed), 0.0)
+        missing = np.maximum(HOT - self._emulated.temperature, 0.0)
+        self._emulated.ailments.warmth += np.where(self._heating, np.minimum(missing, HEATING * passed), 0.0)
 
     def _alarm(self, joints: Mask, bit: int, reading: Array | None = None, value: float = 0.0) -> None:
-        self._firmware.ailments.alarms[joints] |= bit
+        self._emulated.ailments.alarms[joints] |= bit
         if reading is not None:
             reading[joints] = value

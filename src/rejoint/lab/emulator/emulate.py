@@ -9,11 +9,12 @@ from pathlib import Path
 from typing import cast
 
 from rejoint.arms import Arm
-from rejoint.lab.emulator.faults import NONE, Faults
+from rejoint.lab.emulator.faults import NONE, SERVO_BUS, Faults
 from rejoint.lab.emulator.firmware import Firmware
 from rejoint.lab.emulator.plantlike import PlantLike
 from rejoint.lab.emulator.servers import serve_pty, serve_tcp
 from rejoint.lab.emulator.truthlog import TruthLog
+from rejoint.system.errors import InputError
 
 DIED = 1
 """Exit code of an emulator that a fault let die."""
@@ -48,6 +49,9 @@ def emulate(
     the spot with exit code 1. Raises InputError if the port cannot be used, ProfileError for a wear profile that does
     not exist, FileError if the log cannot be written.
     """
+    for name in SERVO_BUS:
+        if getattr(faults, name) != getattr(NONE, name):
+            raise InputError(f"the fault {name} is one of an arm on its servos' own bus, as --arm so101 is")
     try:
         with ExitStack() as stack:
             firmware = build_firmware(arm, wear_name, seed=seed)

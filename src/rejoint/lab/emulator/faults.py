@@ -49,6 +49,18 @@ class Onset:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Spell:
+    """A span in which a servo is not heard of."""
+
+    joint: int
+    """index, from 0"""
+    after: float
+    """[s]"""
+    duration: float
+    """[s]"""
+
+
+@dataclass(frozen=True, kw_only=True)
 class Faults:
     """Everything that goes wrong; nothing by default. `KNOWN` says what each of them means."""
 
@@ -75,8 +87,13 @@ class Faults:
     current: tuple[Onset, ...] = ()
     overload: tuple[Onset, ...] = ()
     voltage: tuple[Onset, ...] = ()
+    mute: tuple[Spell, ...] = ()
+    sag: float = 0.0
+    """[ohm]"""
 
 
+SERVO_BUS = ("mute", "sag")
+"""Faults that an arm on its servos' own bus can have, and no other one: a computer in between hides them"""
 NONE = Faults()
 
 
@@ -149,6 +166,14 @@ def _joint(value: str | None, after: str | None, joints: int) -> Onset:
     return Onset(joints=(joint - 1,), after=_number(after))
 
 
+def _spell(value: str | None, after: str | None, joints: int) -> Spell:
+    joint = int(value or "")
+    if not 1 <= joint <= joints:
+        raise ValueError
+    begin, duration = _pair(after)
+    return Spell(joint=joint - 1, after=begin, duration=duration)
+
+
 def _hot(value: str | None, after: str | None, joints: int) -> Onset:
     return _joint(str(min(HOT_JOINT, joints)) if value is None else value, after, joints)
 
@@ -193,6 +218,13 @@ KNOWN: dict[str, Known] = {
     "voltage": Known(
         _Form("@T or =J@T", "joint J from 1 to {joints} (otherwise all), T seconds", _all),
         "from T on the supply is too low, and the servos say so",
+    ),
+    "mute": Known(
+        _Form("J@T/D", "joint J from 1 to {joints}, T and D seconds", _spell),
+        "on a bus of servos: from T on, for D, the servo of J neither hears nor answers; it holds",
+    ),
+    "sag": Known(
+        _Form("R", "R ohm", _seconds), "on a bus of servos: the supply has this resistance and sags under their current"
     ),
 }
 """The faults in the words of the command line. One name, one field of `Faults`."""

@@ -17,8 +17,10 @@ import tty
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from types import TracebackType
-from typing import Self
+from typing import Any, Self
+from urllib.parse import urlsplit
 
+from rejoint.lab.emulator.conversation import Conversation
 from rejoint.lab.emulator.faults import NONE, Faults
 from rejoint.lab.emulator.firmware import Firmware
 from rejoint.lab.emulator.session import Session, Timing
@@ -38,7 +40,7 @@ _CHUNK = 1024
 class Server(ABC):
     """Serves in the calling thread (`run`) or in one of its own (as a context manager)."""
 
-    def __init__(self, session: Session, address: str) -> None:
+    def __init__(self, session: Conversation[Any], address: str) -> None:
         self.address = address
         """where a robot driver finds it, such as ``tcp://127.0.0.1:9000``"""
         self._session = session
@@ -114,9 +116,9 @@ class _SocketChannel:
 class _TcpServer(Server):
     """Listens from its construction by `serve_tcp` on."""
 
-    def __init__(self, session: Session, listener: socket.socket) -> None:
+    def __init__(self, session: Conversation[Any], listener: socket.socket, scheme: str) -> None:
         host, port = listener.getsockname()[:2]
-        super().__init__(session, f"tcp://{host}:{port}")
+        super().__init__(session, f"{scheme}://{host}:{port}")
         self._listener = listener
 
     def _serve(self) -> None:
@@ -159,8 +161,8 @@ class _TerminalChannel:
 
 
 class _TerminalServer(Server):
-    def __init__(self, session: Session, own: int, client: int) -> None:
-        super().__init__(session, f"serial://{os.ttyname(client)}?baud=1000000")
+    def __init__(self, session: Conversation[Any], own: int, client: int, scheme: str) -> None:
+        super().__init__(session, f"{scheme}://{os.ttyname(client)}?baud=1000000")
         self._own = own
         self._open = [client, own]
 
@@ -181,8 +183,8 @@ class _TerminalServer(Server):
 
 def beyond_loopback(address: str) -> bool:
     """Whether the server at ``address`` can be reached from other machines."""
-    host = address.removeprefix("tcp://").rpartition(":")[0]
-    return address.startswith("tcp://") and not ipaddress.ip_address(host).is_loopback
+    place = urlsplit(address)
+    return place.hostname is not None and not ipaddress.ip_address(place.hostname).is_loopback
 
 
 def _listen(host: str, port: int) -> socket.socket:
@@ -214,8 +216,8 @@ def serve_tcp(
     faults: Faults = NONE,
 ) -> Server:
     """Listen on a TCP port (0: any free one); InputError if that is not possible. Run it to serve."""
-    listener = _listen(host, port)
-    return _TcpServer(Session(firmware, timing=timing or Timing(), seed=seed, log=log, faults=faults), listener)
+    session = Session(firmware, timing=timing or Timing(), seed=seed, log=log, faults=faults)
+    return on_port(session, host, port, scheme="tcp")
 
 
 def serve_pty(
@@ -226,7 +228,18 @@ def serve_pty(
     log: TruthLog | None = None,
     faults: Faults = NONE,
 ) -> Server:
-    """Open a pseudo-terminal that a driver can open like a serial port. Run the server to serve.
+    """Open a pseudo-terminal that a driver can open like a serial port. Run the server to serve."""
+    session = Session(firmware, timing=timing or Timing(), seed=seed, log=log, faults=faults)
+    return on_terminal(session, scheme="serial")
+
+
+def on_port(session: Conversation[Any], host: str, port: int, *, scheme: str) -> Server:
+    """Hold a conversation on a TCP port (0: any free one), at an address of ``scheme``; InputError if it cannot be."""
+    return _TcpServer(session, _listen(host, port), scheme)
+
+
+def on_terminal(session: Conversation[Any], *, scheme: str) -> Server:
+    """Hold a conversation on a pseudo-terminal, at an address of ``scheme``.
 
     The client's end is put into raw mode and kept open here: otherwise the terminal would echo
     before the first client opens it, and fail when the last one closes it.
@@ -234,5 +247,4 @@ def serve_pty(
     own, client = pty.openpty()
     tty.setraw(client)
     os.set_blocking(own, False)
-    session = Session(firmware, timing=timing or Timing(), seed=seed, log=log, faults=faults)
-    return _TerminalServer(session, own, client)
+    return _TerminalServer(session, own, client, scheme)

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TextIO
 
-from rejoint.lab.emulator.firmware import Firmware
+from rejoint.lab.emulator.armlike import ArmLike
 from rejoint.system.errors import FileError
 
 
@@ -32,9 +32,9 @@ class TruthLog:
             raise FileError(path, f"cannot be written ({error.strerror})", "choose another path") from error
         return cls(path, stream, joints)
 
-    def write(self, now: float, firmware: Firmware) -> None:
+    def write(self, now: float, arm: ArmLike) -> None:
         """Add a row: [s], [m], [rad]. FileError if the disk is full."""
-        self._put(f"{value:.6f}" for value in [now, *firmware.true_tcp, *firmware.angles, *firmware.true_links])
+        self._put(f"{value:.6f}" for value in [now, *arm.true_tcp, *arm.angles, *arm.true_links])
 
     def _put(self, row: Iterable[str]) -> None:
         try:

@@ -176,7 +176,7 @@ class Plant:
         self.servos["powered"][ids] = True
         self.servos["frozen"][ids] = self.servos["blind"][ids] = False
         self._history[ids] = self.servos["measured"][ids][:, None]
-        self._hold(ids, position + torque / self.joints["position_gain"] - self.joints["offset"])
+        self._hold(ids, self._held(position, torque))
 
     def command(self, position: Array, delay: Array | float | None = None, where: Mask | None = None) -> None:
         """Send ``position`` (B, n) [rad]; it reaches the firmware after ``delay`` (B,) [s], never earlier."""
@@ -232,6 +232,10 @@ class Plant:
     def _hold(self, ids: Ids, position: Array) -> None:
         self._due[ids] = servo.NEVER
         self.servos["goal"][ids] = self.servos["reference"][ids] = position[ids]
+
+    def _held(self, position: Array, torque: Array) -> Array:
+        """Command (B, n) [rad] at which the servos give ``torque`` (B, n) [N m] where they read ``position``."""
+        return np.asarray(position + torque / self.joints["position_gain"] - self.joints["offset"])
 
     def _run(self, ids: Ids, steps: int) -> None:
         stepped = None if len(ids) == self.count else ids

@@ -1,0 +1,166 @@
+"""What a control cycle of an SO-101 costs: time on the bus, and time of the processor, at the emulated bus.
+
+The emulator runs in a process of its own, on a pseudo-terminal, as slow as the wire and a USB adapter are. With the
+recordings of a real SO-101, `python -m benchmarks.feetech LOGS [EVERY]`, how well the plant on the law of its servos
+predicts them, all or every so many: open loop, from the first measured pose, with the acceleration that LeRobot sets.
+With `gains` instead of LOGS, what gains of the servos leave of the error at ten targets, in virtual time.
+"""
+
+import subprocess
+import sys
+import time
+from contextlib import closing
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+
+from rejoint.arms import load_arm, tcp_position
+from rejoint.control.default import DefaultController
+from rejoint.control.integrator import IntegratorController
+from rejoint.control.loop import Schedule, run
+from rejoint.lab.plant.plant import Plant
+from rejoint.lab.plant.stsplant import StsPlant
+from rejoint.lab.plant.wear import load_wear
+from rejoint.logs import import_logs
+from rejoint.robots import place_of
+from rejoint.robots.emulated import EmulatedRobot
+from rejoint.robots.feetech.bus import FeetechBus
+from rejoint.robots.feetech.gains import LIMITED
+from rejoint.system.errors import NoReplyError
+from rejoint.twin.judge import judge_paths
+from rejoint.twin.judgement import NO_TWIN
+
+CYCLES = 2000
+DELAY = 0.005
+"""[s] from a command to the servos (chosen: half of what the twin's fit finds at most; the error is flat there)"""
+DWELL = 5.0
+"""[s] at each target"""
+BUS, PROCESSOR = 3.0, 0.3
+"""[ms] that a cycle should take at most, at the 99th percentile"""
+
+
+def cycles(bus, count=CYCLES):
+    """Return times [s] on the bus and of the processor (count, 2) of a synchronous write and read, NaN for none."""
+    rest = bus.read().position
+    taken = np.empty((count, 2))
+    for k in range(count):
+        goal = rest + 0.05 * np.sin(k / 20)
+        began, worked = time.perf_counter(), time.thread_time()
+        bus.send(goal)
+        try:
+            bus.read()
+            taken[k] = time.perf_counter() - began, time.thread_time() - worked
+        except (TimeoutError, NoReplyError):  # a busy machine: the emulator was late
+            taken[k] = np.nan
+            bus.resynchronise(time.monotonic() + 1.0)
+        time.sleep(0.005)
+    return taken
+
+
+def system_calls(count=CYCLES):
+    """Return times [s] of the processor (count,) in two writes and two waits at a terminal, which any driver needs."""
+    import os
+    import pty
+    import select
+    import tty
+
+    own, client = pty.openpty()
+    tty.setraw(client)
+    taken = np.empty(count)
+    for k in range(count):
+        began = time.thread_time()
+        for _ in range(2):
+            os.write(client, b"x" * 16)
+        select.select([client], [], [], 0.0)
+        taken[k] = time.thread_time() - began
+        os.read(own, 4096)
+    os.close(own)
+    os.close(client)
+    return taken
+
+
+def main():
+    command = [sys.executable, "-m", "rejoint", "emulate", "--arm", "so101", "--pty"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as emulator:
+        try:
+            address = next(word for line in emulator.stdout for word in line.split() if word.startswith("feetech:"))
+            place = place_of(address)
+            with closing(FeetechBus(place.detail, _arm())) as bus:
+                bus.open()
+                bus.prepare()
+                taken = 1e3 * cycles(bus)
+        finally:
+            emulator.terminate()
+    for name, column, most in (("bus", 0, BUS), ("processor", 1, PROCESSOR)):
+        middle, high = np.nanpercentile(taken[:, column], [50, 99])
+        print(f"{name:10s} median {middle:.2f} ms, p99 {high:.2f} ms (at most {most} ms is asked for)")
+    least = 1e3 * np.percentile(system_calls(), [50, 99])
+    print(f"{'system':10s} median {least[0]:.2f} ms, p99 {least[1]:.2f} ms: two writes and a look at a terminal alone")
+    print(f"late answers: {np.isnan(taken[:, 0]).sum()} of {len(taken)}")
+
+
+def predict(folder, every=1):
+    """Print the errors of two plants on the motions in ``folder``: that of the law, and that of a linear servo."""
+    arm = _arm()
+    wear = load_wear("so101", arm)
+    with TemporaryDirectory() as kept:
+        names = sorted(path.name for path in folder.iterdir() if (path / "control.csv").exists())[::every]
+        logs = [import_logs(folder / name, arm, out=Path(kept) / name).logs[0] for name in names]
+    paths = {NO_TWIN: [log.command[np.maximum(np.arange(len(log)) - 1, 0)] for log in logs]}
+    for name, kind in (("linear servo", Plant), ("law of the firmware", StsPlant)):
+        paths[name] = [replay(kind(arm, [wear], seed=0), log) for log in logs]
+    found = judge_paths(arm, paths, logs)
+    print(f"{len(logs)} motions; free space, means over motions")
+    for name, errors in found.mean.items():
+        print(f"{name:20s} tool {1e3 * errors.free.tcp:.2f} mm, joints {np.degrees(errors.free.joint):.2f} deg")
+
+
+def gains():
+    """Print what gains of the servos leave of the error at ten targets, alone and under the integrator."""
+    arm = _arm()
+    targets = np.random.default_rng(0).uniform(arm.targets.lower, arm.targets.upper, (10, 3))
+    for p, i in ((16, 0), (32, 0), (48, 0), (48, 4), (64, 8)):
+        found = [
+            _settled(arm, controller(arm), targets, p, i) for controller in (DefaultController, IntegratorController)
+        ]
+        print(f"| {p}, {i} | {found[0]:.1f} | {found[1]:.1f} |")
+
+
+def _settled(arm, controller, targets, p, i):
+    """Mean distance [mm] of the tool by the encoders from its target in the last second of `DWELL`."""
+    wears = [load_wear("so101", arm)]
+    robot = EmulatedRobot(arm, wears, seed=0, period=(0.020, 0.020))
+    robot.plant = StsPlant(arm, wears, seed=0)
+    for name, value in {"p": p, "i": i, "integral_limit": LIMITED if i else 0}.items():
+        robot.plant.settings[name] = value
+    robot.restart(arm.rest)
+    recording = run(robot, controller, targets[None], Schedule(dwell=DWELL))
+    time, tool = recording.time[:, 0] - recording.time[0, 0], tcp_position(arm, recording.position[:, 0])
+    last = [(time >= (k + 1) * DWELL - 1.0) & (time < (k + 1) * DWELL) for k in range(len(targets))]
+    return 1e3 * np.mean(
+        [np.linalg.norm(tool[rows] - at, axis=1).mean() for rows, at in zip(last, targets, strict=True)]
+    )
+
+
+def replay(plant, log):
+    """Return positions (T, n) [rad] of a plant that gets the commands of a log `DELAY` after they were sent."""
+    plant.reset(log.position[:1])
+    ticks = np.rint((log.time - log.time[0]) * 1e3)
+    found = [plant.encoder()[0]]
+    for k in range(1, len(log)):
+        plant.command(log.command[k - 1][None], DELAY)
+        plant.advance((ticks[k] - ticks[k - 1]) / 1e3)
+        found.append(plant.encoder()[0])
+    return np.array(found)
+
+
+def _arm():
+    return load_arm("so101")
+
+
+if __name__ == "__main__":
+    if sys.argv[1] == "gains":
+        gains()
+    else:
+        predict(Path(sys.argv[1]), *map(int, sys.argv[2:]))

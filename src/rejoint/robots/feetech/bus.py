@@ -1,0 +1,266 @@
+"""An SO-100 or SO-101 on the bus of its servos: one synchronous read and one synchronous write a cycle.
+
+The arm is never dropped: torque is never switched off, and where it is off, the goal is set to where the joint is
+before it comes on. Nothing that the servos keep is written: their lock is shut, and of their settings none is changed
+but the gains that the address asks for, until the power goes.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Iterable, Sequence
+from functools import partial
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rejoint.arms import Arm, Array
+from rejoint.robots.bus import Bus, Reading
+from rejoint.robots.feetech.address import FeetechAddress
+from rejoint.robots.feetech.gains import HEAVIEST, HOTTEST, INTEGRAL_LIMIT, KNOBS, LIMITED, PAUSE, way
+from rejoint.robots.feetech.law import FULL, Law
+from rejoint.robots.feetech.wire import Wire
+from rejoint.robots.feetech.zeros import Counts, Zeros, read_calibration, zeros_of
+from rejoint.robots.link import persist
+from rejoint.system.errors import (
+    ConnectionLostError,
+    ImpossibleReplyError,
+    NoReplyError,
+    PowerLostError,
+    RobotError,
+    first_line,
+)
+
+T = TypeVar("T")
+
+MODELS = {777: "STS3215", 2825: "STS3250"}
+"""Servos with this register table and 4096 counts a turn"""
+LIMITS, SETTINGS, HOMING, MODE, TORQUE, GOAL, LOCK, PRESENT, LOAD, VOLTAGE = 9, 21, 31, 33, 40, 42, 55, 56, 60, 62
+"""Addresses of registers (Feetech's memory table of the STS/SMS series)."""
+BLOCK = 15
+"""registers from `PRESENT` on: position, speed, load, voltage, temperature, -, status, moving, goal, current"""
+FAULTS = {1: "voltage", 2: "encoder", 4: "heat", 8: "over-current", 32: "overload"}
+"""Bits of the status register."""
+SAGGING = 0.75
+"""share of the voltage at the start below which a supply sags (chosen: a motor has lost a quarter of its torque then,
+and servos go silent at about half of it)"""
+QUIET = 0.03
+"""[s] of silence after which no answer is on its way any more (chosen: longer than a USB adapter holds bytes back)"""
+RETRY = 0.05
+"""[s] between questions whether a silent servo is back (chosen)"""
+_ROW = struct.Struct("<HHHBBBBBHH")
+_DECI = 0.1
+
+
+class FeetechBus(Bus):
+    """The servos of one arm. The gripper's is left as it is."""
+
+    name = "SO-101"
+    advice = f"{Bus.advice} `rejoint emulate --arm so101` starts an arm to try"
+
+    def __init__(self, address: FeetechAddress, arm: Arm) -> None:
+        self.address, self._arm = address, arm
+        self._file = None if address.calibration is None else read_calibration(address.calibration, arm)
+        self.ids = self._file.ids if self._file is not None else tuple(range(1, arm.joints + 1))
+        self._wire: Wire | None = None
+        self._zeros: Zeros | None = None
+        self._laws: list[Law] = []
+        self._supply: Array | None = None
+        self._goal: Counts | None = None
+        self._was_ready = False
+
+    def open(self) -> None:
+        """Open the port."""
+        self._wire = Wire(self.address.port, self.address.baud)
+
+    def prepare(self, until: float | None = None) -> None:
+        """See that every servo is there and of a known kind, read its zero, and let it hold where it is."""
+        missing = []
+        for servo in self.ids:
+            try:
+                model = self._sure(partial(self.wire.model, servo), until)
+            except NoReplyError:
+                missing.append(servo)
+                continue
+            if model not in MODELS:
+                raise RobotError(f"{self._call(servo)} is of model {model}, expected {_listed(MODELS)}")
+        self._require(missing)
+        for servo in self.ids:
+            if self._register(servo, MODE, 1, until) != 0:
+                raise RobotError(f"{self._call(servo)} is not in position mode; set its register {MODE} to 0")
+        self._zeros = zeros_of(
+            self._arm, self._file, self._registers(HOMING, until, sign=11), self._registers(LIMITS, until),
+            self._registers(LIMITS + 2, until), self.address.zero,
+        )  # fmt: skip
+        self._hold(until)
+        for servo in self.ids:
+            self._tune(servo, until)
+        self._laws = [self._law(servo, until) for servo in self.ids]
+        if self._supply is None:
+            self._supply = _DECI * np.array([self._register(servo, VOLTAGE, 1, until) for servo in self.ids])
+        self._was_ready = True
+
+    def read(self) -> Reading:
+        """Ask all servos for what they measure."""
+        answers = self.wire.read_all(self.ids, PRESENT, BLOCK)
+        self._require([servo for servo in self.ids if servo not in answers])
+        columns = zip(*(_ROW.unpack(answers[servo]) for servo in self.ids), strict=True)
+        position, _, duty, volt, heat, _, status, _, goal, _ = columns  # plain numbers: five are too few for arrays
+        place, pushed = [_signed(word, 15) for word in position], [_signed(word, 10) for word in duty]
+        error = [_signed(word, 15) - here for word, here in zip(goal, place, strict=True)]
+        voltage = np.array(volt) * _DECI
+        sags = voltage < SAGGING * self.supply
+        return Reading(
+            position=self.zeros.radians(np.array(place)),
+            load=np.array([law.load(*seen) for law, *seen in zip(self._laws, pushed, error, strict=True)]),
+            voltage=voltage,
+            temperature=np.array(heat, float), fault=np.array([bits != 0 for bits in status]) | sags,
+            trouble=self._troubles(status, voltage, sags) if any(status) or sags.any() else None,
+        )  # fmt: skip
+
+    def send(self, goal: Array) -> None:
+        """Send a goal to every servo, clipped to its own limits; nobody answers."""
+        self._goal = self.zeros.counts(goal)
+        self._send(self._goal)
+
+    def stop(self) -> None:
+        """Send the last goals again.
+
+        They are a control step away at most; to hold the present position instead would let the arm sink by what its
+        servos give way.
+        """
+        if self._goal is not None:
+            self._send(self._goal)
+
+    def resynchronise(self, deadline: float) -> None:
+        """Drop late answers, and wait for servos that are silent; ConnectionLostError where they stay so."""
+        while self.wire.quieten(QUIET) and self.clock.now() < deadline:
+            pass
+        silent = list(self.ids)
+        while silent := [servo for servo in silent if not self.wire.answers(servo)]:
+            if self.clock.now() + RETRY > deadline:
+                raise ConnectionLostError(f"{self.address}: {_listed(map(self._call, silent))} stays silent")
+            self.clock.wait(RETRY)
+
+    def close(self) -> None:
+        """Release the port; the servos hold."""
+        wire, self._wire = self._wire, None
+        if wire is not None:
+            wire.close()
+
+    @property
+    def wire(self) -> Wire:
+        """The open port; OSError without one."""
+        if self._wire is None:
+            raise OSError("the port is not open")
+        return self._wire
+
+    @property
+    def zeros(self) -> Zeros:
+        """What counts mean, known once the arm was prepared."""
+        if self._zeros is None:
+            raise OSError("the servos were not asked for their zeros yet")
+        return self._zeros
+
+    @property
+    def supply(self) -> Array:
+        """(n,) [V] at the start."""
+        return np.zeros(len(self.ids)) if self._supply is None else self._supply
+
+    def _hold(self, until: float | None) -> None:
+        """Shut the locks, and switch torque on where it is off, each servo holding where it is."""
+        for servo in self.ids:
+            if self._register(servo, LOCK, 1, until) == 0:
+                self._sure(partial(self.wire.write, servo, LOCK, [1]), until)
+            if self._register(servo, TORQUE, 1, until) == 1:
+                continue
+            if self._was_ready:
+                raise PowerLostError(
+                    f"{self.address}: {self._call(servo)} has lost its torque, by a loss of power or its own "
+                    "protection; support the arm, then start again"
+                )
+            here = self._sure(partial(self.wire.read, servo, PRESENT, 2), until)
+            self._sure(partial(self.wire.write, servo, GOAL, here), until)
+            self._sure(partial(self.wire.write, servo, TORQUE, [1]), until)
+
+    def _tune(self, servo: int, until: float | None) -> None:
+        """Bring the gains of a servo in small steps to those of the address; RobotError where it does not bear them."""
+        for name, wanted in self.address.gains.items():
+            knob = KNOBS[name]
+            before = self._register(servo, knob.registers[0], 1, until)
+            if name == "i" and wanted:
+                self._sure(partial(self.wire.write, servo, INTEGRAL_LIMIT, [LIMITED]), until)
+            for value in way(before, wanted, knob.stride):
+                self._sure(partial(self.wire.write, servo, knob.registers[0], [value] * len(knob.registers)), until)
+                self.clock.wait(PAUSE)
+                load = _signed(self._register(servo, LOAD, 2, until), 10) / FULL
+                heat = self._register(servo, VOLTAGE + 1, 1, until)
+                if abs(load) > HEAVIEST or heat > HOTTEST:
+                    data = [before] * len(knob.registers)
+                    self._sure(partial(self.wire.write, servo, knob.registers[0], data), until)
+                    raise RobotError(
+                        f"{self._call(servo)} does not bear {name}={value}: load {100 * load:.0f} %, {heat} deg C; "
+                        f"{name} is {before} again"
+                    )
+
+    def _law(self, servo: int, until: float | None) -> Law:
+        """Read the settings in force that make a load of a duty."""
+        data = self._sure(partial(self.wire.read, servo, SETTINGS, 7), until)
+        return Law(p=data[0], startup=data[3], above=data[5], below=data[6])
+
+    def _registers(self, address: int, until: float | None, *, sign: int = 16) -> Counts:
+        """Two registers of every servo, as a number whose bit ``sign`` is its sign."""
+        words = [self._register(servo, address, 2, until) for servo in self.ids]
+        return np.array([_signed(word, sign) for word in words], dtype=np.int64)
+
+    def _register(self, servo: int, address: int, size: int, until: float | None) -> int:
+        return int.from_bytes(self._sure(partial(self.wire.read, servo, address, size), until), "little")
+
+    def _sure(self, question: Callable[[], T], until: float | None) -> T:
+        """Ask one servo, and again where its answer is lost or garbled: no connection can be made anew here."""
+
+        def once() -> T:
+            try:
+                return question()
+            except TimeoutError as error:
+                raise NoReplyError(f"{self.address}: {first_line(error)}") from error
+            except ValueError as error:
+                raise ImpossibleReplyError(f"{self.address}: {first_line(error)}") from error
+
+        return persist(once, lambda _error, _deadline: self._quieten(), self.clock, until)
+
+    def _quieten(self) -> None:
+        self.wire.quieten(QUIET)
+
+    def _send(self, goal: Counts) -> None:
+        self.wire.write_all(self.ids, GOAL, [row.tobytes() for row in goal.astype("<u2")])
+
+    def _require(self, missing: list[int]) -> None:
+        """Raise TimeoutError that names the ``missing`` servos, NoReplyError where there is none at all."""
+        if len(missing) == len(self.ids):
+            raise NoReplyError(f"{self.address}: no servo answers; is the arm's supply on, and its bus cable in?")
+        if missing:
+            raise TimeoutError(f"{_listed(map(self._call, missing))} is missing on the bus; check its cable")
+
+    def _call(self, servo: int) -> str:
+        return f"{self._arm.joint_names[self.ids.index(servo)]} (servo {servo})"
+
+    def _troubles(self, status: Sequence[int], voltage: Array, sags: NDArray[np.bool_]) -> tuple[str, ...]:
+        """Put into words what each servo complains of; empty for nothing."""
+        found = []
+        for bits, volt, sagging, before in zip(status, voltage, sags, self.supply, strict=True):
+            words = [name for bit, name in FAULTS.items() if bits & bit]
+            if sagging:
+                words.append(f"the supply sags to {volt:.1f} V from {before:.1f} V")
+            found.append(", ".join(words))
+        return tuple(found)
+
+
+def _signed(word: int, bit: int) -> int:
+    """Return a number that is written as its size and a ``bit`` for the sign."""
+    return -(word & ~(1 << bit)) if word & 1 << bit else word
+
+
+def _listed(names: Iterable[object]) -> str:
+    return ", ".join(map(str, names))

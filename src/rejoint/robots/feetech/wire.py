@@ -1,0 +1,148 @@
+"""The maker's client, `ftservo-python-sdk`, on any port of pyserial; what it reports becomes an error with a name.
+
+The client reads with a time-out of zero and so keeps a processor busy while it waits; its port is given one here. What
+a synchronous read did not bring is left from the read before: it is thrown away here first. It drops its input before
+every request, as this driver relies on.
+"""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Sequence
+from typing import Any
+
+import serial
+from scservo_sdk import (
+    COMM_PORT_BUSY,
+    COMM_RX_TIMEOUT,
+    COMM_SUCCESS,
+    COMM_TX_FAIL,
+    GroupSyncRead,
+    GroupSyncWrite,
+    PortHandler,
+    sms_sts,
+)
+from serial.urlhandler.protocol_socket import Serial as SocketSerial
+
+MODEL = 3
+"""Address of the register that tells a servo's kind"""
+WAIT = 0.02
+"""[s] of one look for bytes (chosen: between looks the client sees whether its 50 ms are over)"""
+
+
+class _Remote(SocketSerial):  # type: ignore[misc]  # pyserial has no types
+    """A port of another machine: small packets do not wait for each other, and a broken one is closed all the same."""
+
+    _socket: Any
+
+    def open(self) -> None:
+        """Connect."""
+        super().open()
+        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+
+    def close(self) -> None:
+        """Disconnect; pyserial's own way leaves the socket open where the other side has gone, and sleeps."""
+        line, self._socket, self.is_open = self._socket, None, False
+        if line is not None:
+            line.close()
+
+
+class _Port(PortHandler):  # type: ignore[misc]  # the maker's package has no types
+    """A port of the client that may lie behind a URL of pyserial, and sleeps while it waits."""
+
+    def setupPort(self, _rate: int) -> bool:  # noqa: N802 - the maker's name
+        """Open it; OSError where that fails."""
+        kind = _Remote if self.port_name.startswith("socket://") else serial.Serial
+        self.ser = kind(self.port_name, baudrate=self.baudrate, timeout=WAIT, write_timeout=0)
+        self.is_open = True
+        self.tx_time_per_byte = (1000.0 / self.baudrate) * 10.0
+        return True
+
+
+class Wire:
+    """An open bus. Methods raise TimeoutError, ValueError (garbled) or OSError (broken)."""
+
+    def __init__(self, port: str, baud: int) -> None:
+        self._port = _Port(port)
+        if not self._port.setBaudRate(baud):
+            raise ValueError(f"the maker's client knows no baud rate {baud}")
+        self._client = sms_sts(self._port)
+        self._blocks: dict[tuple[int, int], GroupSyncRead] = {}
+
+    def model(self, servo: int) -> int:
+        """Return the model number of a servo; the client's ping asks for it as well, but takes no late answer."""
+        return int.from_bytes(self.read(servo, MODEL, 2), "little")
+
+    def answers(self, servo: int) -> bool:
+        """Tell whether a servo answers."""
+        try:
+            self.model(servo)
+        except (TimeoutError, ValueError, IndexError):
+            return False
+        return True
+
+    def read(self, servo: int, address: int, size: int) -> bytes:
+        """Read ``size`` registers of a servo."""
+        self._free()
+        data, result, _ = self._client.readTxRx(servo, address, size)
+        _judge(result, servo)
+        if len(data) != size:
+            raise ValueError(f"servo {servo} answered {len(data)} bytes instead of {size}")
+        return bytes(data)
+
+    def write(self, servo: int, address: int, data: Sequence[int]) -> None:
+        """Write registers of a servo, which confirms it."""
+        self._free()
+        result, _ = self._client.writeTxRx(servo, address, len(data), list(data))
+        _judge(result, servo)
+
+    def read_all(self, servos: Sequence[int], address: int, size: int) -> dict[int, bytes]:
+        """Read the same ``size`` registers of all ``servos`` at once; those that did not answer are left out."""
+        self._free()
+        block = self._blocks.setdefault((address, size), GroupSyncRead(self._client, address, size))
+        for servo in servos:
+            block.data_dict[servo] = []  # what stands there is an answer to an earlier question
+        block.param = list(servos)
+        result = block.txPacket()
+        if result == COMM_SUCCESS:
+            block.rxPacket()
+        elif result in (COMM_PORT_BUSY, COMM_TX_FAIL):
+            raise OSError("the port did not take the request")
+        found = {servo: bytes(block.data_dict[servo] or ()) for servo in servos}
+        return {servo: data[1:] for servo, data in found.items() if len(data) == size + 1}
+
+    def write_all(self, servos: Sequence[int], address: int, data: Sequence[bytes]) -> None:
+        """Write registers of all ``servos`` at once; none of them answers."""
+        self._free()
+        block = GroupSyncWrite(self._client, address, len(data[0]))
+        for servo, part in zip(servos, data, strict=True):
+            block.addParam(servo, list(part))
+        if block.txPacket() != COMM_SUCCESS:
+            raise OSError("the port did not take the request")
+
+    def quieten(self, pause: float) -> bool:
+        """Throw away what lies there or comes within ``pause`` [s]; tell whether there was anything."""
+        line = self._port.ser
+        before, line.timeout = line.timeout, pause
+        try:
+            return bool(line.read(4096))
+        finally:
+            line.timeout = before
+
+    def close(self) -> None:
+        """Release the port; the servos hold."""
+        self._port.closePort()
+
+    def _free(self) -> None:
+        """Forget a request that an error cut short; the client would take the port for busy for good."""
+        self._port.is_using = False
+
+
+def _judge(result: int, servo: int) -> None:
+    if result == COMM_SUCCESS:
+        return
+    if result == COMM_RX_TIMEOUT:
+        raise TimeoutError(f"servo {servo} does not answer")
+    if result in (COMM_PORT_BUSY, COMM_TX_FAIL):
+        raise OSError("the port did not take the request")
+    raise ValueError(f"the answer of servo {servo} is garbled")

@@ -1,0 +1,330 @@
+"""The driver of an SO-101 on the maker's client, against the emulated bus; rows of docs/robots.md among them."""
+
+import json
+from contextlib import closing, contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rejoint.arms import load_arm
+from rejoint.control.integrator import IntegratorController
+from rejoint.control.loop import Schedule, run
+from rejoint.control.recording import recording_of
+from rejoint.lab.emulator.faults import parse_faults
+from rejoint.robots import open_robot, place_of
+from rejoint.robots.feetech.address import FeetechAddress
+from rejoint.robots.feetech.zeros import Zeros, read_calibration, zeros_of
+from rejoint.system.errors import (
+    AddressError,
+    ConnectionLostError,
+    FileError,
+    GuardTripError,
+    InputError,
+    MissingExtraError,
+    PowerLostError,
+    RobotError,
+)
+
+pytest.importorskip("scservo_sdk", reason="the maker's client is not installed: pip install 'rejoint[feetech]'")
+from rejoint.lab.emulator.feetech.arm import HOMING, NAMES, build_arm
+from rejoint.lab.emulator.feetech.emulate import serve_bus
+from rejoint.lab.emulator.feetech.session import BusSession
+from rejoint.robots.feetech.bus import FeetechBus
+
+ARM = load_arm("so101")
+TARGETS = np.array([[[0.33, 0.05, 0.22], [0.31, -0.05, 0.20]]])
+TORQUE, GOAL, LOCK = 40, 42, 55
+
+
+@contextmanager
+def serving(fault="", *, pty=False, arm=None):
+    faults = parse_faults(fault, 5)
+    arm = arm or build_arm(ARM, "so101", resistance=faults.sag)
+    with serve_bus(BusSession(arm, faults=faults), pty=pty) as server:
+        server.arm = arm
+        yield server
+
+
+def never_dropped(arm):
+    """Every servo kept its torque, and nothing that it keeps without power was written."""
+    for servo in arm.servos:
+        for address, data in servo.writes:
+            assert address in (TORQUE, GOAL, LOCK)
+            assert address == GOAL or data == b"\1"
+        assert servo["Torque_Enable"] == 1
+    return True
+
+
+def drive(fault, *, dwell=1.5):
+    """Drive to two targets with a fault; returns the recording, what ended it, and the arm."""
+    with serving(fault) as server:
+        robot = open_robot(server.address)
+        try:
+            return run(robot, IntegratorController(ARM), TARGETS, Schedule(dwell=dwell)), None, server.arm
+        except (RobotError, GuardTripError) as error:
+            return recording_of(error), error, server.arm
+        finally:
+            robot.close()
+
+
+def calibration(path, **changes):
+    spans = [(930, 3166), (910, 3186), (946, 3150), (967, 3129), (0, 4095), (1937, 3189)]
+    motors = {
+        name: {"id": i + 1, "drive_mode": 0, "homing_offset": HOMING[i], "range_min": low, "range_max": high}
+        for i, (name, (low, high)) in enumerate(zip(NAMES, spans, strict=True))
+    }
+    for name, change in changes.items():
+        motors[name] |= change
+    path.write_text(json.dumps(motors))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("text", "detail"),
+    [
+        ("feetech:///dev/ttyACM0", {"port": "/dev/ttyACM0"}),
+        ("feetech:///dev/x?baud=500000", {"port": "/dev/x", "baud": 500_000}),
+        ("feetech://pi.local", {"port": "socket://pi.local:9000"}),
+        ("feetech://10.0.0.7:81?zero=0,1,-2,0,0", {"port": "socket://10.0.0.7:81", "zero": (0.0, 1.0, -2.0, 0.0, 0.0)}),
+        ("feetech:///dev/x?calibration=my/arm.json", {"port": "/dev/x", "calibration": Path("my/arm.json")}),
+    ],
+)
+def test_known_addresses(text, detail):
+    place = place_of(text)
+    assert place.detail == FeetechAddress(text=text, **detail)
+    assert (place.default_arm, place.default_period, place.virtual) == ("so101", (0.020, 0.020), False)
+
+
+def test_gains_of_the_address_are_reached_in_small_steps_and_lost_with_the_power():
+    with serving() as server:
+        sagging = server.arm.angles
+        with closing(open_robot(f"{server.address}?p=48&i=2&dead=0")) as robot:
+            for _ in range(40):
+                state = robot.step(ARM.rest[None])
+        for servo in server.arm.servos[:5]:
+            written = [data[0] for address, data in servo.writes if address == 21]
+            assert written == [36, 40, 44, 48]
+            assert (servo["I_Coefficient"], servo["CW_Dead_Zone"], servo["CCW_Dead_Zone"], servo["Lock"]) == (
+                2,
+                0,
+                0,
+                1,
+            )
+            servo.cycle_power()
+            assert (servo["P_Coefficient"], servo["I_Coefficient"], servo["Integral_Limit"]) == (32, 0, 0)
+    assert np.abs(state.position[0] - ARM.rest).max() < np.abs(sagging - ARM.rest).max() + np.radians(1.0)
+
+
+def test_gains_that_a_servo_does_not_bear_are_taken_back():
+    arm = build_arm(ARM, "so101")
+    arm.ailments.warmth[1] = 32.0
+    with serving(arm=arm) as server, pytest.raises(AddressError, match=r"shoulder_lift .servo 2. does not bear p=36"):
+        open_robot(f"{server.address}?p=48")
+    assert arm.servos[1]["P_Coefficient"] == 32
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["feetech:", "feetech:///", "feetech://", "feetech:/x:y@", "feetech://h:0", "feetech:///dev/x?baud=fast",
+     "feetech://h:1?baud=9600", "feetech:///dev/x?speed=1", "feetech:///dev/x?zero=a", "feetech:///dev/x?zero=400",
+     "feetech:///dev/x?calibration=", "feetech:///dev/x?p=99", "feetech:///dev/x?i=x", "feetech://h:1/x"],
+)  # fmt: skip
+def test_malformed_addresses_name_their_form(text):
+    if text == "feetech:/x:y@":
+        assert place_of(text).detail.port == "/x:y@"
+        return
+    with pytest.raises(AddressError, match="feetech"):
+        place_of(text)
+
+
+@settings(deadline=None)
+@given(
+    angles=st.lists(st.floats(-1.5, 1.5), min_size=5, max_size=5),
+    middle=st.lists(st.integers(1500, 2500), min_size=5, max_size=5),
+)
+def test_goals_come_back_within_half_a_count(angles, middle):
+    zeros = Zeros(middle=np.array(middle) / 1.0, zero=np.full(5, 0.1), low=np.zeros(5, int), high=np.full(5, 4095))
+    back = zeros.radians(zeros.counts(np.array(angles)))
+    assert np.abs(back - angles).max() <= np.pi / 4096 + 1e-12
+
+
+def test_goals_are_clipped_to_what_the_servos_take():
+    zeros = zeros_of(ARM, None, np.zeros(5, int), np.full(5, 1000), np.full(5, 3000), ())
+    assert (zeros.counts(np.full(5, 3.0)) == 3000).all()
+    assert (zeros.counts(np.full(5, -3.0)) == 1000).all()
+    assert (zeros.middle == 2000).all()
+
+
+def test_a_calibration_must_be_one_and_that_of_this_arm(tmp_path):
+    file = read_calibration(calibration(tmp_path / "a.json"), ARM)
+    assert file.ids == (1, 2, 3, 4, 5)
+    limits = np.zeros(5, int), np.full(5, 4095)
+    assert (zeros_of(ARM, file, np.array(HOMING[:5]), *limits, ()).middle == (file.low + file.high) / 2).all()
+    with pytest.raises(RobotError, match="elbow_flex has a homing offset of 5 counts"):
+        zeros_of(ARM, file, np.array([HOMING[0], HOMING[1], 5, HOMING[3], HOMING[4]]), *limits, ())
+    with pytest.raises(InputError, match="needs 5 angles"):
+        zeros_of(ARM, file, np.array(HOMING[:5]), *limits, (1.0, 2.0))
+    with pytest.raises(InputError, match="ranges must rise"):
+        read_calibration(calibration(tmp_path / "b.json", elbow_flex={"range_max": 10}), ARM)
+    with pytest.raises(FileError, match="no such file"):
+        read_calibration(tmp_path / "c.json", ARM)
+
+
+@pytest.mark.parametrize("pty", [False, True])
+def test_an_arm_is_read_and_goes_where_it_is_sent(pty):
+    with serving(pty=pty) as server, closing(open_robot(server.address)) as robot:
+        state = robot.read()
+        assert state.position[0] == pytest.approx(ARM.rest, abs=np.radians(0.2))
+        assert state.load[0] == pytest.approx(server.arm.plant.load[0], abs=0.0081)
+        lead = server.arm.plant.status["goal"][0] - server.arm.plant.status["position"][0]
+        assert state.load[0] == pytest.approx(lead * 8 / 1000, abs=1e-9)
+        assert (state.voltage == 12.0).all()
+        assert (state.temperature < 30).all()
+        assert not state.fault.any()
+        goal = ARM.rest + np.radians([8, 5, -5, 8, 8])
+        for share in np.linspace(0, 1, 30):
+            state = robot.step(ARM.rest[None] + share * (goal - ARM.rest))
+        for _ in range(15):
+            state = robot.step(goal[None])
+        assert state.position[0] == pytest.approx(goal, abs=np.radians(6.0))
+        assert never_dropped(server.arm)
+
+
+def test_a_calibration_file_and_a_zero_of_the_owner_shift_the_angles(tmp_path):
+    file = calibration(tmp_path / "arm.json", elbow_flex={"range_min": 946 + 20, "range_max": 3150 + 20})
+    with serving() as server:
+        with closing(open_robot(f"{server.address}?calibration={file}")) as robot:
+            shifted = robot.read().position[0]
+        with closing(open_robot(f"{server.address}?zero=0,0,0,5,0")) as robot:
+            turned = robot.read().position[0]
+    assert np.degrees(shifted - ARM.rest) == pytest.approx([0, 0, -20 * 360 / 4096, 0, 0], abs=0.2)
+    assert np.degrees(turned - ARM.rest) == pytest.approx([0, 0, 0, 5, 0], abs=0.2)
+
+
+def test_torque_comes_on_where_the_arm_is_and_locks_are_shut():
+    arm = build_arm(ARM, "so101")
+    for index, servo in enumerate(arm.servos):
+        servo["Torque_Enable"], servo["Lock"], servo["Goal_Position"] = 0, 0, 3000
+        arm.settle(index)
+    arm.advance(0.2)
+    limp = arm.angles
+    with serving(arm=arm) as server, closing(open_robot(server.address)) as robot:
+        held = robot.read().position[0]
+        assert held == pytest.approx(limp, abs=np.radians(2.5))
+    for servo in arm.servos[:5]:
+        goals = [int.from_bytes(data, "little") for address, data in servo.writes if address == GOAL]
+        order = [address for address, _ in servo.writes]
+        assert order.index(GOAL) < order.index(TORQUE)
+        assert abs(goals[0] - servo["Present_Position"]) < 30
+        assert servo["Lock"] == servo["Torque_Enable"] == 1
+    assert arm.servos[5].writes == []  # the gripper is left as it is
+    assert arm.servos[5]["Torque_Enable"] == 0
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"ID": 9}, "elbow_flex .servo 3. is missing"),
+        ({"Model_Number": 1284}, "elbow_flex .servo 3. is of model 1284"),
+        ({"Operating_Mode": 1}, "elbow_flex .servo 3. is not in position mode"),
+    ],
+)
+def test_a_servo_that_cannot_be_driven_is_named(change, says):
+    arm = build_arm(ARM, "so101")
+    for name, value in change.items():
+        arm.servos[2][name] = value
+    with serving(arm=arm) as server, pytest.raises(AddressError, match=says):
+        open_robot(server.address)
+    assert never_dropped(arm)
+
+
+def test_an_arm_that_lost_its_torque_meanwhile_is_not_switched_on_again():
+    arm = build_arm(ARM, "so101")
+    with serving(arm=arm) as server, closing(FeetechBus(place_of(server.address).detail, ARM)) as bus:
+        bus.open()
+        bus.prepare()
+        bus.close()
+        arm.servos[3].cycle_power()
+        arm.settle(3)
+        bus.open()
+        with pytest.raises(PowerLostError, match=r"wrist_flex .servo 4. has lost its torque"):
+            bus.prepare()
+    assert arm.servos[3]["Torque_Enable"] == 0
+
+
+def test_without_the_client_the_extra_is_named(monkeypatch):
+    monkeypatch.setattr("rejoint.system.extras.find_spec", lambda name: None if name == "scservo_sdk" else object())
+    with pytest.raises(MissingExtraError, match=r"rejoint.feetech"):
+        open_robot("feetech://127.0.0.1:1")
+
+
+def test_where_nothing_is_the_error_is_one_line():
+    for address in ("feetech://127.0.0.1:1", "feetech:///dev/nosuchport"):
+        with pytest.raises(AddressError, match="nothing answers at") as caught:
+            open_robot(address)
+        assert "\n" not in str(caught.value)
+
+
+@pytest.mark.realtime
+def test_a_lossy_bus_is_got_over():
+    recording, error, arm = drive("drop=0.005,garbage=0.01,half=0.005,echo=0.005,double=0.01,stall=0.3/1.2")
+    assert error is None
+    assert np.isfinite(recording.position).all()
+    assert never_dropped(arm)
+
+
+@pytest.mark.realtime
+def test_a_servo_that_is_silent_for_two_seconds_is_waited_for():
+    recording, error, arm = drive("mute=2@0.7/2", dwell=2.0)
+    assert error is None
+    assert np.diff(recording.time[:, 0]).max() > 1.5
+    assert never_dropped(arm)
+
+
+@pytest.mark.realtime
+def test_a_servo_that_stays_silent_is_named_and_the_arm_holds(monkeypatch):
+    monkeypatch.setattr("rejoint.robots.link.TIMEOUT", 2.0)
+    monkeypatch.setattr("rejoint.robots.link.SILENCE", 1.0)
+    recording, error, arm = drive("mute=2@1/60")
+    assert isinstance(error, ConnectionLostError)
+    assert "shoulder_lift (servo 2)" in str(error)
+    assert len(recording.time) > 10
+    assert never_dropped(arm)
+
+
+@pytest.mark.realtime
+@pytest.mark.parametrize(
+    ("fault", "says"),
+    [
+        ("overload=3@1", "elbow_flex reports a servo fault (overload)"),
+        ("voltage@1", "the supply sags to 7.0 V from 12.0 V"),
+        ("sag=12", "the supply sags to"),
+        ("overheat=2@0", "shoulder_lift is at"),
+    ],
+)
+def test_what_servos_suffer_from_is_named_and_holds_the_arm(fault, says):
+    _, error, arm = drive(fault)
+    assert isinstance(error, GuardTripError)
+    assert says in str(error)
+    assert never_dropped(arm)
+
+
+@pytest.mark.realtime
+def test_a_cable_that_is_pulled_and_put_back_is_taken_up_again():
+    recording, error, arm = drive("gone=0.7/1")
+    assert error is None
+    assert np.diff(recording.time[:, 0]).max() > 0.9
+    assert never_dropped(arm)
+
+
+@pytest.mark.realtime
+def test_a_cable_that_stays_out_ends_the_run_and_keeps_the_log(monkeypatch):
+    monkeypatch.setattr("rejoint.robots.link.TIMEOUT", 1.5)
+    recording, error, arm = drive("gone=1/60")
+    assert isinstance(error, ConnectionLostError)
+    assert len(recording.time) > 10
+    assert "holds there" in error.__notes__[-1]
+    assert never_dropped(arm)

@@ -1,0 +1,39 @@
+"""Loads that a driver tells of duties, against the law that made the duties."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rejoint.lab.plant.bareservo import BareServos
+from rejoint.robots.feetech.gains import KNOBS, way
+from rejoint.robots.feetech.law import Law
+
+
+@settings(deadline=None)
+@given(
+    error=st.integers(-90, 90), p=st.sampled_from([8, 16, 32]), startup=st.integers(0, 40), dead=st.integers(0, 4)
+)  # fmt: skip
+def test_the_load_of_a_servo_at_rest_is_its_gain_times_its_error(error, p, startup, dead):
+    servo = BareServos(1)
+    servo.settings["p"], servo.settings["startup"] = p, startup
+    servo.settings["dead_cw"] = servo.settings["dead_ccw"] = dead
+    servo.status["goal"] = error
+    servo.advance(0.4, blocked=True)
+    law = Law(p=p, startup=startup, above=dead, below=dead)
+    assert law.load(int(servo.status["output"][0]), error) == pytest.approx(error * p / 4 / 1000, abs=0.0011)
+
+
+@given(duty=st.integers(-1023, 1023))
+def test_loads_keep_the_sign_and_the_size_of_their_duty(duty):
+    load = Law(p=32, startup=16, above=1, below=1).load(duty)
+    assert abs(load) <= 1.0
+    assert abs(load - duty / 1000) <= 0.024
+    assert load * duty >= 0.0
+
+
+@given(before=st.integers(0, 254), wanted=st.integers(0, 254), name=st.sampled_from(sorted(KNOBS)))
+def test_gains_change_in_small_steps_and_arrive(before, wanted, name):
+    steps = way(before, wanted, KNOBS[name].stride)
+    assert np.abs(np.diff([before, *steps])).max(initial=0) <= KNOBS[name].stride
+    assert [before, *steps][-1] == wanted
