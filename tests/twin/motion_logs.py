@@ -1,5 +1,7 @@
 """Logs of an SO-101 whose truth is known, because it is a twin: several motions, on a table or in free space."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from rejoint.arms import so101
@@ -9,7 +11,7 @@ from rejoint.twin.profile import Profile
 from rejoint.twin.reference import Reference
 from rejoint.twin.simulation import Draw, Simulation
 
-ARM = so101()
+ARM = replace(so101(), servos=())  # its truths are drawn for each joint by itself
 STEP, PERIOD = 0.005, 0.02
 TRUTH = TwinParameters(
     stiffness=[20.0, 17.0, 18.0, 15.0, 18.0], damping=[1.4, 1.0, 1.1, 0.9, 1.2], coulomb=[0.15, 0.4, 0.5, 0.2, 0.18],

@@ -7,7 +7,8 @@ import pytest
 
 from rejoint.arms import Arm, Box, gravity_torque, mycobot280, so101
 from rejoint.lab.plant.wear import load_wear
-from rejoint.twin.parameters import healthy_parameters, nominal_parameters, prior, unpack
+from rejoint.twin.parameters import Layout, healthy_parameters, nominal_parameters, prior, unpack
+from rejoint.twin.unknown import UNKNOWN_PARAMETERS, unknown_prior
 
 ARM = mycobot280()
 
@@ -57,3 +58,25 @@ def test_the_bounds_of_the_so101_hold_the_plants_it_may_meet(profile):
         assert (value > 1.5 * getattr(lower, name)).all(), name
         assert (1.5 * value < getattr(upper, name)).all(), name
     assert (np.abs(wear.offset) < 0.5 * upper.offset).all()
+
+
+def test_joints_with_servos_of_one_kind_share_what_a_kind_determines():
+    """Two of a kind differ by its spread; each by itself is as uncertain as a joint of which nothing is known."""
+    arm = dataclasses.replace(so101(), servos=("big", "big", "", "big", "small"))
+    belief, alone = unknown_prior(arm), unknown_prior(dataclasses.replace(arm, servos=()))
+    np.testing.assert_array_equal(belief.sigma, alone.sigma)
+    np.testing.assert_array_equal(belief.groups(5), [0, 0, 2, 0, 4])
+    np.testing.assert_array_equal(alone.groups(5), np.arange(5))
+    np.testing.assert_allclose(alone.precision, np.diag(alone.sigma**-2), rtol=1e-12)
+    covariance, layout = np.linalg.inv(belief.precision), Layout(5)
+    for p in UNKNOWN_PARAMETERS:
+        own = covariance[layout.at(p.name), layout.at(p.name)]
+        np.testing.assert_allclose(np.diag(own), p.sigma**2, rtol=1e-9)
+        if p.per_joint and p.alike is not None:
+            apart = own[0, 0] + own[1, 1] - 2 * own[0, 1]
+            assert apart == pytest.approx(2 * p.alike**2)
+            assert own[0, 3] == pytest.approx(own[0, 1])
+            own[np.ix_([0, 1, 3], [0, 1, 3])] = 0.0
+        np.testing.assert_allclose(own - np.diag(np.diag(own)), 0.0, atol=1e-12)
+    assert {p.name for p in UNKNOWN_PARAMETERS if p.alike} == {"stiffness", "damping", "armature", "torque_limit"}
+    assert prior(arm).correlation is None  # an excitation tells the joints of a worn arm apart by itself

@@ -55,6 +55,7 @@ class Draft:
     floor: float | None = None
     encoder_step: float | None = None
     servo_acceleration: float = np.inf
+    servos: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
 
 
@@ -88,6 +89,7 @@ def finish(draft: Draft, seed: int = 0) -> Loaded:
         floor=0.0 if floor is None else floor,
         encoder_step=step,
         servo_acceleration=draft.servo_acceleration,
+        servos=draft.servos,
     )
     if floor is None:
         arm = replace(arm, floor=round(FLOOR_RATIO * reach(arm), 3))

@@ -26,6 +26,13 @@ Published = Annotated[
     list[str] | None,
     typer.Option(help="FILE or NAME=FILE: a published parameter set (TOML) to judge beside the twin; repeatable."),
 ]
+HeldOut = Annotated[
+    list[str] | None,
+    typer.Option(
+        help="Motion to keep from the fit and judge it by; repeatable. none: judge it on what it has seen. By default "
+        "a quarter of the motions is drawn."
+    ),
+]
 
 
 def diagnose_from_logs(terminal: Terminal, job: Run, logs: Path, good: Path | None) -> None:
@@ -37,11 +44,14 @@ def diagnose_from_logs(terminal: Terminal, job: Run, logs: Path, good: Path | No
     terminal.finish({"run": str(job.path), "diagnosis": found})
 
 
-def identify_from_logs(terminal: Terminal, job: Run, logs: Path, published: list[str] | None) -> None:
+def identify_from_logs(
+    terminal: Terminal, job: Run, logs: Path, published: list[str] | None, hold_out: list[str] | None
+) -> None:
     """Fit a twin to the run logs in a folder, judge it, and write both and the report into a run folder."""
     beside = read_sets(published, job.arm)
     with terminal.progress("identifying") as update:
-        twin = rejoint.identify(logs, run=job, beside=beside, on_progress=update)
+        kept = None if not hold_out else [name for name in hold_out if name != "none"]
+        twin = rejoint.identify(logs, run=job, beside=beside, hold_out=kept, on_progress=update)
     show.twin(terminal, twin)
     if twin.judgement is not None:
         show_errors(terminal, twin.judgement)
@@ -50,7 +60,7 @@ def identify_from_logs(terminal: Terminal, job: Run, logs: Path, published: list
     terminal.result(f"Report: {path}")
     terminal.finish({
         "run": str(job.path), "twin": str(job.folder.twin), "report": str(path), "fitted": twin.fitted,
-        "judgement": twin.judgement,
+        "notes": twin.notes, "judgement": twin.judgement,
     })  # fmt: skip
 
 

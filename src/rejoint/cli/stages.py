@@ -73,6 +73,7 @@ def identify(
     logs: opt.LogsOption = None,
     folder: opt.RunOption = None,
     published: offline.Published = None,
+    hold_out: offline.HeldOut = None,
     arm: opt.ArmOption = None,
     base: opt.Base = None,
     tip: opt.Tip = None,
@@ -90,17 +91,18 @@ def identify(
     require("rejoint identify", "train", *(() if logs is None else ("report",)))  # logs end in a report at once
     if logs is not None:
         job = opt.run_of_logs(opt.choose_arm(terminal, arm, base, tip), logs, folder, seed or 0)
-        offline.identify_from_logs(terminal, job, logs, published)
+        offline.identify_from_logs(terminal, job, logs, published, hold_out)
         return
-    if folder is not None or published:
-        raise InputError("--run and --published go with --logs; without it, name the run folder alone")
+    if folder is not None or published or hold_out:
+        raise InputError("--run, --published and --hold-out go with --logs; without it, name the run folder alone")
     assert run is not None  # noqa: S101 - for the type checker; one of the two is given
     job = Run.open(run)
     with terminal.progress("identifying") as update:
         twin = rejoint.identify(run=job, seed=seed, quick=quick, on_progress=update)
     show.twin(terminal, twin)
     terminal.result(f"Next: rejoint train {run}")
-    terminal.finish({"run": str(run), "twin": str(job.folder.twin), "held_out": twin.held_out})
+    terminal.finish({"run": str(run), "twin": str(job.folder.twin), "held_out": twin.held_out,
+                     "notes": twin.notes})  # fmt: skip
 
 
 def train(

@@ -89,7 +89,7 @@ def jackknife(prior: Prior, curvatures: Array, scores: Array) -> Array:
     Spread of the estimates without each cluster, plus the inverse curvature: each alone is too small where the
     twin's structure is not the arm's. Scaled so that intervals of a normal distribution are as wide as Student's.
     """
-    count, precision = len(scores), np.diag(prior.sigma**-2)
+    count, precision = len(scores), prior.precision
     whole = curvatures.sum(axis=0)
     without = np.linalg.solve(whole - curvatures + precision, scores.sum(axis=1)[..., None])[..., 0]
     inverse = np.linalg.inv(whole + precision)
@@ -100,7 +100,7 @@ def jackknife(prior: Prior, curvatures: Array, scores: Array) -> Array:
 
 def _averaged(problem: Problem, curvatures: Array, scores: Array) -> Array:
     """Covariance (k, k) from many clusters that are alike: scores and curvature averaged."""
-    count, precision = len(scores), np.diag(problem.prior.sigma**-2)
+    count, precision = len(scores), problem.prior.precision
     curvature = curvatures.sum(axis=0)
     inverse = np.linalg.inv(curvature + precision)
     spread = np.einsum("gja,gjb->ab", scores, scores) * count / max(count - 1, 1)  # joints count as independent
@@ -116,7 +116,7 @@ def _by_cluster(
     rows = [np.flatnonzero(clusters == g) for g in range(count)]
     for joint in range(problem.joints):
         place = problem.columns(joint)
-        weight = fit.weights.precision[joint] * influence(residual[:, joint])
+        weight = fit.weights.precision[:, joint] * influence(residual[:, joint])
         pull = weight * residual[:, joint]
         for g, own in enumerate(rows):
             slopes = jacobian[own, joint]
@@ -138,8 +138,8 @@ def _steadied(problem: Problem, fit: Fit, jacobian: Array, covariance: Array) ->
     for joint, place in enumerate(own):
         columns = np.searchsorted(problem.columns(joint), place)
         scaled = jacobian[:, joint][:, columns] * prior.sigma[place]
-        weight = fit.weights.precision[joint]
-        _, vectors = np.linalg.eigh(scaled.T @ scaled * weight)
+        weight = fit.weights.precision[:, joint]
+        _, vectors = np.linalg.eigh(scaled.T @ (scaled * weight[:, None]))
         spread = covariance[np.ix_(place, place)] / np.outer(prior.sigma[place], prior.sigma[place])
         size = np.minimum(REACH * np.sqrt(np.einsum("ai,ab,bi->i", vectors, spread, vectors)), 1.0)
         moves[:, place] = (vectors * size).T * prior.sigma[place]
@@ -147,13 +147,13 @@ def _steadied(problem: Problem, fit: Fit, jacobian: Array, covariance: Array) ->
         sizes.append(size)
     tried = np.clip(np.vstack([fit.vector, fit.vector + moves, fit.vector - moves]), prior.lower, prior.upper)
     residuals = problem.residuals(tried)
-    losses = loss(residuals).sum(axis=1) * fit.weights.precision
+    losses = (loss(residuals) * fit.weights.precision).sum(axis=1)
     shown = losses[1 : 1 + len(moves)] + losses[1 + len(moves) :] - 2.0 * losses[0]
     steady = jacobian.copy()
     for joint, (place, vectors, size) in enumerate(zip(own, axes, sizes, strict=True)):
         columns = np.searchsorted(problem.columns(joint), place)
         along = (jacobian[:, joint][:, columns] * prior.sigma[place]) @ vectors * size
-        weight = fit.weights.precision[joint] * influence(residuals[0][:, joint])
+        weight = fit.weights.precision[:, joint] * influence(residuals[0][:, joint])
         claimed = np.maximum((along**2 * weight[:, None]).sum(axis=0), 1e-12)
         share = np.sqrt(np.clip(shown[:, joint] / claimed, LEAST_SHARE, 1.0))
         steady[:, joint, columns] = (along / size * share) @ vectors.T / prior.sigma[place]

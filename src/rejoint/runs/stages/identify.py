@@ -28,6 +28,7 @@ def identify(
     arm: ArmLike | None = None,
     run: RunLike | None = None,
     beside: Sequence[Candidate] = (),
+    hold_out: Sequence[str] | None = None,
     seed: int | None = None,
     quick: bool = False,
     on_progress: Progress = no_progress,
@@ -47,8 +48,12 @@ def identify(
         run, or its folder, into which ``twin.toml`` is written; without one nothing is written
     beside
         other twins, such as published ones, to judge beside the fitted one on logs of any motion
+    hold_out
+        labels of the motions to keep from the fit and judge it by; empty to judge it on the motions it has seen; by
+        default a quarter of the motions is drawn, of few motions the end of each is taken. Once judged, the twin is
+        fitted to all motions
     seed
-        of the search; by default that of the run, else 0
+        of the search, and of what is held out; by default that of the run, else 0
     quick
         search less, for a first try: the fit is worse
     on_progress
@@ -87,7 +92,8 @@ def identify(
         motions = as_logs(logs)
         if about is None and all(is_excitation(log) for log in motions):
             return _from_excitation(chosen, motions, seed or 0, on_progress, quick=quick)
-        twin = _from_any_motion(chosen, motions, beside, on_progress, quick=quick)
+        drawn = seed if seed is not None else about.seed if about is not None else 0
+        twin = _from_any_motion(chosen, motions, beside, hold_out, drawn, on_progress, quick=quick)
         if about is not None:
             _write(about.begin(), twin)
             mark_quick(about, quick=quick)
@@ -105,12 +111,23 @@ def _from_excitation(arm: Arm, logs: Sequence[RunLog], seed: int, on_progress: P
 
 
 def _from_any_motion(
-    arm: Arm, logs: Sequence[RunLog], beside: Sequence[Candidate], on_progress: Progress, *, quick: bool
+    arm: Arm,
+    logs: Sequence[RunLog],
+    beside: Sequence[Candidate],
+    hold_out: Sequence[str] | None,
+    seed: int,
+    on_progress: Progress,
+    *,
+    quick: bool,
 ) -> Twin:
-    from rejoint.twin.fromlogs import LogSettings, identify_logs
+    from rejoint.twin.fromlogs import identify_logs
+    from rejoint.twin.holdout import HoldOut
+    from rejoint.twin.motionfit import LogSettings
 
-    few = LogSettings(coarse_seconds=20.0, fit_seconds=20.0, fast_seconds=5.0, contact_seconds=20.0)
-    found = identify_logs(arm, logs, few if quick else LogSettings(), on_progress, beside)
+    settings = LogSettings(hold_out=HoldOut(names=None if hold_out is None else tuple(hold_out), seed=seed))
+    if quick:
+        settings = replace(settings, coarse_seconds=20.0, fit_seconds=20.0, fast_seconds=5.0, contact_seconds=20.0)
+    found = identify_logs(arm, logs, settings, on_progress, beside)
     return replace(found.twin, judgement=found.judgement, fitted=found.fitted)
 
 
