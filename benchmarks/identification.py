@@ -85,8 +85,8 @@ def folds(arm: Arm, logs: Sequence[RunLog]) -> None:
     for part, errors in per_motion.items():
         tcp = 1e3 * np.array([e.tcp for e in errors if e is not None])
         deg = np.degrees([e.joint for e in errors if e is not None])
-        print(f"\n{part}, {len(tcp)} motions, each held out once: TCP {tcp.mean():.2f} mm (median {np.median(tcp):.2f}), "
-              f"joints {deg.mean():.3f} deg (median {np.median(deg):.3f})")  # fmt: skip
+        print(f"\n{part}, {len(tcp)} motions, each held out once: TCP {tcp.mean():.2f} mm "
+              f"(median {np.median(tcp):.2f}), joints {deg.mean():.3f} deg (median {np.median(deg):.3f})")  # fmt: skip
     for k, errors in enumerate(whole):
         print(f"fold {k}: {mm_deg(errors)}")
 

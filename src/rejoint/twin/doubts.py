@@ -51,7 +51,7 @@ def doubts(arm: Arm, logs: Sequence[RunLog], rows: Sequence[Exclusions], paths: 
         found.append("the readings are copies of the commands, and show nothing of the arm")
     elif not EARLIEST <= lag <= LATEST:
         found.append(
-            f"the readings follow the commands by {lag:.2f} s, expected {EARLIEST:g} to {LATEST:g} s: their clocks differ"
+            f"the readings follow the commands by {lag:.2f} s, expected {EARLIEST:g} to {LATEST:g} s: clocks differ"
         )
     twins = [paths[name] for name in list(paths)[1:]]
     delayed = [_delayed(log, lag) for log in logs]

@@ -32,7 +32,6 @@ from rejoint.twin.structure import (
     rough_fit,
     simplest,
 )
-from rejoint.twin.uncertainty import CLUSTER
 from rejoint.twin.unknown import unknown_prior
 
 CLUSTERED = 8
@@ -43,20 +42,21 @@ STRIDE = 2.5
 """Finite-difference steps over those for an excitation, 11 % of a stiffness: along the common scale of a joint's
 torques, which logs hardly fix, smaller ones measure stick-slip (measured on one pair of disjoint halves of a real
 low-cost arm's logs: with 4.5 % the elbow's stiffnesses end 60 % apart, with 12 % they end 12 % apart)"""
-REFINEMENT = 2
-"""Steps of the final descent, which starts at the optimum of a part of its data, with the finite differences of an
-excitation: large ones stop short of the optimum (chosen: two more change held-out errors by less than 0.05 mm)"""
-MEMORY = CLUSTER
-"""[s] of motion that count as one observation beside the prior, as they do for the intervals of an excitation. By their
-autocorrelation 0.1 to 0.4 s would, and a single motion then overrules the prior where it hardly tells (measured: an
-inertia of the shoulder pan three times that of the other motions, for 1 % of the loss)"""
+REFINEMENT = 6
+"""Most steps of the final descent, which starts at the optimum of a part of its data, with the finite differences of an
+excitation: large ones stop short of the optimum (chosen: two or three do on a real low-cost arm)"""
+MEMORY = 1.0
+"""[s] of motion that count as one observation beside the prior. By their autocorrelation 0.1 to 0.4 s would, and a single
+motion then overrules the prior where it hardly tells (measured: an inertia of the shoulder pan three times that of the
+other motions, for 1 % of the loss). With 3 s the prior overruled a minute of a lone servo (measured, by others), and
+on a real low-cost arm nothing is gained by them (four folds: 2.45 mm with 3 s and 2.46 mm with 1 s, a single trial)"""
 
 FREEDOM = 4.0
 """Degrees of freedom of the errors of windows (chosen, as usual: one five times as far off as the typical one counts a
 sixth of it)"""
 
-SHORTEST = 20.0
-"""[s] of free motion below which an identification is refused (chosen, as for an excitation)"""
+SHORTEST = 10.0
+"""[s] of free motion below which an identification is refused (chosen: ten observations of each joint)"""
 
 
 @dataclass(frozen=True, kw_only=True)
