@@ -7,7 +7,10 @@ import pytest
 import rig
 
 from rejoint.logs.exclusions import find_exclusions, table_height
+from rejoint.system.errors import InputError
+from rejoint.twin.conditions import GAIN, TORQUE_OFF, declare, gains, powered
 from rejoint.twin.fromlogs import FITTED, identify_logs
+from rejoint.twin.holdout import HoldOut
 from rejoint.twin.judge import Candidate, judge
 from rejoint.twin.motionfit import LogSettings
 
@@ -55,3 +58,31 @@ def test_dead_readings_and_a_stop_of_a_lone_servo_are_found():
     pressed = log.command[:, 0] > 0.4 + np.radians(12.0)
     assert pressed.sum() > 100
     assert find_exclusions(rig.ARM, [replace(log, position=blocked)])[0].stop[pressed].mean() > 0.9
+
+
+def test_gains_and_spans_without_torque_can_be_declared():
+    """Motions at two gains make one twin, of the gain that is one; what is recorded without torque is left out."""
+    soft = [rig.record(1.5, rig.Motion(seed=k, steps=k % 2 == 1)) for k in range(2)]
+    stiff = [rig.record(3.0, rig.Motion(seed=10 + k, steps=k % 2 == 1)) for k in range(2)]
+    limp = soft[0].position.copy()
+    limp[300:500] = 0.0
+    logs = declare([replace(soft[0], position=limp), *soft[1:], *stiff], GAIN, {"motion0": "0.5", "motion1": "0.5"})
+    logs = declare(logs, TORQUE_OFF, {"motion0": "3-5"})
+    found = identify_logs(rig.ARM, logs, replace(SETTINGS, hold_out=HoldOut(names=("motion11",))))
+    assert float(found.twin.parameters.stiffness[0]) == pytest.approx(3.0, rel=0.15)
+    assert found.fitted == ("motion0 (1)", "motion0 (2)", "motion1", "motion10")
+    pieces = powered(logs[:1])
+    assert pieces[0].time[-1] - logs[0].time[0] < 3.0
+    assert pieces[1].time[0] - logs[0].time[0] > 5.0
+    np.testing.assert_array_equal(gains(pieces[1]), [0.5])
+
+
+def test_declarations_that_make_no_sense_are_refused():
+    logs = [rig.record(1.0, rig.Motion(seed=0, seconds=1.0))]
+    for key, values, says in (
+        (GAIN, {"elsewhere": "1"}, "no motion elsewhere"), (GAIN, {"motion0": "0"}, "above zero"),
+        (GAIN, {"motion0": "1 2"}, "one number above zero, or 1"), (GAIN, {"motion0": "half"}, "not a number"),
+        (TORQUE_OFF, {"motion0": "5-3"}, "from and to"), (TORQUE_OFF, {"motion0": "3"}, "from and to"),
+    ):  # fmt: skip
+        with pytest.raises(InputError, match=says):
+            declare(logs, key, values)

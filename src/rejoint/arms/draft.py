@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from rejoint.arms.arm import Arm, Array, Box
 from rejoint.arms.inertia import SpatialInertia, link_ends, plausible_links
-from rejoint.arms.workspace import derive_targets, derive_workspace, reach
+from rejoint.arms.kinematics import tcp_position
+from rejoint.arms.workspace import derive_targets, derive_workspace, on_a_surface, reach
 from rejoint.system.errors import InputError
 
 DEFAULT_SPEED = np.radians(90.0)
@@ -22,6 +23,9 @@ DEFAULT_SPEED = np.radians(90.0)
 
 DEFAULT_ENCODER_STEP = 2 * np.pi / 4096
 """[rad] URDF and MJCF say nothing about encoders; 12 bits a turn, as hobby servos have (chosen)"""
+
+POINT = 1e-3
+"""[m] around the resting TCP: the targets of an arm that has no region of them (chosen)"""
 
 FLOOR_RATIO = 0.04
 """Default floor above the base's origin by the summed link lengths (chosen: 20 mm for a myCobot 280)"""
@@ -101,6 +105,13 @@ def finish(draft: Draft, seed: int = 0) -> Loaded:
 def _with_workspace(arm: Arm, draft: Draft, seed: int, notes: list[str]) -> Arm:
     if draft.rest is not None and draft.targets is not None:
         return arm
+    if on_a_surface(arm, seed):
+        tcp = tcp_position(arm, arm.rest)
+        notes.append(
+            f"targets: the {arm.joints} joint{'s move' if arm.joints > 1 else ' moves'} the TCP on a line or a surface "
+            "only, so there is no region to drive it to; its logs can be used as those of any arm"
+        )
+        return replace(arm, targets=Box(lower=tcp - POINT, upper=tcp + POINT))
     if draft.rest is not None:
         arm = replace(arm, targets=derive_targets(arm, seed))
     elif draft.targets is None:

@@ -15,6 +15,7 @@ from rejoint.cli import show
 from rejoint.cli.console import Terminal
 from rejoint.cli.options import ArmOption, Base, Json, Tip, choose_arm
 from rejoint.runs.run import Run
+from rejoint.system.errors import InputError
 from rejoint.system.extras import require
 
 if TYPE_CHECKING:
@@ -33,6 +34,17 @@ HeldOut = Annotated[
         "a quarter of the motions is drawn."
     ),
 ]
+Gain = Annotated[
+    list[str] | None,
+    typer.Option(
+        help="MOTION=GAIN: the servos' position gain in a motion over that which the twin is to have, one number or "
+        "one for each joint; repeatable."
+    ),
+]
+TorqueOff = Annotated[
+    list[str] | None,
+    typer.Option(help="MOTION=FROM-TO: seconds of a motion in which the servos give no torque; repeatable."),
+]
 
 
 def diagnose_from_logs(terminal: Terminal, job: Run, logs: Path, good: Path | None) -> None:
@@ -45,13 +57,17 @@ def diagnose_from_logs(terminal: Terminal, job: Run, logs: Path, good: Path | No
 
 
 def identify_from_logs(
-    terminal: Terminal, job: Run, logs: Path, published: list[str] | None, hold_out: list[str] | None
-) -> None:
+    terminal: Terminal, job: Run, logs: Path, published: list[str] | None, hold_out: list[str] | None,
+    gain: list[str] | None, torque_off: list[str] | None,
+) -> None:  # fmt: skip
     """Fit a twin to the run logs in a folder, judge it, and write both and the report into a run folder."""
     beside = read_sets(published, job.arm)
     with terminal.progress("identifying") as update:
         kept = None if not hold_out else [name for name in hold_out if name != "none"]
-        twin = rejoint.identify(logs, run=job, beside=beside, hold_out=kept, on_progress=update)
+        twin = rejoint.identify(
+            logs, run=job, beside=beside, hold_out=kept, gain=_by_motion(gain), torque_off=_by_motion(torque_off),
+            on_progress=update,
+        )  # fmt: skip
     show.twin(terminal, twin)
     if twin.judgement is not None:
         show_errors(terminal, twin.judgement)
@@ -98,6 +114,17 @@ def read_sets(published: list[str] | None, arm: Arm) -> list[Candidate]:
         name, named, path = given.rpartition("=")
         one = read_published(Path(path), arm)
         found.append(changed(one, name=name.strip()) if named and name.strip() else one)
+    return found
+
+
+def _by_motion(given: list[str] | None) -> dict[str, str]:
+    """Collect what is given as MOTION=VALUE; values of one motion are put one after the other."""
+    found: dict[str, str] = {}
+    for one in given or []:
+        name, named, value = one.rpartition("=")
+        if not named or not name or not value:
+            raise InputError(f"{one!r}: expected MOTION=VALUE")
+        found[name] = f"{found[name]} {value}" if name in found else value
     return found
 
 

@@ -41,8 +41,8 @@ STOP_ERROR = np.radians(8.0)
 """[rad] between command and a joint that stands still, above which something blocks it (chosen: twice the largest
 error at rest of a real low-cost arm)"""
 USUAL = 3.0
-"""Times the median error of a joint, command less position, that an error must have to speak of a stop or of dead readings
-(chosen): a weak servo that sags, or one that sticks, is as far from its commands everywhere"""
+"""Times the median error of a joint, command less position, that an error must have to speak of a stop or of dead
+readings (chosen): a weak servo that sags, or one that sticks, is as far from its commands everywhere"""
 STOP_BAND = np.radians(1.5)
 """[rad] from the end of the travel seen in the logs within which a blocked joint is at a stop (chosen)"""
 LEAST_TRAVEL = np.radians(6.0)

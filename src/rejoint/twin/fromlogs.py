@@ -19,6 +19,7 @@ from rejoint.logs.exclusions import Exclusions, find_exclusions, table_height
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
 from rejoint.system.progress import Progress, no_progress
+from rejoint.twin.conditions import powered
 from rejoint.twin.fit import Fit, Problem
 from rejoint.twin.holdout import part
 from rejoint.twin.identify import fitted_twin
@@ -75,6 +76,7 @@ def identify_logs(
     """
     for log in logs:
         log.require(arm.name, arm.joint_names)
+    logs = powered(logs)
     seen, unseen = part(arm, logs, settings.hold_out)
     every, fitted = sorted(logs, key=lambda log: log.label), tuple(log.label for log in seen)
     height = settings.table_height if settings.table_height is not None else table_height(arm, seen)

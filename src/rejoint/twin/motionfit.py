@@ -46,14 +46,14 @@ REFINEMENT = 6
 """Most steps of the final descent, which starts at the optimum of a part of its data, with the finite differences of an
 excitation: large ones stop short of the optimum (chosen: two or three do on a real low-cost arm)"""
 MEMORY = 1.0
-"""[s] of motion that count as one observation beside the prior. By their autocorrelation 0.1 to 0.4 s would, and a single
+"""[s] of motion that count as one observation beside the prior. By their autocorrelation 0.1 to 0.4 s would, and one
 motion then overrules the prior where it hardly tells (measured: an inertia of the shoulder pan three times that of the
 other motions, for 1 % of the loss). With 3 s the prior overruled a minute of a lone servo (measured, by others), and
 on a real low-cost arm nothing is gained by them (four folds: 2.45 mm with 3 s and 2.46 mm with 1 s, a single trial)"""
 
-FREEDOM = 4.0
-"""Degrees of freedom of the errors of windows (chosen, as usual: one five times as far off as the typical one counts a
-sixth of it)"""
+FREEDOM = 2.0
+"""Degrees of freedom of the errors of windows (chosen: with so few, up to a third of them may be as far off as
+they like; with the usual four it is a fifth, which is one motion of five)"""
 
 SHORTEST = 10.0
 """[s] of free motion below which an identification is refused (chosen: ten observations of each joint)"""

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from rejoint.arms import Array
 from rejoint.system.statistics import NORMAL95, student95
 from rejoint.twin.fit import SCALES, STIFFNESS, Fit, Problem, influence, loss
+from rejoint.twin.masses import mass_covariance
 from rejoint.twin.parameters import Prior, number
 
 CLUSTER = 3.0
@@ -60,7 +61,8 @@ def uncertainty(problem: Problem, fit: Fit, clusters: NDArray[np.integer] | None
     """Estimate the covariance of a fit from central differences and clustered scores.
 
     ``clusters`` (rows,) number the stretches of motion taken as independent, such as the motions of logs from
-    elsewhere; by default stretches of `CLUSTER` seconds, few of which differ from the others.
+    elsewhere, and what is not known of the links' masses is counted then; by default stretches of `CLUSTER` seconds,
+    few of which differ from the others.
     """
     prior = problem.prior
     residual, jacobian = _central_differences(problem, fit.vector)
@@ -69,8 +71,9 @@ def uncertainty(problem: Problem, fit: Fit, clusters: NDArray[np.integer] | None
     else:
         covariance = jackknife(prior, *_by_cluster(problem, fit, residual, jacobian, clusters))
         jacobian = _steadied(problem, fit, jacobian, covariance)
-        covariance = jackknife(prior, *_by_cluster(problem, fit, residual, jacobian, clusters))
-        covariance += _resolution(problem, fit.vector)
+        curvatures, scores = _by_cluster(problem, fit, residual, jacobian, clusters)
+        covariance = jackknife(prior, curvatures, scores) + _resolution(problem, fit.vector)
+        covariance += mass_covariance(problem, fit, residual, jacobian, curvatures.sum(axis=0) + prior.precision)
     narrowing = np.sqrt(np.diag(covariance)) / prior.sigma
     identified = (narrowing < IDENTIFIED) & ~fit.at_bound & ~problem.frozen
     return Uncertainty(covariance=0.5 * (covariance + covariance.T), narrowing=narrowing, identified=identified)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -15,10 +15,13 @@ from rejoint.runs.run import Run, exclusive, mark_quick
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import write_json
 from rejoint.system.progress import Progress, no_progress, paced
+from rejoint.twin.conditions import GAIN, TORQUE_OFF, declare
 
 if TYPE_CHECKING:
     from rejoint.twin.judge import Candidate
     from rejoint.twin.twin import Twin
+
+NOTHING: Mapping[str, str] = {}
 
 
 @paced
@@ -29,6 +32,8 @@ def identify(
     run: RunLike | None = None,
     beside: Sequence[Candidate] = (),
     hold_out: Sequence[str] | None = None,
+    gain: Mapping[str, str] = NOTHING,
+    torque_off: Mapping[str, str] = NOTHING,
     seed: int | None = None,
     quick: bool = False,
     on_progress: Progress = no_progress,
@@ -52,6 +57,9 @@ def identify(
         labels of the motions to keep from the fit and judge it by; empty to judge it on the motions it has seen; by
         default a quarter of the motions is drawn, of few motions the end of each is taken. Once judged, the twin is
         fitted to all motions
+    gain, torque_off
+        of motions, by their labels: the servos' position gain over that which the twin is to have (``"0.5"``, or one
+        number for each joint), and seconds without torque since the start (``"3-7.5 12-14"``)
     seed
         of the search, and of what is held out; by default that of the run, else 0
     quick
@@ -89,7 +97,7 @@ def identify(
         return twin
     about, chosen = run_of_logs(run, logs, arm)
     with exclusive(about):
-        motions = as_logs(logs)
+        motions = declare(declare(as_logs(logs), GAIN, gain), TORQUE_OFF, torque_off)
         if about is None and all(is_excitation(log) for log in motions):
             return _from_excitation(chosen, motions, seed or 0, on_progress, quick=quick)
         drawn = seed if seed is not None else about.seed if about is not None else 0
