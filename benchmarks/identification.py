@@ -34,7 +34,7 @@ from rejoint.twin.holdout import folds as fold_numbers
 from rejoint.twin.judge import NO_TWIN, TIMESTEP, Candidate, Errors, judge
 from rejoint.twin.model import friction_solref, twin_spec
 from rejoint.twin.motionfit import LogSettings, fit_motions, independent
-from rejoint.twin.parameters import TwinParameters, pack, unpack, vector_names
+from rejoint.twin.parameters import Layout, TwinParameters, pack, unpack, vector_names
 from rejoint.twin.replay import Replay
 from rejoint.twin.segments import free_windows, thin
 from rejoint.twin.structure import LIMITS, rough_fit, simplest
@@ -139,6 +139,9 @@ def halves(arm: Arm, logs: Sequence[RunLog]) -> None:
             knowledge = uncertainty(problem, found, independent(problem))
             sides.append((found.vector, knowledge, independent_rows(problem, found)))
         (x, a, u), (y, b, v) = sides
+        stiffness = Layout(arm.joints).at("stiffness")
+        group = float(np.exp(np.mean(x[stiffness]) - np.mean(y[stiffness])))
+        print(f"  mean stiffness of one half over the other: {group:.3f}")
         known = a.identified & b.identified
         gap, sigma = np.abs(x - y), np.sqrt(np.diag(a.covariance) + np.diag(b.covariance))
         agree += int((gap < 1.96 * sigma)[known].sum())

@@ -126,11 +126,14 @@ def fit_motions(
 
 
 def settle(
-    arm: Arm, logs: Sequence[RunLog], excluded: Sequence[Exclusions], structure: Structure, start: Array,
+    arm: Arm, logs: Sequence[RunLog], excluded: Sequence[Exclusions], structure: Structure, start: Array | None,
     settings: LogSettings = DEFAULT_LOG_SETTINGS,
 ) -> tuple[Problem, Fit]:  # fmt: skip
-    """Fit windows spread over all of the logs, from the optimum ``start`` (k,) of a part of them."""
+    """Fit windows spread over all of the logs, from the optimum ``start`` (k,) of a part of them, sought if None."""
     windows = free_windows(logs, excluded, settings.window)
+    if start is None:
+        slow = thin(windows, logs, settings.coarse_seconds)
+        start = rough_fit(_problem(arm, logs, slow, structure, settings, settings.threads))
     fast = fastest(windows, logs, settings.fast_seconds)
     every = merged(thin(windows, logs, settings.fit_seconds), fast)
     problem = _problem(arm, logs, every, structure, settings, settings.threads, stride=1.0)
