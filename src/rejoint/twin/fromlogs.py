@@ -104,7 +104,7 @@ def identify_logs(
     on_progress(0.9, "table and intervals")
     with ThreadPoolExecutor(settings.threads) as pool:  # side by side: neither needs the other
         known = pool.submit(lambda: uncertainty(problem, found, independent(problem)))
-        on_table = pool.submit(_fit_table, problem, found, excluded, height, settings)
+        on_table = pool.submit(_fit_table, problem, found, excluded, height, settings, table)
         knowledge, table = known.result(), on_table.result()
     twin = fitted_twin(problem, found, knowledge, _held_out(judgement), table)
     notes = (*twin.notes, *_hard_to_follow(problem, found, seen), note)
@@ -116,9 +116,14 @@ def identify_logs(
 
 
 def _fit_table(
-    problem: Problem, found: Fit, excluded: Sequence[Exclusions], height: float | None, settings: LogSettings
+    problem: Problem,
+    found: Fit,
+    excluded: Sequence[Exclusions],
+    height: float | None,
+    settings: LogSettings,
+    start: TablePlane | None = None,
 ) -> TablePlane | None:
-    """Fit the table to motion in contact; None where there is none or too little of it."""
+    """Fit the table to motion in contact, from ``start`` if given; None where there is none or too little of it."""
     if height is None or not settings.table:
         return None
     replay, parameters = problem.replay, unpack(found.vector, problem.joints)
@@ -131,7 +136,7 @@ def _fit_table(
         replay.arm, replay.logs, chosen, settings.timestep, settings.threads, replay.stiction, on_table=True,
         acceleration=replay.acceleration,
     )  # fmt: skip
-    return fit_table(touching, parameters, height)
+    return fit_table(touching, parameters, height, start)
 
 
 def _unidentified(twin: Twin) -> list[str]:
