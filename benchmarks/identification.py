@@ -28,10 +28,13 @@ from rejoint.arms import Arm, load_arm
 from rejoint.logs.exclusions import find_exclusions, table_height
 from rejoint.logs.runlog import RunLog
 from rejoint.twin.fit import SCALES, Fit, Problem, fit
-from rejoint.twin.fromlogs import FITTED, LogSettings, fit_motions, identify_logs, independent
+from rejoint.twin.fromlogs import FITTED, identify_logs
+from rejoint.twin.holdout import HoldOut
+from rejoint.twin.holdout import folds as fold_numbers
 from rejoint.twin.judge import NO_TWIN, TIMESTEP, Candidate, Errors, judge
 from rejoint.twin.model import friction_solref, twin_spec
-from rejoint.twin.parameters import TwinParameters, pack, unpack, vector_names
+from rejoint.twin.motionfit import LogSettings, fit_motions, independent
+from rejoint.twin.parameters import Layout, TwinParameters, pack, unpack, vector_names
 from rejoint.twin.replay import Replay
 from rejoint.twin.segments import free_windows, thin
 from rejoint.twin.structure import LIMITS, rough_fit, simplest
@@ -54,14 +57,15 @@ HEADER = f"{'':28} free mm    deg | contact    deg | all mm    deg"
 
 def folds(arm: Arm, logs: Sequence[RunLog]) -> None:
     """Every motion is held out once."""
-    whole, per_motion = [], []
+    whole, per_motion, number = [], {"free": [], "contact": [], "all": []}, fold_numbers(arm, logs, FOLDS)
     for k in range(FOLDS):
         start, stages = time.process_time(), []
 
         def note(_share: float, stage: str, start: float = start, stages: list = stages) -> None:
             stages.append((stage, time.process_time() - start))
 
-        settings = LogSettings(threads=1, hold_out=tuple(log.label for log in logs[k::FOLDS]))
+        names = tuple(log.label for log, own in zip(logs, number, strict=True) if own == k)
+        settings = LogSettings(threads=1, hold_out=HoldOut(names=names))
         found = identify_logs(arm, logs, settings, note)
         mean = found.judgement.mean
         at = dict(stages)
@@ -76,11 +80,13 @@ def folds(arm: Arm, logs: Sequence[RunLog]) -> None:
         for name, errors in mean.items():
             print(f"{'mean, ' + name:28} {mm_deg(errors)}", flush=True)
         whole.append(mean[FITTED])
-        per_motion += [m.errors[FITTED].free for m in found.judgement.motions]
-    tcp = 1e3 * np.array([e.tcp for e in per_motion if e is not None])
-    deg = np.degrees([e.joint for e in per_motion if e is not None])
-    print(f"\nall {len(tcp)} motions, each held out once: TCP {tcp.mean():.2f} mm (median {np.median(tcp):.2f}), "
-          f"joints {deg.mean():.3f} deg (median {np.median(deg):.3f})")  # fmt: skip
+        for part, errors in per_motion.items():
+            errors += [getattr(m.errors[FITTED], part) for m in found.judgement.motions]
+    for part, errors in per_motion.items():
+        tcp = 1e3 * np.array([e.tcp for e in errors if e is not None])
+        deg = np.degrees([e.joint for e in errors if e is not None])
+        print(f"\n{part}, {len(tcp)} motions, each held out once: TCP {tcp.mean():.2f} mm "
+              f"(median {np.median(tcp):.2f}), joints {deg.mean():.3f} deg (median {np.median(deg):.3f})")  # fmt: skip
     for k, errors in enumerate(whole):
         print(f"fold {k}: {mm_deg(errors)}")
 
@@ -93,7 +99,7 @@ def wall(arm: Arm, logs: Sequence[RunLog]) -> None:
         if stages[-1][0] != stage:
             stages.append((stage, time.perf_counter()))
 
-    identify_logs(arm, logs, LogSettings(threads=2, hold_out=tuple(log.label for log in logs[::FOLDS])), note)
+    identify_logs(arm, logs, LogSettings(threads=2), note)
     judged = [name for name, _ in stages].index("held-out motions")
     for (name, start), (_, end) in itertools.pairwise(stages[: judged + 1]):
         print(f"{name:40} {end - start:5.1f} s")
@@ -129,10 +135,13 @@ def halves(arm: Arm, logs: Sequence[RunLog]) -> None:
         sides = []
         for part in (order[::2], order[1::2]):
             chosen = [logs[i] for i in sorted(part)]
-            problem, found = fit_motions(arm, chosen, find_exclusions(arm, chosen, table_height(arm, chosen)), GIVEN)
+            problem, found, _ = fit_motions(arm, chosen, find_exclusions(arm, chosen, table_height(arm, chosen)), GIVEN)
             knowledge = uncertainty(problem, found, independent(problem))
             sides.append((found.vector, knowledge, independent_rows(problem, found)))
         (x, a, u), (y, b, v) = sides
+        stiffness = Layout(arm.joints).at("stiffness")
+        group = float(np.exp(np.mean(x[stiffness]) - np.mean(y[stiffness])))
+        print(f"  mean stiffness of one half over the other: {group:.3f}")
         known = a.identified & b.identified
         gap, sigma = np.abs(x - y), np.sqrt(np.diag(a.covariance) + np.diag(b.covariance))
         agree += int((gap < 1.96 * sigma)[known].sum())
@@ -155,7 +164,7 @@ def independent_rows(problem: Problem, found: Fit) -> np.ndarray:
     jacobian = problem.jacobian(residuals[0], residuals[1:], up)
     weights = replace(found.weights, correlation=np.ones(problem.joints))
     curvature, _ = problem.system(jacobian, residuals[0], weights)
-    return np.diag(np.linalg.inv(curvature + np.diag(problem.prior.sigma**-2)))
+    return np.diag(np.linalg.inv(curvature + problem.prior.precision))
 
 
 def sysid(arm: Arm, logs: Sequence[RunLog], seconds: float = 80.0) -> None:

@@ -42,7 +42,7 @@ IDENTITY = {"name", "joint_names"}
 """Fields that no law computes with, and that are checked all the same: they say which arm it is, and which joint is
 which."""
 
-UNREAD = {"max_speed", "floor", "inertia", "encoder_step", "servo_acceleration"}
+UNREAD = {"max_speed", "floor", "inertia", "encoder_step", "servo_acceleration", "servos"}
 """Fields that no law computes with: speed and floor are the guard's, the others the twin's and the diagnosis's."""
 
 
@@ -94,6 +94,7 @@ CHANGES = {
     "floor": [0.1],
     "encoder_step": [0.01],
     "servo_acceleration": [5.0],
+    "servos": [("sts3215",) * 6],
 }
 
 

@@ -1,6 +1,7 @@
 """The commands that need logs alone: what they write, what they print, and that nonsense leaves nothing behind."""
 
 import dataclasses
+import html
 import json
 import sys
 
@@ -13,6 +14,7 @@ from rejoint.diagnosis.diagnosis import Diagnosis
 from rejoint.logs.runlog import write_log
 from rejoint.runs.folder import LOGS, RunFolder, RunInfo
 from rejoint.system.files import read_json
+from rejoint.twin.fromlogs import REFITTED
 from rejoint.twin.judgement import NO_TWIN, Judgement
 
 PUBLISHED = "stiffness = 998.22\ndamping = 3.331\ncoulomb = 0.052\narmature = 0.028\n"
@@ -67,6 +69,11 @@ def test_logs_alone_become_diagnosis_twin_report_and_replay(run, logs, tmp_path)
     assert "Trust “fitted twin”" in out
     page = folder.report.read_text(encoding="utf-8")
     assert "Trust “fitted twin”" in page
+    notes = json.loads(out.splitlines()[-1])["notes"]
+    assert REFITTED in notes
+    for note in notes:
+        assert " ".join(note.split()) in " ".join(err.split())
+        assert note[1:] in html.unescape(page)
     assert f"rejoint diagnose --logs {logs} --arm so101 --run" in page
     figures = {path.name for path in folder.figures.iterdir()}
     assert {"motions-free.png", "prediction-free.png", "worst-tool.png", "worst-joints.png"} <= figures
@@ -108,14 +115,14 @@ def nonsense(motions, tmp_path_factory):
     [
         ("diagnose", "empty", "no folder with run logs"),
         ("diagnose", "truncated", "a.parquet: not a readable run log"),
-        ("diagnose", "short", "s of free motion, expected at least 20 s"),
+        ("diagnose", "short", "s of free motion, expected at least 10 s"),
         ("diagnose", "names", "has joints a, b, c, d, e, expected shoulder_pan"),
         ("diagnose", "order", "has joints wrist_roll"),
         ("diagnose", "dead", "of dead readings"),
         ("diagnose", "table", "a Parquet table with the columns time; turn it into one with `rejoint import`"),
         ("identify", "empty", "no folder with run logs"),
         ("identify", "truncated", "a.parquet: not a readable run log"),
-        ("identify", "short", "s of free motion, expected at least 20 s"),
+        ("identify", "short", "s of free motion, expected at least 10 s"),
         ("identify", "order", "has joints wrist_roll"),
         ("identify", "twice", "the same label"),
     ],

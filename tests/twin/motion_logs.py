@@ -1,5 +1,7 @@
 """Logs of an SO-101 whose truth is known, because it is a twin: several motions, on a table or in free space."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from rejoint.arms import so101
@@ -9,7 +11,7 @@ from rejoint.twin.profile import Profile
 from rejoint.twin.reference import Reference
 from rejoint.twin.simulation import Draw, Simulation
 
-ARM = so101()
+ARM = replace(so101(), servos=())  # its truths are drawn for each joint by itself
 STEP, PERIOD = 0.005, 0.02
 TRUTH = TwinParameters(
     stiffness=[20.0, 17.0, 18.0, 15.0, 18.0], damping=[1.4, 1.0, 1.1, 0.9, 1.2], coulomb=[0.15, 0.4, 0.5, 0.2, 0.18],
@@ -44,9 +46,9 @@ def chirp(seed, seconds, highest=3.6, size=0.13, centre=(0.0, -0.4, 0.2, 0.3, 0.
     return time, centre + size * np.sin(phase[:, None] + start) * np.minimum(time, 1.0)[:, None]
 
 
-def record(label, time, command, truth=TRUTH, stiction=1.25, table=None, acceleration=np.inf):
-    """Run log of the arm whose twin is ``truth`` under commands that are in force from each row on."""
-    arm = Simulation(ARM, 1, timestep=STEP, table=table is not None)
+def record(label, time, command, truth=TRUTH, stiction=1.25, table=None, acceleration=np.inf, own=ARM):
+    """Run log of the arm with the links ``own`` whose twin is ``truth``; commands are in force from each row on."""
+    arm = Simulation(own, 1, timestep=STEP, table=table is not None)
     arm.place(Draw.of(truth.repeat(1), stiction), command[:1], command[:1])
     if table is not None:
         arm.twins.put_tables([table])

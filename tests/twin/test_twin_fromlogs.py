@@ -10,8 +10,10 @@ from rejoint.arms import tcp_position
 from rejoint.system.errors import InputError
 from rejoint.twin.file import read_twin, write_twin
 from rejoint.twin.fit import Problem
-from rejoint.twin.fromlogs import FITTED, HEALTHY, LogSettings, hold_out, identify_logs
+from rejoint.twin.fromlogs import FITTED, HEALTHY, REFITTED, UNJUDGED, identify_logs
+from rejoint.twin.holdout import HoldOut, folds, part
 from rejoint.twin.judgement import NO_TWIN
+from rejoint.twin.motionfit import LogSettings
 from rejoint.twin.parameters import pack, unpack, vector_names
 from rejoint.twin.replay import Replay, cut
 from rejoint.twin.structure import EARLIER, find_acceleration, simplest
@@ -32,7 +34,9 @@ def logs():
 @pytest.fixture(scope="module")
 def found(logs):
     # The truth's own time step, so that nothing but the encoders stands between the two.
-    return identify_logs(ARM, logs, replace(QUICK, timestep=STEP, hold_out=("motion3", "motion8", "press1")))
+    return identify_logs(
+        ARM, logs, replace(QUICK, timestep=STEP, hold_out=HoldOut(names=("motion3", "motion8", "press1")))
+    )
 
 
 def test_held_out_motions_are_predicted(found):
@@ -43,6 +47,20 @@ def test_held_out_motions_are_predicted(found):
     assert [m.motion for m in found.judgement.motions] == ["motion3", "motion8", "press1"]
     assert not set(found.fitted) & {m.motion for m in found.judgement.motions}
     assert found.twin.held_out.twin.tcp == mean[FITTED].free.tcp
+
+
+def test_once_judged_the_twin_is_fitted_to_all_motions(found, logs):
+    """It says so, has seen more than the fit that was judged, and is not that one."""
+    assert REFITTED in found.twin.notes
+    fitted = sum(log.time[-1] - log.time[0] for log in logs if log.label in found.fitted)
+    few = replace(QUICK, coarse_seconds=8.0, fit_seconds=1e4, fast_seconds=8.0, stictions=(1.25,), table=False)
+    chosen = [log for log in logs if log.label in ("motion0", "motion1", "motion2", "motion3")]
+    held = identify_logs(ARM, chosen, replace(few, hold_out=HoldOut(names=("motion3",))))
+    assert held.twin.fit_seconds > 1.2 * 60.0 < fitted
+    assert REFITTED in held.twin.notes
+    seen = identify_logs(ARM, chosen, replace(few, hold_out=HoldOut(names=())))
+    assert UNJUDGED in seen.twin.notes
+    assert sorted(seen.fitted) == [motion.motion for motion in seen.judgement.motions]
 
 
 def test_the_intervals_hold_the_truth_at_the_rate_they_claim(found):
@@ -92,7 +110,7 @@ def test_a_twin_with_a_table_survives_its_file(found, tmp_path):
 def test_a_slow_ramp_is_noticed():
     truth = replace(TRUTH, ramp_speed=0.7)
     logs = [record(f"motion{k}", *wandering(k, 16.0), truth=truth) for k in range(5)]
-    settings = replace(QUICK, stictions=(1.25,), hold_out=("motion4",), fit_seconds=60.0)
+    settings = replace(QUICK, stictions=(1.25,), hold_out=HoldOut(names=("motion4",)), fit_seconds=60.0)
     found = identify_logs(ARM, logs, settings)
     assert found.twin.parameters.ramp_speed == pytest.approx(0.7, rel=0.1)
     assert found.judgement.mean[FITTED].free.tcp < 2e-3
@@ -101,7 +119,9 @@ def test_a_slow_ramp_is_noticed():
 def test_a_limited_acceleration_is_noticed():
     slow = [record(f"motion{k}", *wandering(k, 16.0), acceleration=38.0) for k in range(3)]
     fast = [record(f"chirp{k}", *chirp(k, 16.0), acceleration=38.0) for k in range(2)]
-    settings = replace(QUICK, stictions=(1.25,), hold_out=("chirp1", "motion2"), fit_seconds=48.0, fast_seconds=16.0)
+    settings = replace(
+        QUICK, stictions=(1.25,), hold_out=HoldOut(names=("chirp1", "motion2")), fit_seconds=48.0, fast_seconds=16.0
+    )
     found = identify_logs(ARM, [*slow, *fast], settings)
     assert found.twin.acceleration == pytest.approx(38.0, rel=0.06)
     errors = {motion.motion: motion.errors[FITTED].free for motion in found.judgement.motions}
@@ -156,7 +176,9 @@ def test_rows_within_the_memory_count_as_one(logs):
 
 
 def test_threads_do_not_change_what_is_found(logs):
-    few = LogSettings(coarse_seconds=8.0, fit_seconds=8.0, fast_seconds=8.0, contact_seconds=8.0, hold_out=("press1",))
+    few = LogSettings(
+        coarse_seconds=8.0, fit_seconds=8.0, fast_seconds=8.0, contact_seconds=8.0, hold_out=HoldOut(names=("press1",))
+    )
     chosen = [logs[i] for i in (0, 1, 10, 11)]
     one, two = (identify_logs(ARM, chosen, replace(few, threads=threads)).twin for threads in (1, 2))
     assert one.digest() == two.digest()
@@ -165,27 +187,41 @@ def test_threads_do_not_change_what_is_found(logs):
 
 def test_a_stickier_arm_is_noticed():
     logs = [record(f"motion{k}", *wandering(k, 16.0), stiction=2.0) for k in range(4)]
-    settings = replace(QUICK, hold_out=("motion3",), stictions=(1.25, 2.0), fit_seconds=32.0)
+    settings = replace(QUICK, hold_out=HoldOut(names=("motion3",)), stictions=(1.25, 2.0), fit_seconds=32.0)
     assert identify_logs(ARM, logs, settings).twin.stiction == 2.0
 
 
 def test_what_is_held_out(logs):
-    seen, unseen = hold_out(logs, LogSettings())
-    assert [log.label for log in unseen] == ["motion0", "motion4", "motion8"]
+    seen, unseen = part(ARM, logs, HoldOut())
+    assert len(unseen) == 3
     assert len(seen) + len(unseen) == len(logs)
-    seen, unseen = hold_out(logs[:1], LogSettings())
+    again = part(ARM, logs[::-1], HoldOut())
+    assert [log.label for log in again[1]] == [log.label for log in unseen]
+    seen, unseen = part(ARM, logs[:1], HoldOut())
     assert len(seen[0]) == 3 * len(unseen[0])
     assert seen[0].time[-1] < unseen[0].time[0]
     assert unseen[0].label == "motion0 (end)"
-    for names in (("nowhere",), (), tuple(log.label for log in logs)):
+    seen, unseen = part(ARM, logs, HoldOut(names=()))
+    assert [log.label for log in seen] == [log.label for log in unseen] == sorted(log.label for log in logs)
+    for names in (("nowhere",), tuple(log.label for log in logs)):
         with pytest.raises(InputError, match="hold out"):
-            hold_out(logs, LogSettings(hold_out=names))
+            part(ARM, logs, HoldOut(names=names))
     with pytest.raises(InputError, match="same label"):
-        hold_out([logs[0], logs[0]], LogSettings())
+        part(ARM, [logs[0], logs[0]], HoldOut())
+
+
+def test_names_do_not_decide_what_is_held_out(logs):
+    """Renaming motions changes no fold, each fold has motions of every kind, and a seed another draw."""
+    number = folds(ARM, logs, 4)
+    renamed = [replace(log, label=f"x{97 * i % 101}") for i, log in enumerate(logs)]
+    np.testing.assert_array_equal(folds(ARM, renamed, 4), number)
+    assert [np.sum(number == k) for k in range(4)] == [3, 3, 3, 3]
+    assert not any(set(number[-2:]) == {k} for k in range(4))  # the two in contact are never held out together
+    assert any((folds(ARM, logs, 4, seed=seed) != number).any() for seed in (1, 2))
 
 
 def test_too_little_free_motion_is_refused(logs):
-    with pytest.raises(InputError, match="of free motion, expected at least 20 s"):
-        identify_logs(ARM, logs[:1], QUICK)
+    with pytest.raises(InputError, match="of free motion, expected at least 10 s"):
+        identify_logs(ARM, [logs[0].rows(slice(600))], QUICK)
     with pytest.raises(InputError, match="so101"):
         identify_logs(ARM, [replace(log, arm="other") for log in logs], QUICK)

@@ -10,8 +10,10 @@ from motion_logs import ARM, PERIOD, STEP, TRUTH, record, wandering
 
 from rejoint.lab.plant.wear import load_wear
 from rejoint.logs.exclusions import find_exclusions
-from rejoint.twin.fromlogs import FITTED, HEALTHY, LogSettings, fit_motions, identify_logs, independent
+from rejoint.twin.fromlogs import FITTED, HEALTHY, identify_logs
+from rejoint.twin.holdout import HoldOut
 from rejoint.twin.judgement import NO_TWIN
+from rejoint.twin.motionfit import LogSettings, fit_motions, independent
 from rejoint.twin.parameters import pack, vector_names
 from rejoint.twin.uncertainty import uncertainty
 
@@ -19,6 +21,8 @@ sys.path.append(str(Path(__file__).parents[1] / "diagnosis"))
 from plant_logs import record_motions
 
 SEEDS = 3
+WRONG = 0.15
+"""Of the logarithm of each link's mass: the fit assumes those of the data sheet"""
 SETTINGS = LogSettings(coarse_seconds=48.0, fit_seconds=200.0, threads=1, stictions=(1.25,), timestep=STEP)
 
 DISTURBANCE, MEMORY = np.radians(0.2), 0.4
@@ -51,11 +55,13 @@ def distances():
     for seed in range(SEEDS):
         rng = np.random.default_rng(seed)
         truth, logs = drawn_truth(rng), []
+        factor = np.exp(WRONG * rng.standard_normal(ARM.joints))
+        links = replace(ARM, mass=ARM.mass * factor, inertia=ARM.inertia * factor[:, None, None])
         for k in range(8):
             centre = (0.3 * (k % 3 - 1), -0.6 + 0.15 * (k % 4), 0.3 - 0.2 * (k % 3), 0.2 * (k % 2), 0.0)
-            log = record(f"motion{k}", *wandering(1000 * seed + k, 12.0, centre), truth=truth)
+            log = record(f"motion{k}", *wandering(1000 * seed + k, 12.0, centre), truth=truth, own=links)
             logs.append(disturbed(log, rng))
-        problem, fit = fit_motions(ARM, logs, find_exclusions(ARM, logs), SETTINGS)
+        problem, fit, _ = fit_motions(ARM, logs, find_exclusions(ARM, logs), SETTINGS)
         knowledge = uncertainty(problem, fit, independent(problem))
         sigma, known = np.sqrt(np.diag(knowledge.covariance)), knowledge.identified
         names = np.array(vector_names(ARM.joint_names))[known]
@@ -81,15 +87,15 @@ def test_the_intervals_are_not_merely_wide(distances):
     z = np.concatenate([z for _, z, _ in distances])
     assert np.sqrt(np.mean(z**2)) > 0.3
     for names, _, sigma in distances:
-        assert sigma[names == "stiffness.shoulder_lift"] < 0.25
-        assert sigma[names == "coulomb.shoulder_lift"] < 0.25
+        assert sigma[names == "stiffness.shoulder_lift"] < 0.3  # 0.1 to 0.15 of it for masses that are not known
+        assert sigma[names == "coulomb.shoulder_lift"] < 0.3
 
 
 def test_a_plant_with_play_and_flex_is_predicted_on_motion_the_fit_has_not_seen():
     """The plant is richer than any twin, so its parameters have no truth here: prediction decides."""
     logs = record_motions([load_wear("so101", ARM)], 6, 18.0, seed=3)[0]
     settings = LogSettings(coarse_seconds=48.0, fit_seconds=80.0, threads=1, stictions=(1.0, 1.25))
-    found = identify_logs(ARM, logs, replace(settings, hold_out=("motion1", "motion4")))
+    found = identify_logs(ARM, logs, replace(settings, hold_out=HoldOut(names=("motion1", "motion4"))))
     mean = found.judgement.mean
     assert mean[FITTED].free.tcp < 0.25 * min(mean[HEALTHY].free.tcp, mean[NO_TWIN].free.tcp)
     assert mean[FITTED].free.tcp < 4e-3

@@ -7,7 +7,11 @@ import pytest
 
 from rejoint.arms import Arm, Box, gravity_torque, mycobot280, so101
 from rejoint.lab.plant.wear import load_wear
-from rejoint.twin.parameters import healthy_parameters, nominal_parameters, prior, unpack
+from rejoint.logs.runlog import RunLog
+from rejoint.twin.fit import Problem
+from rejoint.twin.parameters import Layout, healthy_parameters, nominal_parameters, prior, unpack
+from rejoint.twin.replay import Replay, cut
+from rejoint.twin.unknown import UNKNOWN_PARAMETERS, unknown_prior
 
 ARM = mycobot280()
 
@@ -57,3 +61,49 @@ def test_the_bounds_of_the_so101_hold_the_plants_it_may_meet(profile):
         assert (value > 1.5 * getattr(lower, name)).all(), name
         assert (1.5 * value < getattr(upper, name)).all(), name
     assert (np.abs(wear.offset) < 0.5 * upper.offset).all()
+
+
+def test_joints_with_servos_of_one_kind_share_what_a_kind_determines():
+    """Two of a kind differ by its spread; each by itself is as uncertain as a joint of which nothing is known."""
+    arm = dataclasses.replace(so101(), servos=("big", "big", "", "big", "small"))
+    belief, alone = unknown_prior(arm), unknown_prior(dataclasses.replace(arm, servos=()))
+    np.testing.assert_array_equal(belief.sigma, alone.sigma)
+    np.testing.assert_array_equal(belief.groups(5), [0, 0, 2, 0, 4])
+    np.testing.assert_array_equal(alone.groups(5), np.arange(5))
+    np.testing.assert_allclose(alone.precision, np.diag(alone.sigma**-2), rtol=1e-12)
+    covariance, layout = np.linalg.inv(belief.precision), Layout(5)
+    for p in UNKNOWN_PARAMETERS:
+        own = covariance[layout.at(p.name), layout.at(p.name)]
+        np.testing.assert_allclose(np.diag(own), p.sigma**2, rtol=1e-9)
+        if p.per_joint and p.alike is not None:
+            apart = own[0, 0] + own[1, 1] - 2 * own[0, 1]
+            assert apart == pytest.approx(2 * p.alike**2)
+            assert own[0, 3] == pytest.approx(own[0, 1])
+            own[np.ix_([0, 1, 3], [0, 1, 3])] = 0.0
+        np.testing.assert_allclose(own - np.diag(np.diag(own)), 0.0, atol=1e-12)
+    assert {p.name for p in UNKNOWN_PARAMETERS if p.alike} == {"stiffness", "damping", "armature", "torque_limit"}
+    assert prior(arm).correlation is None  # an excitation tells the joints of a worn arm apart by itself
+
+
+def test_costs_of_a_joint_and_of_its_group_are_those_of_moving_them():
+    """Alone, the total changes by the joint's own cost; together, by the group's; groups do not know of one another."""
+    arm = dataclasses.replace(so101(), servos=("big", "big", "", "big", "small"))
+    time = np.arange(0.0, 3.0, 0.02)
+    path = 0.1 * np.sin(time)[:, None] * np.ones(5)
+    log = RunLog.of(time, path, path, arm=arm)
+    problem = Problem(Replay(arm, [log], cut([log], 3.0), 0.01, 1), unknown_prior(arm))
+    np.testing.assert_array_equal(problem.group, [0, 0, 2, 0, 4])
+    rng, layout = np.random.default_rng(0), Layout(5)
+    base = problem.prior.mean + 0.3 * problem.prior.sigma * rng.standard_normal(layout.size)
+    moved, residuals = np.tile(base, (3, 1)), 1e-3 * rng.standard_normal((3, len(time), 5))
+    weights = problem.weights(residuals[0])
+    of_one, of_group = layout.owner == 1, np.isin(layout.owner, [0, 1, 3])
+    for row, own, joints in ((1, of_one, [1]), (2, of_group, [0, 1, 3])):
+        moved[row, own] += 0.2 * rng.standard_normal(own.sum())
+        residuals[row][:, np.setdiff1d(range(5), joints)] = residuals[0][:, np.setdiff1d(range(5), joints)]
+    alone, grouped, total = problem.costs(moved, residuals, weights)
+    assert total[1] - total[0] == pytest.approx(alone[1, 1] - alone[0, 1])
+    assert total[1] - total[0] == pytest.approx(grouped[1, 3] - grouped[0, 3])
+    assert total[2] - total[0] == pytest.approx(grouped[2, 0] - grouped[0, 0])
+    assert grouped[2, 2] == pytest.approx(grouped[0, 2])
+    assert abs(alone[2, [0, 1, 3]].sum() - alone[0, [0, 1, 3]].sum() - (total[2] - total[0])) > 0.1  # they are coupled

@@ -10,8 +10,10 @@ from real_so101 import FOLDER, NO_RECORDINGS, recorded
 from rejoint.arms import so101
 from rejoint.logs import import_logs
 from rejoint.logs.exclusions import find_exclusions, table_height
-from rejoint.twin.fromlogs import FITTED, HEALTHY, LogSettings, identify_logs
+from rejoint.twin.fromlogs import FITTED, HEALTHY, identify_logs
+from rejoint.twin.holdout import HoldOut
 from rejoint.twin.judgement import NO_TWIN
+from rejoint.twin.motionfit import LogSettings
 from rejoint.twin.repeatability import repeatability
 
 ARM = so101()
@@ -58,7 +60,12 @@ def test_the_arm_repeats_itself_to_a_millimetre(tmp_path):
 
 def test_motions_that_the_fit_never_saw_are_predicted(logs):
     settings = LogSettings(
-        hold_out=HELD_OUT, coarse_seconds=80.0, fit_seconds=160.0, contact_seconds=40.0, threads=1, stictions=(1.25,)
+        hold_out=HoldOut(names=HELD_OUT),
+        coarse_seconds=80.0,
+        fit_seconds=160.0,
+        contact_seconds=40.0,
+        threads=1,
+        stictions=(1.25,),
     )
     found = identify_logs(ARM, logs, settings)
     assert sorted(found.fitted) == sorted(FITTED_TO)

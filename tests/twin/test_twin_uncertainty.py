@@ -62,7 +62,8 @@ class Stub:
 
 def steadied(slopes, noise):
     problem = Stub(slopes)
-    found = SimpleNamespace(vector=np.zeros(3), weights=Weights(scale=np.array([1e-3]), correlation=np.ones(1)))
+    weights = Weights(scale=np.array([1e-3]), correlation=np.ones(1), share=np.ones((len(slopes), 1)))
+    found = SimpleNamespace(vector=np.zeros(3), weights=weights)
     jacobian = 1e-3 * (slopes + noise)[:, None]
     covariance = np.linalg.inv((slopes + noise).T @ (slopes + noise))
     return _steadied(problem, found, jacobian, covariance)[:, 0] / 1e-3

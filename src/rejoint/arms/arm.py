@@ -75,6 +75,9 @@ class Arm:
     """[rad] resolution of the joint encoders"""
     servo_acceleration: float = np.inf
     """[rad/s^2] to which servos of this kind are known to limit that of their reference; infinite where nothing is"""
+    servos: tuple[str, ...] = ()
+    """(n,) type and gains of each joint's servo, in words of one's own; joints with the same words have servos that are
+    alike. Empty words where it is not known, () where it is not known of any joint"""
 
     def __post_init__(self) -> None:
         _freeze(self)
@@ -86,6 +89,10 @@ class Arm:
         for name, shape in shapes.items():
             if getattr(self, name).shape != shape:
                 raise InputError(f"arm {self.name}: {name} has shape {getattr(self, name).shape}, expected {shape}")
+        if len(self.servos) not in (0, n):
+            raise InputError(
+                f"arm {self.name}: {len(self.servos)} servos, expected one for each of {n} joints, or none"
+            )
         if (self.lower >= self.upper).any():
             raise InputError(f"arm {self.name}: every lower joint limit must be below the upper one")
         if ((self.rest < self.lower) | (self.rest > self.upper)).any():

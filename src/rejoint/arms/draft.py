@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 
 from rejoint.arms.arm import Arm, Array, Box
 from rejoint.arms.inertia import SpatialInertia, link_ends, plausible_links
+from rejoint.arms.kinematics import tcp_position
 from rejoint.arms.room import derive_workspace
-from rejoint.arms.workspace import NoPostureError, derive_targets, reach
+from rejoint.arms.workspace import NoPostureError, derive_targets, on_a_surface, reach
 from rejoint.system.errors import InputError
 
 DEFAULT_SPEED = np.radians(90.0)
@@ -23,6 +24,9 @@ DEFAULT_SPEED = np.radians(90.0)
 
 DEFAULT_ENCODER_STEP = 2 * np.pi / 4096
 """[rad] URDF and MJCF say nothing about encoders; 12 bits a turn, as hobby servos have (chosen)"""
+
+POINT = 1e-3
+"""[m] around the resting TCP: the targets of an arm that has no region of them (chosen)"""
 
 FLOOR_RATIO = 0.04
 """Default floor above the base's origin by the summed link lengths (chosen: 20 mm for a myCobot 280)"""
@@ -66,6 +70,7 @@ class Draft:
     floor: float | None = None
     encoder_step: float | None = None
     servo_acceleration: float = np.inf
+    servos: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
 
 
@@ -99,6 +104,7 @@ def finish(draft: Draft, seed: int = 0) -> Loaded:
         floor=0.0 if floor is None else floor,
         encoder_step=step,
         servo_acceleration=draft.servo_acceleration,
+        servos=draft.servos,
     )
     if floor is None:
         arm = replace(arm, floor=round(FLOOR_RATIO * reach(arm), 3))
@@ -113,6 +119,13 @@ def finish(draft: Draft, seed: int = 0) -> Loaded:
 def _with_workspace(arm: Arm, draft: Draft, seed: int, notes: list[str]) -> Arm:
     if draft.rest is not None and draft.targets is not None:
         return arm
+    if on_a_surface(arm, seed):
+        tcp = tcp_position(arm, arm.rest)
+        notes.append(
+            f"targets: the {arm.joints} joint{'s move' if arm.joints > 1 else ' moves'} the TCP on a line or a surface "
+            "only, so there is no region to drive it to; its logs can be used as those of any arm"
+        )
+        return replace(arm, targets=Box(lower=tcp - POINT, upper=tcp + POINT))
     if draft.rest is not None:
         arm = replace(arm, targets=derive_targets(arm, seed))
     elif draft.targets is None:

@@ -78,6 +78,8 @@ _JAW = _MjcfBody(
 _TCP_POSITION = (-0.0079, -0.000218121, -0.0981274)
 _TCP_QUATERNION = (0.707107, 0.0, 0.707107, -2.37788e-17)
 
+_SERVO = "STS3215"
+"""of every joint, with the same gears (1 : 345, SO-ARM100's list of parts); LeRobot gives all of them the same gains"""
 _MAX_SPEED_RPM = 45.0
 _COUNTS = 4096
 """Encoder counts a turn"""
@@ -109,6 +111,7 @@ def so101() -> Arm:
         floor=0.019,
         encoder_step=2 * np.pi / _COUNTS,
         servo_acceleration=_ACCELERATION,
+        servos=(_SERVO,) * n,
     )
 
 

@@ -24,6 +24,7 @@
     lower_deg = -90                         # optional, as are the rest
     upper_deg = 90
     max_speed_deg_s = 120
+    servo = "sts3215, P 32"                 # type and gains; joints with the same text have servos that are alike
     mass_kg = 0.2                           # of the link that moves with the joint, in the joint frame
     com_m = [0, 0, 0.05]
     inertia_kg_m2 = [1e-3, 1e-3, 1e-3, 0, 0, 0]   # about the centre of mass: xx, yy, zz, xy, xz, yz
@@ -55,7 +56,7 @@ _ARM_KEYS = ("name", "floor_m", "encoder_counts_per_turn", "servo_acceleration_r
              "joint")  # fmt: skip
 _FRAME_KEYS = ("position_m", "quaternion", "axis")
 _LINK_KEYS = ("mass_kg", "com_m", "inertia_kg_m2")
-_JOINT_KEYS = ("name", *_FRAME_KEYS, "dh", "lower_deg", "upper_deg", "max_speed_deg_s", *_LINK_KEYS)
+_JOINT_KEYS = ("name", *_FRAME_KEYS, "dh", "lower_deg", "upper_deg", "max_speed_deg_s", "servo", *_LINK_KEYS)
 _DH_KEYS = ("d_m", "a_m", "alpha_deg", "offset_deg")
 
 
@@ -89,6 +90,7 @@ def read_draft(path: Path) -> Draft:
     name = top.string("name")
     joints = top.tables("joint", _JOINT_KEYS)
     names = tuple(joint.string("name") for joint in joints)
+    servos = tuple(joint.string("servo") if "servo" in joint.data else "" for joint in joints)
     for joint, own in zip(joints, names, strict=True):
         if names.count(own) > 1:
             raise joint.error("name", f"two joints are called {own!r}")
@@ -111,6 +113,7 @@ def read_draft(path: Path) -> Draft:
         floor=top.number("floor_m"),
         encoder_step=None if counts is None else 2 * np.pi / counts,
         servo_acceleration=top.number("servo_acceleration_rad_s2", above=0.0) or np.inf,
+        servos=servos if any(servos) else (),
     )
 
 
@@ -142,6 +145,7 @@ def _joint_block(arm: Arm, i: int) -> str:
         "lower_deg": repr(float(np.degrees(arm.lower[i]))),
         "upper_deg": repr(float(np.degrees(arm.upper[i]))),
         "max_speed_deg_s": repr(float(np.degrees(arm.max_speed[i]))),
+        **({"servo": _quoted(arm.servos[i])} if any(arm.servos[i : i + 1]) else {}),
         "mass_kg": repr(float(arm.mass[i])),
         "com_m": _listed(arm.com[i]),
         "inertia_kg_m2": _listed(inertia_values(arm.inertia[i]))

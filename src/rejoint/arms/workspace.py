@@ -92,6 +92,12 @@ def rising_frames(arm: Arm, above: float = -np.inf) -> NDArray[np.bool_]:
     return rising
 
 
+def on_a_surface(arm: Arm, seed: int = 0) -> bool:
+    """Tell whether the joints move the TCP on a line or a surface only: then there is no region of targets."""
+    survey = _survey(arm, seed)
+    return survey.manipulability < _FLAT * survey.reach**3
+
+
 def derive_targets(arm: Arm, seed: int = 0) -> Box:
     """Find the region of reachable targets around the TCP of ``arm.rest``; InputError if there is none."""
     found = _largest_box(_survey(arm, seed))

@@ -20,6 +20,7 @@ from rejoint.logs.doubts import forced_remarks
 from rejoint.logs.runlog import RunLog
 from rejoint.runs.given import as_logs
 from rejoint.runs.run import Run
+from rejoint.system.errors import InputError
 from rejoint.system.extras import require
 
 if TYPE_CHECKING:
@@ -31,6 +32,24 @@ Logs = Annotated[Path, typer.Option(help="Folder of run logs (.parquet), such as
 Published = Annotated[
     list[str] | None,
     typer.Option(help="FILE or NAME=FILE: a published parameter set (TOML) to judge beside the twin; repeatable."),
+]
+HeldOut = Annotated[
+    list[str] | None,
+    typer.Option(
+        help="Motion to keep from the fit and judge it by; repeatable. none: judge it on what it has seen. By default "
+        "a quarter of the motions is drawn."
+    ),
+]
+Gain = Annotated[
+    list[str] | None,
+    typer.Option(
+        help="MOTION=GAIN: the servos' position gain in a motion over that which the twin is to have, one number or "
+        "one for each joint; repeatable."
+    ),
+]
+TorqueOff = Annotated[
+    list[str] | None,
+    typer.Option(help="MOTION=FROM-TO: seconds of a motion in which the servos give no torque; repeatable."),
 ]
 
 
@@ -46,11 +65,18 @@ def diagnose_from_logs(terminal: Terminal, job: Run, logs: Path, good: Path | No
     terminal.finish({"run": str(job.path), "diagnosis": found})
 
 
-def identify_from_logs(terminal: Terminal, job: Run, logs: Path, published: list[str] | None) -> None:
+def identify_from_logs(
+    terminal: Terminal, job: Run, logs: Path, published: list[str] | None, hold_out: list[str] | None,
+    gain: list[str] | None, torque_off: list[str] | None,
+) -> None:  # fmt: skip
     """Fit a twin to the run logs in a folder, judge it, and write both and the report into a run folder."""
     beside = read_sets(published, job.arm)
     with terminal.progress("identifying") as update:
-        twin = rejoint.identify(logs, run=job, beside=beside, on_progress=update)
+        kept = None if not hold_out else [name for name in hold_out if name != "none"]
+        twin = rejoint.identify(
+            logs, run=job, beside=beside, hold_out=kept, gain=_by_motion(gain), torque_off=_by_motion(torque_off),
+            on_progress=update,
+        )  # fmt: skip
     show.twin(terminal, twin)
     say_forced(terminal, as_logs(logs))
     if twin.judgement is not None:
@@ -61,6 +87,7 @@ def identify_from_logs(terminal: Terminal, job: Run, logs: Path, published: list
     terminal.finish({
         "run": str(job.path), "twin": str(job.folder.twin), "report": str(path), "fitted": twin.fitted,
         "judgement": None if twin.judgement is None else _without_trace(twin.judgement, job.folder.judgement),
+        "notes": twin.notes,
     })  # fmt: skip
 
 
@@ -132,6 +159,17 @@ def show_followed(terminal: Terminal, arm: Arm, replayed: Replayed) -> None:
         "These logs hold no commands: how well the twin predicts the arm cannot be told, and no page is written."
     )
     terminal.finish({"followed": found, "judgement": None, "page": None})
+
+
+def _by_motion(given: list[str] | None) -> dict[str, str]:
+    """Collect what is given as MOTION=VALUE; values of one motion are put one after the other."""
+    found: dict[str, str] = {}
+    for one in given or []:
+        name, named, value = one.rpartition("=")
+        if not named or not name or not value:
+            raise InputError(f"{one!r}: expected MOTION=VALUE")
+        found[name] = f"{found[name]} {value}" if name in found else value
+    return found
 
 
 def show_errors(terminal: Terminal, judgement: Judgement) -> None:

@@ -62,6 +62,8 @@ def twin(terminal: Terminal, result: Twin) -> None:
     )
     if result.unknown:
         terminal.say(f"The data cannot tell: {', '.join(result.unknown)}; they keep their prior range.")
+    for note in result.notes:
+        terminal.say(f"  ! {note}")
 
 
 def calibration(terminal: Terminal, found: Calibrated) -> None:

@@ -74,6 +74,9 @@ def identify(
     logs: opt.LogsOption = None,
     folder: opt.RunOption = None,
     published: offline.Published = None,
+    hold_out: offline.HeldOut = None,
+    gain: offline.Gain = None,
+    torque_off: offline.TorqueOff = None,
     arm: opt.ArmOption = None,
     base: opt.Base = None,
     tip: opt.Tip = None,
@@ -92,17 +95,21 @@ def identify(
     require("rejoint identify", "train", *(() if logs is None else ("report",)))  # logs end in a report at once
     if logs is not None:
         job = opt.run_of_logs(opt.choose_arm(terminal, arm, base, tip, hold=hold), logs, folder, seed or 0)
-        offline.identify_from_logs(terminal, job, logs, published)
+        offline.identify_from_logs(terminal, job, logs, published, hold_out, gain, torque_off)
         return
-    if folder is not None or published:
-        raise InputError("--run and --published go with --logs; without it, name the run folder alone")
+    if folder is not None or published or hold_out or gain or torque_off:
+        raise InputError(
+            "--run, --published, --hold-out, --gain and --torque-off go with --logs; without it, name the run folder "
+            "alone"
+        )
     assert run is not None  # noqa: S101 - for the type checker; one of the two is given
     job = Run.open(run)
     with terminal.progress("identifying") as update:
         twin = rejoint.identify(run=job, seed=seed, quick=quick, on_progress=update)
     show.twin(terminal, twin)
     terminal.result(f"Next: rejoint train {run}")
-    terminal.finish({"run": str(run), "twin": str(job.folder.twin), "held_out": twin.held_out})
+    terminal.finish({"run": str(run), "twin": str(job.folder.twin), "held_out": twin.held_out,
+                     "notes": twin.notes})  # fmt: skip
 
 
 def train(

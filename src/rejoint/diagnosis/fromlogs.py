@@ -30,7 +30,7 @@ from rejoint.system.errors import InputError
 from rejoint.system.progress import Progress, no_progress
 from rejoint.system.statistics import Estimate
 
-SHORTEST = 20.0
+SHORTEST = 10.0
 """[s] of free motion below which a diagnosis is refused (chosen, as for an identification)"""
 
 

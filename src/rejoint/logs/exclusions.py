@@ -40,6 +40,9 @@ RECOVERY = 3.0
 STOP_ERROR = np.radians(8.0)
 """[rad] between command and a joint that stands still, above which something blocks it (chosen: twice the largest
 error at rest of a real low-cost arm)"""
+USUAL = 3.0
+"""Times the median error of a joint, command less position, that an error must have to speak of a stop or of dead
+readings (chosen): a weak servo that sags, or one that sticks, is as far from its commands everywhere"""
 STOP_BAND = np.radians(1.5)
 """[rad] from the end of the travel seen in the logs within which a blocked joint is at a stop (chosen)"""
 LEAST_TRAVEL = np.radians(6.0)
@@ -78,18 +81,18 @@ class Exclusions:
 
 def find_exclusions(arm: Arm, logs: Sequence[RunLog], table: float | None = None) -> list[Exclusions]:
     """Judge every row of the logs, which share one table; ``table`` [m] is its height, if any (`table_height`)."""
-    ends = _travel(logs)
+    ends, usual = _travel(logs), _usual_error(logs)
     found = []
     for log in logs:
         contact = np.zeros(len(log), dtype=bool)
         if table is not None:
             contact = tcp_position(arm, log.position)[:, 2] < table + MARGIN
-        stopped = _stopped(log, ends) & ~contact  # a table stops joints too, at the end of what they show
+        stopped = _stopped(log, ends, usual) & ~contact  # a table stops joints too, at the end of what they show
         found.append(
             Exclusions(
                 contact=_recovering(log.time, contact),
                 stop=_recovering(log.time, stopped),
-                stale=_recovering(log.time, _stale(log) & ~stopped),
+                stale=_recovering(log.time, _stale(log, usual) & ~stopped),
             )
         )
     return found
@@ -97,11 +100,11 @@ def find_exclusions(arm: Arm, logs: Sequence[RunLog], table: float | None = None
 
 def table_height(arm: Arm, logs: Sequence[RunLog]) -> float | None:
     """Height [m] in the base frame of the tip on a table that the arm leans on in some logs; None if it never does."""
-    heights, held, weights = [], [], []
+    heights, held, weights, usual = [], [], [], _usual_error(logs)
     for log in logs:
         tip, asked = (tcp_position(arm, q)[:, 2] for q in (log.position, log.command))
         counted = (joint_speed(log.time, log.position) < SLOW) & (joint_speed(log.time, log.command) < SLOW)
-        counted &= ~_stale(log)
+        counted &= ~_stale(log, usual)
         heights.append(tip[counted])
         held.append((tip - asked)[counted] > HELD_UP)
         weights.append(np.full(int(counted.sum()), float(np.median(np.diff(log.time)))))
@@ -132,20 +135,31 @@ def _travel(logs: Sequence[RunLog]) -> tuple[Array, Array]:
     return lowest, np.max([log.position.max(axis=0) for log in logs], axis=0)
 
 
-def _stopped(log: RunLog, ends: tuple[Array, Array]) -> Rows:
+def _usual_error(logs: Sequence[RunLog]) -> Array:
+    """Median (n,) [rad] of how far each joint is from its command, where readings change; 0 where none ever does."""
+    changing = [np.diff(log.position, axis=0, prepend=log.position[:1]).any(axis=1) for log in logs]
+    errors = np.concatenate(
+        [np.abs(log.command - log.position)[rows] for log, rows in zip(logs, changing, strict=True)]
+    )
+    return np.median(errors, axis=0) if len(errors) else np.zeros(logs[0].position.shape[1])
+
+
+def _stopped(log: RunLog, ends: tuple[Array, Array], usual: Array) -> Rows:
     error = np.where(ends[1] - ends[0] > LEAST_TRAVEL, log.command - log.position, 0.0)
-    low = (log.position < ends[0] + STOP_BAND) & (error < -STOP_ERROR)
-    high = (log.position > ends[1] - STOP_BAND) & (error > STOP_ERROR)
+    least = np.maximum(STOP_ERROR, USUAL * usual)
+    low = (log.position < ends[0] + STOP_BAND) & (error < -least)
+    high = (log.position > ends[1] - STOP_BAND) & (error > least)
     return np.asarray(_lasting((low | high).any(axis=1), log.time, STOP_TIME))
 
 
-def _stale(log: RunLog) -> Rows:
+def _stale(log: RunLog, usual: Array) -> Rows:
     """Rows in which every reading is that of the row before, for long, while a command moves on."""
     still = np.concatenate([[False], (log.position[1:] == log.position[:-1]).all(axis=1)])
     dead = np.zeros(len(log), dtype=bool)
     for first, last in free_runs(still, log.time, STALE_TIME):
         # A joint may well rest though its command moves; not for long once the command has left it.
-        left = np.abs(log.command[first:last] - log.command[first]).max(axis=1) > STALE_MOTION
+        moved = np.abs(log.command[first:last] - log.command[first])
+        left = (moved > np.maximum(STALE_MOTION, USUAL * usual)).any(axis=1)
         dead[first:last] = _lasting(left, log.time[first:last], STALE_TIME).any()
     return dead
 

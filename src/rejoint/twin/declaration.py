@@ -32,6 +32,9 @@ class Parameter:
     """torque that is known only up to the common scale of its joint's, where nothing loads the joint"""
     wrist: float = 1.0
     """factor on the nominal value for joints with little inertia"""
+    alike: float | None = None
+    """standard deviation of the logarithm among joints whose servos are of one type and have the same gains
+    (`rejoint.arms.Arm.servos`); None where servos do not determine it, or where wear makes them differ"""
     by_load: bool = False
     """whether nominal value and bounds grow with the weight of the arm"""
     by_time: int = 0

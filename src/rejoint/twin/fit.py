@@ -42,6 +42,9 @@ DAMPINGS = (1e-3, 1e-2, 1e-1, 1.0, 10.0)
 LEAST_GAIN = 0.5
 """A descent ends when a step gains less than this of the negative log posterior: half of one sigma^2 (chosen)"""
 
+ROUNDS = 10
+"""Rounds in which weights and scale of windows are found (chosen: they change by less than 1 % in the last)"""
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Weights:
@@ -51,11 +54,13 @@ class Weights:
     """(n,) [rad] typical size of a residual"""
     correlation: Array
     """(n,) [rows] integrated autocorrelation time of the residuals"""
+    share: Array
+    """(rows, n) of a window's motion: near one where a twin follows it as it follows others, less where it cannot"""
 
     @property
     def precision(self) -> Array:
-        """(n,) [1/rad^2] weight of one squared residual."""
-        return 1.0 / (self.scale**2 * self.correlation)
+        """(rows, n) [1/rad^2] weight of one squared residual."""
+        return self.share / (self.scale**2 * self.correlation)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -77,13 +82,16 @@ class Problem:
 
     Parameters named in ``frozen`` stay where a fit starts: none of them is simulated, and what is
     believed of them is the prior. ``stride`` scales the finite-difference steps, and residuals closer than
-    ``memory`` [s] never count as independent: what a twin of the wrong structure gets wrong is not noise.
+    ``memory`` [s] never count as independent: what a twin of the wrong structure gets wrong is not noise. Errors of
+    windows are of Student's distribution of ``freedom`` degrees of freedom: the fewer, the less those count that stay
+    far from every fit; infinite: all count alike.
     """
 
     def __init__(
-        self, replay: Replay, prior: Prior, frozen: Collection[str] = (), stride: float = 1.0, memory: float = 0.0
-    ) -> None:
-        self.replay, self.prior = replay, prior
+        self, replay: Replay, prior: Prior, frozen: Collection[str] = (), stride: float = 1.0, memory: float = 0.0,
+        freedom: float = np.inf,
+    ) -> None:  # fmt: skip
+        self.replay, self.prior, self.freedom = replay, prior, freedom
         self.joints = replay.arm.joints
         self.measured = np.concatenate(replay.measured())
         lengths = [len(part) for part in replay.measured()]
@@ -94,6 +102,7 @@ class Problem:
         self.layout = Layout(self.joints)
         self.owner = self.layout.owner
         self.steps = stride * np.array([p.difference for p in PARAMETERS])[self.layout.kind]
+        self.group = prior.groups(self.joints)
         self._live = [index for index, p in enumerate(PARAMETERS) if p.name not in frozen]
         self.frozen = ~np.isin(self.layout.kind, self._live)
 
@@ -103,15 +112,42 @@ class Problem:
 
     def weights(self, residual: Array) -> Weights:
         """Estimate size and correlation of residuals (rows, n)."""
-        scale = np.maximum(np.sqrt(np.mean(2.0 * loss(residual), axis=0)), self.floor)
-        return Weights(scale=scale, correlation=np.maximum(correlation_time(residual, self.window), self.memory))
+        share = self.shares(residual)
+        scale = np.maximum(np.sqrt(np.mean(2.0 * share * loss(residual), axis=0)), self.floor)
+        correlation = np.maximum(correlation_time(residual, self.window), self.memory)
+        return Weights(scale=scale, correlation=correlation, share=share)
 
-    def costs(self, vectors: Array, residuals: Array, weights: Weights) -> tuple[Array, Array]:
-        """Costs by joint (m, n) with the prior of its parameters, and in total (m,)."""
-        pull = 0.5 * ((vectors - self.prior.mean) / self.prior.sigma) ** 2
-        by_joint = pull[:, self.layout.of_joints].reshape(len(vectors), -1, self.joints).sum(axis=1)
-        by_joint += loss(residuals).sum(axis=1) * weights.precision
-        return by_joint, by_joint.sum(axis=1) + pull[:, self.layout.of_arm].sum(axis=1)
+    def shares(self, residual: Array) -> Array:
+        """Weights (rows, n) of each window's motion for residuals (rows, n), by Student's distribution.
+
+        Iteratively reweighted (Lange, Little and Taylor 1989), a window's mean loss of a joint being one observation.
+        """
+        if self.freedom == np.inf:
+            return np.ones_like(residual)
+        count = np.bincount(self.window)
+        by_window = np.stack([np.bincount(self.window, column) for column in loss(residual).T], axis=1) / count[:, None]
+        share = np.ones_like(by_window)
+        for _ in range(ROUNDS):
+            scale = (share * by_window * count[:, None]).sum(axis=0) / count.sum()
+            share = (self.freedom + 1.0) / (self.freedom + by_window / np.maximum(scale, 0.5 * self.floor**2))
+        return np.asarray(share[self.window])
+
+    def costs(self, vectors: Array, residuals: Array, weights: Weights) -> tuple[Array, Array, Array]:
+        """Costs (m, n) of moving each joint alone, (m, n) of moving its group of joints, and (m,) of moving all.
+
+        What is believed of a joint depends on those of its group; alone it moves from the first of the ``vectors``.
+        """
+        precision, away, moved = self.prior.precision, vectors - self.prior.mean, vectors - vectors[0]
+        pull = away @ precision
+        data = (loss(residuals) * weights.precision).sum(axis=1)
+        alone = data + self._by_joint(moved * (pull[0] + 0.5 * np.diag(precision) * moved))
+        own = data + self._by_joint(0.5 * pull * away)
+        grouped = own @ (self.group[:, None] == self.group)
+        return alone, grouped, own.sum(axis=1) + 0.5 * (pull * away)[:, self.layout.of_arm].sum(axis=1)
+
+    def _by_joint(self, values: Array) -> Array:
+        """Sum (m, n) over each joint's parameters of values (m, k)."""
+        return np.asarray(values[:, self.layout.of_joints].reshape(len(values), -1, self.joints).sum(axis=1))
 
     def perturbations(self, vector: Array, signs: Array) -> Array:
         """Parameter vectors (p, k): in each, one parameter of every joint, or one of the arm, is moved.
@@ -181,7 +217,7 @@ class Problem:
         curvature, gradient = np.zeros((k, k)), np.zeros(k)
         for joint in range(self.joints):
             place = self.columns(joint)
-            weight = weights.precision[joint] * influence(residual[:, joint])
+            weight = weights.precision[:, joint] * influence(residual[:, joint])
             scaled = jacobian[:, joint] * weight[:, None]
             curvature[np.ix_(place, place)] += jacobian[:, joint].T @ scaled
             gradient[place] += scaled.T @ residual[:, joint]
@@ -225,14 +261,14 @@ def fit(problem: Problem, start: Array, iterations: int, scales: Sequence[float]
         signs = problem.inward(x, _alternating(problem, iteration))
         jacobian = problem.jacobian(residual, problem.residuals(problem.perturbations(x, signs)), signs)
         curvature, gradient = problem.system(jacobian, residual, weights)
-        curvature += np.diag(problem.prior.sigma**-2)
-        gradient += (x - problem.prior.mean) / problem.prior.sigma**2
+        curvature += problem.prior.precision
+        gradient += problem.prior.precision @ (x - problem.prior.mean)
         fixed = problem.frozen | _pressed(problem.prior, x, gradient)
         trials = _steps(problem, x, curvature, gradient, fixed)
         x, gained, residual = line_up(problem, np.vstack([x, trials]), residual[None], weights)
         converged = gained + rescaling < LEAST_GAIN
     weights = problem.weights(residual)
-    final = float(problem.costs(x[None], residual[None], weights)[1][0])
+    final = float(problem.costs(x[None], residual[None], weights)[2][0])
     return Fit(
         vector=x,
         cost=final,
@@ -291,21 +327,24 @@ def _steps(problem: Problem, x: Array, curvature: Array, gradient: Array, fixed:
 def line_up(problem: Problem, candidates: Array, residuals: Array, weights: Weights) -> tuple[Array, float, Array]:
     """Let each joint pick its best candidate (s, k); return the mixture, its gain on the first and its residuals.
 
-    ``residuals`` (r, rows, n) are those of the first candidates that are known already. The mixture is
-    simulated as well; where the joints' choices do not fit together, the best single candidate wins.
+    ``residuals`` (r, rows, n) are those of the first candidates that are known already. The mixture is simulated as
+    well, and one in which joints that are believed to be alike choose together; where the joints' choices do not fit
+    to one another, the best single candidate wins.
     """
     if len(residuals) < len(candidates):
         residuals = np.concatenate([residuals, problem.residuals(candidates[len(residuals) :])])
-    by_joint, total = problem.costs(candidates, residuals, weights)
+    alone, grouped, total = problem.costs(candidates, residuals, weights)
     best = int(np.argmin(total))
-    mixed = candidates[best].copy()
-    for joint, choice in enumerate(np.argmin(by_joint, axis=0)):
+    choices = np.unique(np.argmin(np.stack([alone, grouped]), axis=1), axis=0)
+    mixed = np.repeat(candidates[best : best + 1], len(choices), axis=0)
+    for joint, choice in enumerate(choices.T):
         own = problem.owner == joint
-        mixed[own] = candidates[choice, own]
-    own_residual = problem.residuals(mixed[None])
-    cost = float(problem.costs(mixed[None], own_residual, weights)[1][0])
-    if cost < total[best]:
-        return mixed, float(total[0] - cost), own_residual[0]
+        mixed[:, own] = candidates[choice][:, own]
+    own_residuals = problem.residuals(mixed)
+    costs = problem.costs(mixed, own_residuals, weights)[2]
+    least = int(np.argmin(costs))
+    if costs[least] < total[best]:
+        return mixed[least], float(total[0] - costs[least]), own_residuals[least]
     return candidates[best], float(total[0] - total[best]), residuals[best]
 
 

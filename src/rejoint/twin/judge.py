@@ -15,6 +15,7 @@ from rejoint.arms import Arm, Array, tcp_position
 from rejoint.logs.exclusions import Exclusions, Rows, find_exclusions, table_height
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
+from rejoint.twin.doubts import doubts
 from rejoint.twin.judgement import NO_TWIN, Error, Errors, Judgement, MotionErrors, Trace
 from rejoint.twin.parameters import STICTION, TwinParameters
 from rejoint.twin.prediction import prediction_error
@@ -101,6 +102,7 @@ def judge_paths(
         motions=found,
         mean={name: _mean([motion.errors[name] for motion in found]) for name in names},
         repeatability=repeatability(arm, logs, [r.free for r in rows]),
+        doubts=tuple(doubts(arm, logs, rows, paths)),
         worst=_trace(arm, logs[worst], rows[worst], {name: path[worst] for name, path in paths.items()}),
     )
 

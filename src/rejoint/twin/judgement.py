@@ -75,3 +75,6 @@ class Judgement:
     repeatability: Repeatability | None
     """of the arm itself: no twin can be asked for less; None where no motion repeats"""
     worst: Trace
+    doubts: tuple[str, ...] = ()
+    """why no prediction is to be trusted, however small its error (`rejoint.twin.doubts`); empty where nothing is
+    missing"""

@@ -96,16 +96,17 @@ PARAMETERS: tuple[Parameter, ...] = (
     Parameter(name="stiffness", unit="N m/rad", meaning="servo torque per angle between command and joint",
               nominal=7.0, sigma=0.7, lower=0.5, upper=200.0, wrist=0.8, by_load=True, scaled=True,
               # chosen: geometric middle of worn (7) and healthy (35 N m/rad) hobby servos; stiffer within three sigma
-              wide={"nominal": 16.0, "sigma": 0.9, "upper": 1000.0, "wrist": 1.0}),
+              wide={"nominal": 16.0, "sigma": 0.9, "upper": 1000.0, "wrist": 1.0,
+                    "alike": 0.05}),  # chosen: motors and voltages of one make differ by some percent
     *FRICTION,
     Parameter(name="armature", unit="kg m^2", meaning="inertia of motor and gears at the joint",
               nominal=0.02, sigma=0.4, lower=0.002, upper=0.1, by_load=True, by_time=2,
               # measured: 0.01 to 0.03 kg m^2 for geared hobby servos
-              wide={"nominal": 0.015, "sigma": 1.0, "lower": 5e-4, "upper": 1.0}),
+              wide={"nominal": 0.015, "sigma": 1.0, "lower": 5e-4, "upper": 1.0, "alike": 0.1}),
     Parameter(name="torque_limit", unit="N m", meaning="largest torque of the servo",
               nominal=0.92, sigma=0.35, lower=0.05, upper=5.0, wrist=0.5, by_load=True,
               # chosen: twice and more what the arm weighs, or no one would have recorded it moving
-              wide={"nominal": 3.0, "sigma": 0.7, "upper": 50.0, "wrist": 1.0}),
+              wide={"nominal": 3.0, "sigma": 0.7, "upper": 50.0, "wrist": 1.0, "alike": 0.1}),
     Parameter(name="offset", unit="rad", meaning="unloaded joint position minus command",
               nominal=0.0, sigma=0.01, lower=-0.1, upper=0.1, log=False, difference=0.005,
               wide={"sigma": 0.02, "lower": -0.2, "upper": 0.2}),
@@ -235,6 +236,19 @@ class Prior:
     lower: Array
     """(k,) physical bounds in the same terms"""
     upper: Array
+    correlation: Array | None = None
+    """(k, k) of the elements with one another; None: they have nothing to do with one another"""
+
+    def groups(self, joints: int) -> NDArray[np.integer]:
+        """(n,) number of the group of joints that each belongs to: those of one group have to do with one another."""
+        owner, related = Layout(joints).owner, self.precision != 0.0
+        return np.array([owner[related[owner == joint].any(axis=0) & (owner >= 0)].min() for joint in range(joints)])
+
+    @cached_property
+    def precision(self) -> Array:
+        """(k, k) inverse covariance."""
+        correlation = np.eye(len(self.mean)) if self.correlation is None else self.correlation
+        return np.asarray(np.linalg.inv(correlation) / np.outer(self.sigma, self.sigma))
 
 
 def prior(arm: Arm, table: tuple[Parameter, ...] = PARAMETERS) -> Prior:
@@ -255,7 +269,23 @@ def prior(arm: Arm, table: tuple[Parameter, ...] = PARAMETERS) -> Prior:
             median, lower, upper = np.log(values) if p.log else values
             rows.append((median, p.sigma, lower, upper))
     mean, sigma, lower_, upper_ = np.array(rows).T
-    return Prior(mean=mean, sigma=sigma, lower=lower_, upper=upper_)
+    return Prior(mean=mean, sigma=sigma, lower=lower_, upper=upper_, correlation=_alike(arm, table))
+
+
+def _alike(arm: Arm, table: tuple[Parameter, ...]) -> Array | None:
+    """Correlation (k, k) of the parameters of joints whose servos are alike; None where there are none such.
+
+    What servos of one type have in common is as uncertain as a single one is, and each is close to it.
+    """
+    layout, servos = Layout(arm.joints), arm.servos or ("",) * arm.joints
+    same = np.array([[one == other != "" for other in servos] for one in servos]) & ~np.eye(arm.joints, dtype=bool)
+    if not same.any() or not any(p.alike for p in table):
+        return None
+    correlation = np.eye(layout.size)
+    for p in table:
+        if p.per_joint and p.alike is not None:
+            correlation[layout.at(p.name), layout.at(p.name)] += same * (1.0 - (p.alike / p.sigma) ** 2)
+    return correlation
 
 
 @lru_cache(maxsize=32)

@@ -10,7 +10,7 @@ the age of the answer, which a log alone cannot tell from the latency of the com
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -18,6 +18,7 @@ import numpy as np
 from rejoint.arms import Arm, Array
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
+from rejoint.twin.conditions import gains
 from rejoint.twin.model import TIMESTEP
 from rejoint.twin.parameters import STICTION, TwinParameters
 from rejoint.twin.profile import Profile
@@ -79,6 +80,7 @@ class Replay:
         self.timestep, self.threads, self.stiction, self.on_table = timestep, threads, stiction, on_table
         self.acceleration = acceleration
         self._profiles: dict[int, Profile] = {}
+        self._gains = np.stack([gains(log) for log in self.logs])
         self._velocity = [measured_velocity(log) for log in self.logs]
         spans = [self._log(w).time[w.last - 1] - self._log(w).time[w.first] for w in self.windows]
         self.steps = int(np.ceil(max(spans) / timestep)) + 1
@@ -94,7 +96,11 @@ class Replay:
         which = np.tile(np.arange(m), count)  # simulation = window * m + twin
         start = np.repeat(np.stack([self._log(w).position[w.first] for w in self.windows]), m, axis=0)
         velocity = np.repeat(np.stack([self._velocity[w.log][w.first] for w in self.windows]), m, axis=0)
-        simulation.place(Draw.of(parameters[which], self.stiction), start, start)
+        arms = parameters[which]
+        arms = replace(
+            arms, stiffness=arms.stiffness * np.repeat(self._gains[[w.log for w in self.windows]], m, axis=0)
+        )
+        simulation.place(Draw.of(arms, self.stiction), start, start)
         simulation.twins.qvel[:] = velocity
         if self.on_table:
             simulation.put_tables([tables[i] for i in which])

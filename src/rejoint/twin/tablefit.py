@@ -33,23 +33,28 @@ ROWS = 50
 """Rows that say as much as one independent one: a second (chosen)"""
 
 
-def fit_table(replay: Replay, parameters: TwinParameters, height: float, iterations: int = 6) -> TablePlane:
-    """Fit the table to the windows of a replay made ``on_table``, from a level one at ``height`` [m]."""
+def fit_table(
+    replay: Replay, parameters: TwinParameters, height: float, start: TablePlane | None = None, iterations: int = 6
+) -> TablePlane:
+    """Fit the table to the windows of a replay made ``on_table``; before any data it is level, at ``height`` [m].
+
+    The descent begins at ``start``, else there.
+    """
     measured = np.concatenate(replay.measured())
 
     def residuals(vectors: Array) -> Array:
         tables = [_table(v) for v in vectors]
         return np.concatenate(replay.predict(parameters.repeat(len(vectors)), tables), axis=1) - measured
 
-    start = np.array([height, 0.0, 0.0, np.log(STIFFNESS), np.log(FRICTION)])
-    return _table(_descend(residuals, start, iterations))
+    belief = np.array([height, 0.0, 0.0, np.log(STIFFNESS), np.log(FRICTION)])
+    return _table(_descend(residuals, belief, belief if start is None else _vector(start), iterations))
 
 
-def _descend(residuals: Callable[[Array], Array], start: Array, iterations: int) -> Array:
+def _descend(residuals: Callable[[Array], Array], belief: Array, start: Array, iterations: int) -> Array:
     x, weight = start, 1.0 / (NOISE**2 * ROWS)
 
     def costs(vectors: Array, found: Array) -> Array:
-        pull = 0.5 * (((vectors - start) / _SIGMA) ** 2).sum(axis=1)
+        pull = 0.5 * (((vectors - belief) / _SIGMA) ** 2).sum(axis=1)
         return np.asarray(weight * loss(found).sum(axis=(1, 2)) + pull)
 
     for _ in range(iterations):
@@ -59,7 +64,7 @@ def _descend(residuals: Callable[[Array], Array], start: Array, iterations: int)
         jacobian = ((found[1:] - found[0]).reshape(len(x), -1) / (signs * _STEP)[:, None]).T
         scaled = jacobian * (weight * influence(base))[:, None]
         curvature = jacobian.T @ scaled + np.diag(_SIGMA**-2)
-        gradient = scaled.T @ base + (x - start) / _SIGMA**2
+        gradient = scaled.T @ base + (x - belief) / _SIGMA**2
         steps = [np.linalg.solve(curvature + d * np.diag(np.diag(curvature)), gradient) for d in DAMPINGS]
         trials = np.clip(x - np.clip(steps, -_SIGMA, _SIGMA), _LOWER, _UPPER)
         cost = np.append(costs(trials, residuals(trials)), costs(x[None], found[:1]))
@@ -68,6 +73,12 @@ def _descend(residuals: Callable[[Array], Array], start: Array, iterations: int)
             return x if best == len(trials) else trials[best]
         x = trials[best]
     return x
+
+
+def _vector(table: TablePlane) -> Array:
+    return np.array(
+        [table.height, table.slope_x, table.slope_y, np.log(table.stiffness), np.log(max(table.friction, 1e-3))]
+    )
 
 
 def _table(vector: Array) -> TablePlane:

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from rejoint.arms import Array
 from rejoint.system.statistics import NORMAL95, student95
 from rejoint.twin.fit import SCALES, STIFFNESS, Fit, Problem, influence, loss
+from rejoint.twin.masses import mass_covariance
 from rejoint.twin.parameters import Prior, number
 
 CLUSTER = 3.0
@@ -60,7 +61,8 @@ def uncertainty(problem: Problem, fit: Fit, clusters: NDArray[np.integer] | None
     """Estimate the covariance of a fit from central differences and clustered scores.
 
     ``clusters`` (rows,) number the stretches of motion taken as independent, such as the motions of logs from
-    elsewhere; by default stretches of `CLUSTER` seconds, few of which differ from the others.
+    elsewhere, and what is not known of the links' masses is counted then; by default stretches of `CLUSTER` seconds,
+    few of which differ from the others.
     """
     prior = problem.prior
     residual, jacobian = _central_differences(problem, fit.vector)
@@ -69,8 +71,9 @@ def uncertainty(problem: Problem, fit: Fit, clusters: NDArray[np.integer] | None
     else:
         covariance = jackknife(prior, *_by_cluster(problem, fit, residual, jacobian, clusters))
         jacobian = _steadied(problem, fit, jacobian, covariance)
-        covariance = jackknife(prior, *_by_cluster(problem, fit, residual, jacobian, clusters))
-        covariance += _resolution(problem, fit.vector)
+        curvatures, scores = _by_cluster(problem, fit, residual, jacobian, clusters)
+        covariance = jackknife(prior, curvatures, scores) + _resolution(problem, fit.vector)
+        covariance += mass_covariance(problem, fit, residual, jacobian, curvatures.sum(axis=0) + prior.precision)
     narrowing = np.sqrt(np.diag(covariance)) / prior.sigma
     identified = (narrowing < IDENTIFIED) & ~fit.at_bound & ~problem.frozen
     return Uncertainty(covariance=0.5 * (covariance + covariance.T), narrowing=narrowing, identified=identified)
@@ -89,7 +92,7 @@ def jackknife(prior: Prior, curvatures: Array, scores: Array) -> Array:
     Spread of the estimates without each cluster, plus the inverse curvature: each alone is too small where the
     twin's structure is not the arm's. Scaled so that intervals of a normal distribution are as wide as Student's.
     """
-    count, precision = len(scores), np.diag(prior.sigma**-2)
+    count, precision = len(scores), prior.precision
     whole = curvatures.sum(axis=0)
     without = np.linalg.solve(whole - curvatures + precision, scores.sum(axis=1)[..., None])[..., 0]
     inverse = np.linalg.inv(whole + precision)
@@ -100,7 +103,7 @@ def jackknife(prior: Prior, curvatures: Array, scores: Array) -> Array:
 
 def _averaged(problem: Problem, curvatures: Array, scores: Array) -> Array:
     """Covariance (k, k) from many clusters that are alike: scores and curvature averaged."""
-    count, precision = len(scores), np.diag(problem.prior.sigma**-2)
+    count, precision = len(scores), problem.prior.precision
     curvature = curvatures.sum(axis=0)
     inverse = np.linalg.inv(curvature + precision)
     spread = np.einsum("gja,gjb->ab", scores, scores) * count / max(count - 1, 1)  # joints count as independent
@@ -116,7 +119,7 @@ def _by_cluster(
     rows = [np.flatnonzero(clusters == g) for g in range(count)]
     for joint in range(problem.joints):
         place = problem.columns(joint)
-        weight = fit.weights.precision[joint] * influence(residual[:, joint])
+        weight = fit.weights.precision[:, joint] * influence(residual[:, joint])
         pull = weight * residual[:, joint]
         for g, own in enumerate(rows):
             slopes = jacobian[own, joint]
@@ -138,8 +141,8 @@ def _steadied(problem: Problem, fit: Fit, jacobian: Array, covariance: Array) ->
     for joint, place in enumerate(own):
         columns = np.searchsorted(problem.columns(joint), place)
         scaled = jacobian[:, joint][:, columns] * prior.sigma[place]
-        weight = fit.weights.precision[joint]
-        _, vectors = np.linalg.eigh(scaled.T @ scaled * weight)
+        weight = fit.weights.precision[:, joint]
+        _, vectors = np.linalg.eigh(scaled.T @ (scaled * weight[:, None]))
         spread = covariance[np.ix_(place, place)] / np.outer(prior.sigma[place], prior.sigma[place])
         size = np.minimum(REACH * np.sqrt(np.einsum("ai,ab,bi->i", vectors, spread, vectors)), 1.0)
         moves[:, place] = (vectors * size).T * prior.sigma[place]
@@ -147,13 +150,13 @@ def _steadied(problem: Problem, fit: Fit, jacobian: Array, covariance: Array) ->
         sizes.append(size)
     tried = np.clip(np.vstack([fit.vector, fit.vector + moves, fit.vector - moves]), prior.lower, prior.upper)
     residuals = problem.residuals(tried)
-    losses = loss(residuals).sum(axis=1) * fit.weights.precision
+    losses = (loss(residuals) * fit.weights.precision).sum(axis=1)
     shown = losses[1 : 1 + len(moves)] + losses[1 + len(moves) :] - 2.0 * losses[0]
     steady = jacobian.copy()
     for joint, (place, vectors, size) in enumerate(zip(own, axes, sizes, strict=True)):
         columns = np.searchsorted(problem.columns(joint), place)
         along = (jacobian[:, joint][:, columns] * prior.sigma[place]) @ vectors * size
-        weight = fit.weights.precision[joint] * influence(residuals[0][:, joint])
+        weight = fit.weights.precision[:, joint] * influence(residuals[0][:, joint])
         claimed = np.maximum((along**2 * weight[:, None]).sum(axis=0), 1e-12)
         share = np.sqrt(np.clip(shown[:, joint] / claimed, LEAST_SHARE, 1.0))
         steady[:, joint, columns] = (along / size * share) @ vectors.T / prior.sigma[place]

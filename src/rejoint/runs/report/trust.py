@@ -85,10 +85,17 @@ def _free(judgement: Judgement, found: tuple[Score, ...]) -> list[str]:
     count = int(np.isfinite(best.free_mm).sum())
     rest = listed([f"{score.name} {number(value.value, 3, 'mm')}" for score, value in others], "and")
     motions = f"mean of {plural(count, 'motion')}{_interval(mean)}"
-    lines = [
-        f"Trust “{best.name}”: it predicts the tool within {number(mean.value, 3, 'mm')} in free space ({motions})."
-    ]
-    if best.name == NO_TWIN:
+    lines = (
+        [
+            f"Trust none of them: {'; '.join(judgement.doubts)}.",
+            f"“{best.name}” comes nearest, within {number(mean.value, 3, 'mm')} in free space ({motions}).",
+        ]
+        if judgement.doubts
+        else [
+            f"Trust “{best.name}”: it predicts the tool within {number(mean.value, 3, 'mm')} in free space ({motions})."
+        ]
+    )
+    if best.name == NO_TWIN and not judgement.doubts:
         lines = [
             f"Trust none of them: the command alone predicts better, within {number(mean.value, 3, 'mm')} ({motions})."
         ]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -17,10 +17,13 @@ from rejoint.runs.run import Run, exclusive, mark_quick
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import write_json
 from rejoint.system.progress import Progress, no_progress, paced
+from rejoint.twin.conditions import GAIN, TORQUE_OFF, declare
 
 if TYPE_CHECKING:
     from rejoint.twin.judge import Candidate
     from rejoint.twin.twin import Twin
+
+NOTHING: Mapping[str, str] = {}
 
 
 @paced
@@ -30,6 +33,9 @@ def identify(
     arm: ArmLike | None = None,
     run: RunLike | None = None,
     beside: Sequence[Candidate] = (),
+    hold_out: Sequence[str] | None = None,
+    gain: Mapping[str, str] = NOTHING,
+    torque_off: Mapping[str, str] = NOTHING,
     seed: int | None = None,
     quick: bool = False,
     on_progress: Progress = no_progress,
@@ -49,8 +55,15 @@ def identify(
         run, or its folder, into which ``twin.toml`` is written; without one nothing is written
     beside
         other twins, such as published ones, to judge beside the fitted one on logs of any motion
+    hold_out
+        labels of the motions to keep from the fit and judge it by; empty to judge it on the motions it has seen; by
+        default a quarter of the motions is drawn, of few motions the end of each is taken. Once judged, the twin is
+        fitted to all motions
+    gain, torque_off
+        of motions, by their labels: the servos' position gain over that which the twin is to have (``"0.5"``, or one
+        number for each joint), and seconds without torque since the start (``"3-7.5 12-14"``)
     seed
-        of the search; by default that of the run, else 0
+        of the search, and of what is held out; by default that of the run, else 0
     quick
         search less, for a first try: the fit is worse
     on_progress
@@ -86,11 +99,12 @@ def identify(
         return twin
     about, chosen = run_of_logs(run, logs, arm)
     with exclusive(about):
-        motions = as_logs(logs)
+        motions = declare(declare(as_logs(logs), GAIN, gain), TORQUE_OFF, torque_off)
         require_commands(motions, "identification")
         if about is None and all(is_excitation(log) for log in motions):
             return _from_excitation(chosen, motions, seed or 0, on_progress, quick=quick)
-        twin = _from_any_motion(chosen, motions, beside, on_progress, quick=quick)
+        drawn = seed if seed is not None else about.seed if about is not None else 0
+        twin = _from_any_motion(chosen, motions, beside, hold_out, drawn, on_progress, quick=quick)
         if about is not None:
             _write(about.begin(), twin)
             mark_quick(about, quick=quick)
@@ -108,12 +122,23 @@ def _from_excitation(arm: Arm, logs: Sequence[RunLog], seed: int, on_progress: P
 
 
 def _from_any_motion(
-    arm: Arm, logs: Sequence[RunLog], beside: Sequence[Candidate], on_progress: Progress, *, quick: bool
+    arm: Arm,
+    logs: Sequence[RunLog],
+    beside: Sequence[Candidate],
+    hold_out: Sequence[str] | None,
+    seed: int,
+    on_progress: Progress,
+    *,
+    quick: bool,
 ) -> Twin:
-    from rejoint.twin.fromlogs import LogSettings, identify_logs
+    from rejoint.twin.fromlogs import identify_logs
+    from rejoint.twin.holdout import HoldOut
+    from rejoint.twin.motionfit import LogSettings
 
-    few = LogSettings(coarse_seconds=20.0, fit_seconds=20.0, fast_seconds=5.0, contact_seconds=20.0)
-    found = identify_logs(arm, logs, few if quick else LogSettings(), on_progress, beside)
+    settings = LogSettings(hold_out=HoldOut(names=None if hold_out is None else tuple(hold_out), seed=seed))
+    if quick:
+        settings = replace(settings, coarse_seconds=20.0, fit_seconds=20.0, fast_seconds=5.0, contact_seconds=20.0)
+    found = identify_logs(arm, logs, settings, on_progress, beside)
     notes = (*found.twin.notes, *forced_remarks(logs))
     return replace(found.twin, judgement=found.judgement, fitted=found.fitted, notes=notes)
 

@@ -74,7 +74,7 @@ def _prediction(twin: Twin, gallery: Gallery) -> Part:
         f"motion and judged on {number(held.seconds, 2, 's')} that the fit had not seen. There its joints are within "
         f"{joint} (root mean square) of the measured ones."
     )
-    return Part(texts=(text,), figures=(picture,), columns=2)
+    return Part(texts=(text,), lines=tuple(sentence(note) for note in twin.notes), figures=(picture,), columns=2)
 
 
 def _parameters(twin: Twin, belief: Prior, gallery: Gallery) -> Part:
@@ -175,7 +175,6 @@ def _doubts(twin: Twin) -> Part:
         lines.append(f"Torques and inertia of {where} are known up to a common factor only: gravity loads them little.")
     for one, other, value in twin.correlations:
         lines.append(sentence(f"{_name(one)} and {_name(other)} cannot be told apart (correlation {value:+.2f})"))
-    lines += [sentence(note) for note in twin.notes]
     lines.append("Play and flex behind the encoders are invisible in these motions; the twin does not have them.")
     return Part(heading="What could not be identified", lines=tuple(lines))
 

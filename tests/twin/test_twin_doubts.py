@@ -1,0 +1,91 @@
+"""A twin is trusted only where something moved, on one clock, often enough, and the commands predict it worse."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from motion_logs import ARM, STEP, TRUTH, as_log, record, wandering
+
+from rejoint.runs.report.trust import answer
+from rejoint.twin.doubts import command_lag
+from rejoint.twin.fit import Problem, fit
+from rejoint.twin.fromlogs import _hard_to_follow
+from rejoint.twin.judge import Candidate, judge
+from rejoint.twin.motionfit import FREEDOM
+from rejoint.twin.parameters import healthy_parameters, pack, unpack
+from rejoint.twin.replay import Replay, cut
+from rejoint.twin.structure import simplest
+from rejoint.twin.unknown import unknown_prior
+
+LOGS = [record(f"motion{k}", *wandering(k, 10.0)) for k in range(4)]
+TWIN = Candidate(name="twin", parameters=TRUTH, stiction=1.25)
+
+
+def shifted(log, rows):
+    """The log with readings that come so many rows later, or earlier if negative."""
+    time, command, position = log.time, log.command, log.position
+    if rows > 0:
+        return as_log(log.label, time[rows:], position[:-rows], command[rows:])
+    return as_log(log.label, time[:rows], position[-rows:], command[:rows])
+
+
+def still(log):
+    resting = np.tile(log.position[:1], (len(log), 1))
+    return replace(log, position=resting, command=np.tile(log.command[:1], (len(log), 1)))
+
+
+CASES = {
+    "no joint moved by more than": still,
+    "readings are 0.34 s apart, expected at most 0.1 s": lambda log: log.rows(slice(None, None, 17)),
+    "copies of the commands": lambda log: replace(log, position=np.vstack([log.command[:1], log.command[:-1]])),
+    r"follow the commands by 0.3\d s, expected -0.05 to 0.3 s": lambda log: shifted(log, 15),
+    r"follow the commands by -0.2\d s": lambda log: shifted(log, -15),
+}
+
+
+@pytest.mark.parametrize("says", CASES)
+def test_what_is_missing_is_said_in_place_of_trust(says):
+    judgement = judge(ARM, [TWIN], [CASES[says](log) for log in LOGS], timestep=STEP)
+    assert len(judgement.doubts) >= 1
+    first = answer(judgement)[0]
+    assert first.startswith("Trust none of them: ")
+    assert sum(bool(re.search(says, doubt)) for doubt in judgement.doubts) == 1
+
+
+def test_a_twin_that_beats_the_commands_is_trusted_and_one_that_does_not_is_not():
+    good = judge(ARM, [TWIN], LOGS, timestep=STEP)
+    assert good.doubts == ()
+    assert answer(good)[0].startswith("Trust “twin”")
+    healthy = replace(TWIN, parameters=replace(healthy_parameters(ARM), offset=np.full(ARM.joints, 0.05)))
+    bad = judge(ARM, [healthy], LOGS, timestep=STEP)
+    assert any("no twin predicts measurably better than the command" in doubt for doubt in bad.doubts)
+
+
+def test_the_lag_of_commands_is_that_of_the_servos_or_of_the_clocks():
+    lag, left = command_lag(LOGS)
+    assert lag == pytest.approx(float(np.median(TRUTH.damping / TRUTH.stiffness) + TRUTH.delay), abs=0.03)
+    assert left > ARM.encoder_step
+    assert command_lag([shifted(log, 10) for log in LOGS])[0] == pytest.approx(lag + 0.2, abs=0.011)
+
+
+def test_a_motion_that_no_twin_follows_counts_less_and_is_named():
+    """One motion of five is shaken by five degrees: it spoils the fit only where all count alike."""
+    rng = np.random.default_rng(0)
+    shaking = np.cumsum(rng.standard_normal(LOGS[0].position.shape), axis=0)
+    shaking = np.radians(5.0) * (shaking - shaking.mean(axis=0)) / shaking.std(axis=0)
+    logs = [*LOGS, replace(LOGS[0], label="shaken", position=LOGS[0].position + shaking)]
+    structure = simplest(unknown_prior(ARM), 1.25)
+    start = np.clip(pack(TRUTH), structure.prior.lower, structure.prior.upper)
+    off = []
+    for freedom in (FREEDOM, np.inf):
+        replay = Replay(ARM, logs, cut(logs, 5.0), STEP, 1, 1.25)
+        problem = Problem(replay, structure.prior, structure.frozen, memory=1.0, freedom=freedom)
+        found = fit(problem, start, 4)
+        off.append(np.abs(np.log(unpack(found.vector, ARM.joints).coulomb / TRUTH.coulomb)).mean())
+        named = _hard_to_follow(problem, found, logs)
+        assert bool(named) == (freedom < np.inf)
+        if named:
+            assert named[0].count("motion") + named[0].count("shaken") == 1
+            assert "shaken (0." in named[0]
+    assert off[0] < 0.05 < off[1]

@@ -1,0 +1,51 @@
+"""Masses that are not known: their part in an estimate's covariance is what a fit with other masses would come to."""
+
+import numpy as np
+from motion_logs import ARM, STEP, TRUTH, record, wandering
+
+from rejoint.twin.fit import Fit, Problem, fit
+from rejoint.twin.masses import COMMON, _other_arms, mass_covariance
+from rejoint.twin.masses import STEP as CHANGE
+from rejoint.twin.parameters import Layout, pack
+from rejoint.twin.replay import Replay, cut
+from rejoint.twin.structure import simplest
+from rejoint.twin.uncertainty import _central_differences
+from rejoint.twin.unknown import unknown_prior
+
+LAYOUT = Layout(ARM.joints)
+LOGS = [record(f"motion{k}", *wandering(k, 10.0)) for k in range(2)]
+
+
+def problem(arm=ARM):
+    structure = simplest(unknown_prior(arm), 1.25)
+    replay = Replay(arm, LOGS, cut(LOGS, 8.0), STEP, 1, 1.25)
+    return Problem(replay, structure.prior, structure.frozen, memory=1.0)
+
+
+def test_the_covariance_of_masses_is_how_far_other_masses_move_a_fit():
+    here = problem()
+    found = fit(here, np.clip(pack(TRUTH), here.prior.lower, here.prior.upper), 3)
+    residual, jacobian = _central_differences(here, found.vector)
+    curvature = here.system(jacobian, residual, found.weights)[0] + here.prior.precision
+    covariance = mass_covariance(here, found, residual, jacobian, curvature)
+    np.testing.assert_allclose(covariance, covariance.T, atol=1e-12)
+    assert np.linalg.eigvalsh(covariance).min() > -1e-12
+    assert not covariance[here.frozen].any()
+    sigma = np.sqrt(np.diag(covariance))
+    lift = LAYOUT.at("stiffness").start + 1
+    assert 0.3 * COMMON < sigma[lift] < 3.0 * COMMON
+    assert sigma[LAYOUT.at("stiffness").start + 4] < 0.5 * sigma[lift]  # nothing loads the wrist roll
+    heavier = next(_other_arms(ARM))[0]
+    np.testing.assert_allclose(heavier.mass, np.exp(CHANGE) * ARM.mass)
+    moved: Fit = fit(problem(heavier), found.vector, 4)
+    assert moved.vector[lift] - found.vector[lift] > 0.3 * CHANGE  # heavier links, the same sag: a stiffer servo
+
+
+def test_each_mass_and_centre_is_moved_once_and_all_masses_together():
+    arms = [arm for arm, _ in _other_arms(ARM)]
+    heavier = np.array([arm.mass / ARM.mass for arm in arms])
+    np.testing.assert_allclose(heavier[0], np.exp(CHANGE))
+    np.testing.assert_allclose(heavier[1 : 1 + ARM.joints], 1.0 + np.expm1(CHANGE) * np.eye(ARM.joints))
+    np.testing.assert_allclose(heavier[1 + ARM.joints :], 1.0)
+    further = [np.linalg.norm(arm.com, axis=1) / np.linalg.norm(ARM.com, axis=1) for arm in arms[1 + ARM.joints :]]
+    np.testing.assert_allclose(further, 1.0 + np.expm1(CHANGE) * np.eye(ARM.joints))
