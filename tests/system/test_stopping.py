@@ -54,6 +54,17 @@ def test_a_second_signal_does_not_cut_the_last_line_short():
     assert ended.stderr == "error: interrupted by SIGTERM\n"
 
 
+def test_what_ended_once_in_a_process_hears_signals_again():
+    ended = run(
+        "stopping.install()\nstopping.close()\nos.kill(os.getpid(), signal.SIGTERM)\n"
+        "import subprocess\nchild = [sys.executable, '-c', 'import signal; print(signal.getsignal(signal.SIGTERM))']\n"
+        "print(subprocess.run(child, capture_output=True, text=True).stdout.strip(), flush=True)\n"
+        "stopping.install()\nos.kill(os.getpid(), signal.SIGTERM)\n"
+    )
+    assert ended.stdout.splitlines() == ["0"], ended.stdout  # SIG_DFL
+    assert "Interrupted: interrupted by SIGTERM" in ended.stderr
+
+
 def test_other_exceptions_that_nobody_sees_are_shown_as_before():
     ended = run("stopping.install()\n@ctypes.CFUNCTYPE(None)\ndef broken():\n    raise ValueError('seen')\nbroken()\n")
     assert ended.returncode == 0

@@ -66,7 +66,8 @@ def install() -> None:
 def close() -> None:
     """Be deaf from now on: the program is ending because it was asked to, and says so without being cut short."""
     for signum in SIGNALS:
-        signal.signal(signum, signal.SIG_IGN)
+        if signal.getsignal(signum) != signal.SIG_IGN:
+            signal.signal(signum, _pass_over)
 
 
 def ending() -> bool:
@@ -132,6 +133,10 @@ def _handle(signum: int, frame: FrameType | None) -> None:  # noqa: ARG001 - as 
     _note.signum = _note.signum or signum
     if not _note.noted:
         check()
+
+
+def _pass_over(signum: int, frame: FrameType | None) -> None:
+    """Do nothing: unlike an ignored signal, which processes started from here would ignore as well."""
 
 
 def _unraisable(unraisable: sys.UnraisableHookArgs) -> None:
