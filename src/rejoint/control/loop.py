@@ -16,6 +16,7 @@ import numpy as np
 from rejoint.arms import Array, tcp_position
 from rejoint.control.controller import ControlInput, Controller
 from rejoint.control.correction import Correction
+from rejoint.control.course import Course
 from rejoint.control.following import Following
 from rejoint.control.guard import TRIPS, Guarded, GuardLimits, Reason, Reasons, guard, warm_up
 from rejoint.control.recording import Cycle, OnCycle, Recorder, Recording, attach
@@ -86,6 +87,32 @@ def run(
         return _drive(loop, targets)
 
 
+def follow(
+    robot: Robot,
+    controller: Controller,
+    course: Course,
+    schedule: Schedule,
+    *,
+    limits: GuardLimits | None = None,
+    on_cycle: OnCycle | None = None,
+) -> Recording:
+    """Drive ``robot`` behind the moving targets of a ``course``, for the dwell of the schedule; else as `run`.
+
+    Controllers are not reset on the way. The course has the aims, so that no correction is needed.
+    """
+    if course.count != robot.count:
+        raise InputError(f"a course of {course.count} targets, expected one for each of {robot.count} arms")
+    limits = GuardLimits.of(robot.arm) if limits is None else limits
+    recorder = Recorder(robot=robot, controller=controller.name)
+    loop = _Loop(
+        robot=robot, controller=controller, schedule=schedule, limits=limits, recorder=recorder, on_cycle=on_cycle,
+        correction=None, course=course,
+    )  # fmt: skip
+    _warm_up(limits)
+    with noted():
+        return _drive(loop, np.full((robot.count, 1, 3), np.nan))
+
+
 def _warm_up(limits: GuardLimits) -> None:
     """Have everything ready that the first cycle needs: one that waited would be long, and would allow a long step."""
     warm_up(limits)
@@ -99,7 +126,7 @@ def _drive(loop: _Loop, targets: Array) -> Recording:
     run_state: RunState | None = None
     try:
         check()
-        run_state = RunState.begin(own(robot.read()), targets, loop.schedule.sent, loop.limits, loop.correction)
+        run_state = RunState.begin(own(robot.read()), targets, loop.schedule.sent, loop.limits, loop.correction, loop.course)
         loop.controller.reset(run_state.inputs(), np.ones(robot.count, dtype=bool))
         while loop.cycle(run_state):
             check()
@@ -197,6 +224,7 @@ class _Loop:
     recorder: Recorder
     on_cycle: OnCycle | None
     correction: Correction | None
+    course: Course | None = None
 
     def cycle(self, run_state: RunState) -> bool:
         """Do one control cycle; returns whether there is another one."""

@@ -1,0 +1,90 @@
+"""The controller that follows: the inverse of the twin ahead of time, and an observer for what the twin does not know.
+
+What it sends is the command under which the twin would move as is wanted a moment later, less what the observer says
+pushes the joint, less its deviation in stiffness and damping that the worn servo has not. The delay costs nothing: what
+is corrected is the deviation at which a command begins to work.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rejoint.arms import Arm, Array
+from rejoint.control.controller import ControlInput
+from rejoint.control.law import limit_position
+from rejoint.control.moving.observer import Observer, Trust
+from rejoint.control.moving.posture import Postures
+from rejoint.control.moving.servos import Motion, Servos, command_for
+from rejoint.control.pace import NOMINAL_PERIOD, Pace
+from rejoint.control.robot import Mask
+
+_SMOOTHING = 0.1  # share of the newest period in their mean (chosen)
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrackerGains:
+    """Settings; chosen on the worn arms 30001 to 30004, see docs/daily-use.md."""
+
+    stiffness: float = 1.25
+    """by which a joint is held stiffer than its servo does, as a share of that"""
+    damping: float = 0.065
+    """[s] the same of damping, over the servo's stiffness"""
+    early: float = 0.0075
+    """[s] beyond the twin's delay and half a control period, for which a command stands, by which commands go out: what
+    the servo's own filter takes"""
+    step: float = 0.03
+    """[s] between the places of a motion that speed and acceleration are taken from"""
+    push_limit: float = float(np.radians(30.0))
+    """[rad] largest correction of what pushes a joint"""
+    trust: Trust = Trust()
+
+
+class Tracker:
+    """Follows targets that move, for B arms."""
+
+    name = "tracker"
+
+    def __init__(self, arm: Arm, servos: Servos, gains: TrackerGains | None = None) -> None:
+        self._arm, self._servos, self._gains = arm, servos, gains or TrackerGains()
+        self._begun = False
+
+    def reset(self, inputs: ControlInput, where: Mask) -> None:  # noqa: ARG002 - a gap in the answers forgets nothing
+        """Begin where the arms are; later resets change nothing, since targets that move are no new ones."""
+        if self._begun:
+            return
+        self._begun = True
+        count = len(inputs.sent)
+        self._postures, self._seen = (Postures(self._arm, inputs.aims(np.zeros(1))[0]) for _ in range(2))
+        self._observer, self._pace = Observer(self._arm, self._servos, self._gains.trust), Pace()
+        self._pace.begin(inputs.state.time, np.ones(count, dtype=bool))
+        self._wanted = self._expected = inputs.sent.copy()
+        self._last: Array | None = None  # (B,) [s] when the last command went out
+        self._period = np.full(count, NOMINAL_PERIOD)
+
+    def command(self, inputs: ControlInput) -> Array:
+        """Return what is to be sent, (B, n) [rad]."""
+        gains, observer, now = self._gains, self._observer, inputs.state.time
+        if self._last is not None:
+            observer.sent(self._last, self._effective(inputs.sent) - self._wanted)
+        elapsed = self._pace.tick(now)
+        self._period += _SMOOTHING * (elapsed > 0.0) * (elapsed - self._period)
+        wanted_now = self._seen.at(inputs.aims(np.zeros(1)))[0]
+        observer.see(now, elapsed, inputs.state.position - wanted_now)
+        away, speed = observer.soon(now)
+        motion = self._motion(inputs)
+        self._wanted, self._last = command_for(self._arm, self._servos, motion), now.copy()
+        self._expected = motion.position + away
+        push = np.clip(observer.push, -gains.push_limit, gains.push_limit)
+        return limit_position(self._arm, self._wanted - push - gains.stiffness * away - gains.damping * speed)
+
+    def _motion(self, inputs: ControlInput) -> Motion:
+        step = self._gains.step
+        ahead = self._servos.delay + 0.5 * self._period + self._gains.early
+        return Motion(around=self._postures.at(inputs.aims(ahead + step * np.arange(-1.0, 2.0)[:, None])), step=step)
+
+    def _effective(self, sent: Array) -> Array:
+        """Return ``sent`` (B, n) [rad], no farther from the joint than its servo makes more torque of: no windup."""
+        joint = self._expected - self._servos.offset
+        return np.clip(sent, joint - self._servos.most(), joint + self._servos.most())
