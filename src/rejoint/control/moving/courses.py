@@ -145,3 +145,17 @@ class Courses:
         """Return the aims (k, B, 3) [m] ``later`` (k, B) [s] than ``now`` (B,)."""
         columns = zip(self.guides, now, later.T, strict=True)
         return np.stack([guide.aims(float(time), column) for guide, time, column in columns], axis=1)
+
+
+def played(path: Path, rate: float, lead_in: float = LEAD_IN) -> Stream:
+    """Return a stream that tells a path ``rate`` [Hz] times a second, as it goes, after a time at its start.
+
+    InputError for a rate that is not between 1 and 1000 Hz.
+    """
+    if not 1.0 <= rate <= 1000.0:
+        raise InputError(f"stream: the rate must be between 1 and 1000 Hz, got {rate}")
+    stream = Stream()
+    stream.put(path.at(0.0), 0.0)
+    for time in np.arange(lead_in, lead_in + path.duration + 1.0 / rate, 1.0 / rate):
+        stream.put(path.at(time - lead_in), float(time))
+    return stream

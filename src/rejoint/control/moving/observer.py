@@ -36,11 +36,15 @@ class Trust:
 class Observer:
     """Deviations of B arms from the motion that is wanted."""
 
-    def __init__(self, arm: Arm, servos: Servos, trust: Trust | None = None) -> None:
+    def __init__(
+        self, arm: Arm, servos: Servos, trust: Trust | None = None, period: float = NOMINAL_PERIOD
+    ) -> None:
+        """``period`` [s] is the usual one of the control cycles."""
         self._servos = servos
-        self._mass = np.maximum(servos.armature + link_inertia(arm, arm.rest), _LEAST_INERTIA)
+        self.mass = np.maximum(servos.armature + link_inertia(arm, arm.rest), _LEAST_INERTIA)
+        """(B, n) [kg m^2] that moves with each joint"""
         noise = max(arm.encoder_step**2 / 12.0, 1e-8)
-        self._gain = _filter_gain(self._mass, servos, trust or Trust(), noise)
+        self._gain = _filter_gain(self.mass, servos, trust or Trust(), noise, period)
         self.away, self.speed, self.push = np.zeros((3, *servos.stiffness.shape))
         """each (B, n): deviation [rad], its speed [rad/s], and what pushes the joint, over its stiffness [rad]"""
         self._sent: list[tuple[Array, Array]] = []
@@ -66,8 +70,8 @@ class Observer:
 
     def _pass(self, start: Array, span: Array) -> tuple[Array, Array]:
         servos, step = self._servos, (span / _PARTS)[:, None]
-        pull = step * servos.stiffness / self._mass
-        brake = 1.0 / (1.0 + step * servos.damping / self._mass)
+        pull = step * servos.stiffness / self.mass
+        brake = 1.0 / (1.0 + step * servos.damping / self.mass)
         away, speed = self.away, self.speed
         for k in range(_PARTS):
             beyond = self._in_force(start + (k + 0.5) * step[:, 0] - servos.delay)
@@ -83,21 +87,21 @@ class Observer:
         return found
 
 
-def _filter_gain(mass: Array, servos: Servos, trust: Trust, noise: float) -> Array:
-    """Gains (B, n, 3) of the filter in the long run, at the usual period."""
-    step = NOMINAL_PERIOD / _PARTS
+def _filter_gain(mass: Array, servos: Servos, trust: Trust, noise: float, period: float) -> Array:
+    """Gains (B, n, 3) of the filter in the long run."""
+    step = period / _PARTS
     brake, pull = 1.0 / (1.0 + step * servos.damping / mass), step * servos.stiffness / mass
     one = np.zeros((*mass.shape, 3, 3))
     one[..., 1, 0], one[..., 1, 1], one[..., 1, 2] = -brake * pull, brake, brake * pull
     one[..., 0, :] = step * one[..., 1, :]
     one[..., 0, 0] += 1.0
     one[..., 2, 2] = 1.0
-    period = np.linalg.matrix_power(one, _PARTS)
-    unknown = np.diag([1e-9, trust.shocks * NOMINAL_PERIOD, trust.drift * NOMINAL_PERIOD])
-    spread = np.broadcast_to(1e-3 * np.eye(3), period.shape)
+    cycle = np.linalg.matrix_power(one, _PARTS)
+    unknown = np.diag([1e-9, trust.shocks * period, trust.drift * period])
+    spread = np.broadcast_to(1e-3 * np.eye(3), cycle.shape)
     gain = np.zeros((*mass.shape, 3))
     for _ in range(_ROUNDS):
-        spread = period @ spread @ np.swapaxes(period, -1, -2) + unknown
+        spread = cycle @ spread @ np.swapaxes(cycle, -1, -2) + unknown
         gain = spread[..., 0] / (spread[..., :1, 0] + noise)
         spread = spread - gain[..., None] * spread[..., :1, :]
     return gain

@@ -34,6 +34,9 @@ class TrackerGains:
     early: float = 0.0075
     """[s] beyond the twin's delay and half a control period, for which a command stands, by which commands go out: what
     the servo's own filter takes"""
+    pace: float = 1.0
+    """largest product of the frequency [rad/s] at which a joint so held would swing, and the time that passes until a
+    command works and is read (measured: with 1.5 arms at a period of 50 ms, and healthy ones, swing for ever)"""
     step: float = 0.03
     """[s] between the places of a motion that speed and acceleration are taken from"""
     push_limit: float = float(np.radians(30.0))
@@ -46,8 +49,12 @@ class Tracker:
 
     name = "tracker"
 
-    def __init__(self, arm: Arm, servos: Servos, gains: TrackerGains | None = None) -> None:
+    def __init__(
+        self, arm: Arm, servos: Servos, gains: TrackerGains | None = None, period: float = NOMINAL_PERIOD
+    ) -> None:
+        """``period`` [s] is the usual one of the control cycles, which the gains must suit."""
         self._arm, self._servos, self._gains = arm, servos, gains or TrackerGains()
+        self._usual = period
         self._begun = False
 
     def reset(self, inputs: ControlInput, where: Mask) -> None:  # noqa: ARG002 - a gap in the answers forgets nothing
@@ -57,11 +64,12 @@ class Tracker:
         self._begun = True
         count = len(inputs.sent)
         self._postures, self._seen = (Postures(self._arm, inputs.aims(np.zeros(1))[0]) for _ in range(2))
-        self._observer, self._pace = Observer(self._arm, self._servos, self._gains.trust), Pace()
+        self._observer = Observer(self._arm, self._servos, self._gains.trust, self._usual)
+        self._pace, self._firmness = Pace(), self._firm(self._observer.mass)
         self._pace.begin(inputs.state.time, np.ones(count, dtype=bool))
         self._wanted = self._expected = inputs.sent.copy()
         self._last: Array | None = None  # (B,) [s] when the last command went out
-        self._period = np.full(count, NOMINAL_PERIOD)
+        self._period = np.full(count, self._usual)
 
     def command(self, inputs: ControlInput) -> Array:
         """Return what is to be sent, (B, n) [rad]."""
@@ -77,7 +85,14 @@ class Tracker:
         self._wanted, self._last = command_for(self._arm, self._servos, motion), now.copy()
         self._expected = motion.position + away
         push = np.clip(observer.push, -gains.push_limit, gains.push_limit)
-        return limit_position(self._arm, self._wanted - push - gains.stiffness * away - gains.damping * speed)
+        held = gains.stiffness * away + gains.damping * speed
+        return limit_position(self._arm, self._wanted - push - self._firmness * held)
+
+    def _firm(self, mass: Array) -> Array:
+        """Share (B, n) of the gains that joints of this ``mass`` (B, n) [kg m^2] bear at the delay and the period."""
+        late = (self._servos.delay + 0.5 * self._usual)[:, None]
+        most = (self._gains.pace / late) ** 2 * mass / self._servos.stiffness - 1.0
+        return np.clip(most / self._gains.stiffness, 0.0, 1.0)
 
     def _motion(self, inputs: ControlInput) -> Motion:
         step = self._gains.step
