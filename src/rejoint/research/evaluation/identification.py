@@ -51,7 +51,7 @@ def know_arm(arm: Arm, wear_seed: int, folder: RunFolder, iterations: int | None
     from rejoint.twin.file import read_twin
 
     if not folder.twin.exists():
-        _identify(arm, wear_seed, folder, on_progress)
+        identify_arm(arm, wear_seed, folder, on_progress)
     twin = read_twin(folder.twin, arm)
     if not folder.policy.exists():
         options = TrainingOptions(iterations=iterations, resume=True)
@@ -82,7 +82,8 @@ def evaluate_identification(
     return conclude(arm, settings, contestants, meanings, outcomes, folder)
 
 
-def _identify(arm: Arm, wear_seed: int, folder: RunFolder, on_progress: Progress) -> None:
+def identify_arm(arm: Arm, wear_seed: int, folder: RunFolder, on_progress: Progress) -> None:
+    """Diagnose and identify the arm ``worn?seed=``, and leave its twin in ``folder``."""
     from rejoint.diagnosis.diagnosis import diagnose
     from rejoint.diagnosis.healthy import healthy_reference
     from rejoint.twin.file import write_twin

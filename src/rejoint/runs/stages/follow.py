@@ -121,7 +121,7 @@ def follow(
     repeat
         how often; from the second time on the path is aimed at by what was missed before
     rate
-        [Hz] at which the path is given to the arm as it goes, instead of being known ahead; then it goes 0.1 s behind
+        [Hz] at which the path is given to the arm as it goes, instead of being known ahead; then it goes 0.08 s behind
     duration
         [s] for which a stream is followed
     within
