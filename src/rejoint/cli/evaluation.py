@@ -184,9 +184,7 @@ def _calibrate(
     terminal.finish({"out": str(out), "rows": result.rows, "named": result.named, "accused": result.accused})
 
 
-def _follow(
-    terminal: Terminal, arm: Arm, context: typer.Context, family: ArmFamily, out: Path, threads: int
-) -> None:
+def _follow(terminal: Terminal, arm: Arm, context: typer.Context, family: ArmFamily, out: Path, threads: int) -> None:
     from rejoint.research.evaluation.moving import evaluate_moving, moving_table
 
     for name in ("controllers", "variants", "targets", "gains", "policy", "calibrate"):

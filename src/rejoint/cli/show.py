@@ -143,7 +143,8 @@ def followed(terminal: Terminal, done: Followed) -> None:
         [
             str(number), *(f"{1e3 * value:.2f}" for value in (one.encoder.rms, one.encoder.largest)),
             f"{1e3 * one.encoder.lag:.0f}",
-            *(f"{1e3 * value:.2f}" for value in (one.encoder.rms_after, one.encoder.largest_after)), str(one.true_error),
+            *(f"{1e3 * value:.2f}" for value in (one.encoder.rms_after, one.encoder.largest_after)),
+            str(one.true_error),
         ]
         for number, one in enumerate(done.passes, start=1)
     ]  # fmt: skip

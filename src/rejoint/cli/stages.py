@@ -228,7 +228,9 @@ def follow(
     path: Annotated[
         str, typer.Argument(help="CSV file time,x,y,z in s and mm; or circle-8s, random-0.2hz and the like.")
     ],
-    controller: Annotated[str, typer.Option(help="tracker, by the run's twin; or default: sent as it comes.")] = TRACKER,
+    controller: Annotated[
+        str, typer.Option(help="tracker, by the run's twin; or default: sent as it comes.")
+    ] = TRACKER,
     repeat: Annotated[int, typer.Option(help="How often; each time it learns from the last.", min=1)] = 1,
     rate: Annotated[
         float | None, typer.Option(help="Tell the path as it goes, so many times a second, instead of ahead.")

@@ -126,7 +126,9 @@ def _drive(loop: _Loop, targets: Array) -> Recording:
     run_state: RunState | None = None
     try:
         check()
-        run_state = RunState.begin(own(robot.read()), targets, loop.schedule.sent, loop.limits, loop.correction, loop.course)
+        run_state = RunState.begin(
+            own(robot.read()), targets, loop.schedule.sent, loop.limits, loop.correction, loop.course
+        )
         loop.controller.reset(run_state.inputs(), np.ones(robot.count, dtype=bool))
         while loop.cycle(run_state):
             check()

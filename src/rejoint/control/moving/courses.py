@@ -17,8 +17,8 @@ LEAD_IN = 2.0
 """[s] in which an arm stands at the start of a path before it moves off (chosen: in it the observer finds what pushes
 each joint)"""
 LAG = 0.08
-"""[s] by which an arm goes behind a stream, at all times alike (chosen: the next target at 30 Hz has then mostly come when its
-command goes out)"""
+"""[s] by which an arm goes behind a stream, at all times alike (chosen: the next target at 30 Hz has then mostly
+come when its command goes out)"""
 EXTRAPOLATED = 0.2
 """[s] for which a stream that pauses is taken to go on as it went; then it is held (chosen)"""
 _KEPT = 12.0  # [s] of a stream that are remembered (chosen: what speeds are taken from is a small part of it)

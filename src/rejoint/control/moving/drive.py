@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, tcp_position
 from rejoint.control.accuracy import NOT_KNOWN, TrueError
@@ -20,6 +21,8 @@ from rejoint.control.moving.posture import Postures
 from rejoint.control.recording import OnCycle, Recording
 from rejoint.control.robot import Robot
 from rejoint.logs.runlog import RunLog
+
+Rows = NDArray[np.intp]
 
 _STEP = 0.02  # [s] between the places of a path that is corrected or judged
 _APPROACH = 15  # of those back is where an arm came from: 0.3 s (chosen: longer than play takes to turn round)
@@ -108,7 +111,7 @@ def judge(arm: Arm, recording: Recording, guide: Ahead | Stream, b: int = 0) -> 
     )
 
 
-def rows_on(recording: Recording, guide: Ahead | Stream, b: int = 0) -> tuple[Array, Array]:
+def rows_on(recording: Recording, guide: Ahead | Stream, b: int = 0) -> tuple[Rows, Array]:
     """Return the rows of a recording (T,) in which arm ``b`` was on its path, and the times (T,) [s] on that."""
     begin = guide.lead_in if isinstance(guide, Ahead) else guide.time[0]
     length = guide.path.duration if isinstance(guide, Ahead) else guide.time[-1] - begin
@@ -123,7 +126,11 @@ def course_of(guide: Ahead | Stream) -> tuple[Array, Array, Array]:
         time = np.linspace(0.0, guide.path.duration, max(2, round(guide.path.duration / _STEP) + 1))
         return time, guide.path.at(time), (guide.aim or guide.path).at(time)
     targets = np.array(guide.targets)
-    return np.array(guide.time) - guide.time[0], targets, targets if guide.corrected is None else guide.corrected(targets)
+    return (
+        np.array(guide.time) - guide.time[0],
+        targets,
+        targets if guide.corrected is None else guide.corrected(targets),
+    )
 
 
 def missed(arm: Arm, recording: Recording, guide: Ahead, wanted: Path, b: int = 0) -> tuple[Array, Array]:

@@ -28,7 +28,7 @@ class Along:
 
 
 def along(time: Array, tool: Array, at: Array, places: Array) -> Along:
-    """Compare where the ``tool`` (T, 3) [m] was at ``time`` (T,) [s] with ``places`` (K, 3) [m] at times ``at`` (K,)."""
+    """Compare the ``tool`` (T, 3) [m] at ``time`` (T,) [s] with ``places`` (K, 3) [m] at times ``at`` (K,) [s]."""
     errors = [np.linalg.norm(tool - interpolated(time - lag, at, places), axis=-1) for lag in _LAGS]
     sizes = [float(np.sqrt((error**2).mean())) for error in errors]
     best = int(np.argmin(sizes))

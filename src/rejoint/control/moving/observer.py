@@ -36,9 +36,7 @@ class Trust:
 class Observer:
     """Deviations of B arms from the motion that is wanted."""
 
-    def __init__(
-        self, arm: Arm, servos: Servos, trust: Trust | None = None, period: float = NOMINAL_PERIOD
-    ) -> None:
+    def __init__(self, arm: Arm, servos: Servos, trust: Trust | None = None, period: float = NOMINAL_PERIOD) -> None:
         """``period`` [s] is the usual one of the control cycles."""
         self._servos = servos
         self.mass = np.maximum(servos.armature + link_inertia(arm, arm.rest), _LEAST_INERTIA)

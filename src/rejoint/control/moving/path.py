@@ -53,7 +53,7 @@ class Path:
 
     @property
     def duration(self) -> float:
-        """[s]"""
+        """Length in time [s]."""
         return float(self.time[-1])
 
     def at(self, time: Array | float) -> Array:
@@ -92,7 +92,7 @@ class Path:
             )
         postures = Postures(arm, places[:1]).along(places[:, None])[:, 0]
         share = np.abs(np.diff(postures, axis=0)) / np.diff(times)[:, None] / arm.max_speed
-        k, j = np.unravel_index(int(share.argmax()), share.shape)
+        k, j = (int(index) for index in np.unravel_index(int(share.argmax()), share.shape))
         if share[k, j] > SPEED_SHARE:
             raise InputError(
                 f"path: at {times[k]:.2f} s {_point(places[k])} {arm.joint_names[j]} would have to turn at "

@@ -51,7 +51,7 @@ class Postures:
         """(B, n) [rad]"""
 
     def at(self, places: Array) -> Array:
-        """Return the postures (k, B, n) [rad] of ``places`` (k, B, 3) [m] near the last ones; the middle one is kept."""
+        """Return the postures (k, B, n) [rad] of ``places`` (k, B, 3) [m] near the last ones; keep the middle one."""
         start = np.broadcast_to(self.last, (len(places), *self.last.shape))
         found = self._search(places, start, _ROUNDS)
         self.last = found[len(found) // 2]

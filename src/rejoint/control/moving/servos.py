@@ -43,7 +43,7 @@ class Servos:
             raise InputError("servos: stiffness and torque limits must be positive")
 
     def most(self) -> Array:
-        """(B, n) [rad] largest angle between command and joint that a servo makes more torque of."""
+        """Return the largest angles (B, n) [rad] between command and joint that a servo makes more torque of."""
         return self.torque_limit / self.stiffness
 
 
@@ -58,17 +58,17 @@ class Motion:
 
     @property
     def position(self) -> Array:
-        """(B, n) [rad]"""
+        """Postures (B, n) [rad]."""
         return np.asarray(self.around[1])
 
     @property
     def speed(self) -> Array:
-        """(B, n) [rad/s]"""
+        """Speeds (B, n) [rad/s]."""
         return (self.around[2] - self.around[0]) / (2.0 * self.step)
 
     @property
     def acceleration(self) -> Array:
-        """(B, n) [rad/s^2]"""
+        """Accelerations (B, n) [rad/s^2]."""
         return (self.around[2] - 2.0 * self.around[1] + self.around[0]) / self.step**2
 
 

@@ -59,7 +59,7 @@ def standard_path(name: str, arm: Arm, seed: int = 0) -> Path:
 
 
 def _phase(length: float) -> tuple[Array, Array]:
-    """Times (T,), and how far (T,) [s] of ``length`` [s] one that starts and ends at rest has come."""
+    """Return times (T,), and how far (T,) [s] of ``length`` [s] one that starts and ends at rest has come."""
     duration = length + EASE
     time = np.linspace(0.0, duration, round(duration / _STEP) + 1)
     return time, _rising(time) - _rising(time - length)

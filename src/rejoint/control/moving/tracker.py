@@ -7,7 +7,7 @@ is corrected is the deviation at which a command begins to work.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -41,7 +41,7 @@ class TrackerGains:
     """[s] between the places of a motion that speed and acceleration are taken from"""
     push_limit: float = float(np.radians(30.0))
     """[rad] largest correction of what pushes a joint"""
-    trust: Trust = Trust()
+    trust: Trust = field(default_factory=Trust)
 
 
 class Tracker:

@@ -36,7 +36,7 @@ from rejoint.system.progress import Progress, part
 RATE = 30.0
 """[Hz] at which a path is told to those that do not know it ahead (the actions of learned policies, usually)"""
 REPETITIONS = 10
-BLOCK = 10
+BLOCK = 5
 """Arms that move side by side (chosen)"""
 SENT, HEALTHY, KNOWN, STREAM = "worn, sent as it comes", "healthy, sent as it comes", "known ahead", "as it goes, 30 Hz"
 REPEATED = f"time {REPETITIONS} of one path"
@@ -85,7 +85,9 @@ class MovingEvaluation:
     rows: list[Row]
 
 
-def evaluate_moving(arm: Arm, family: ArmFamily, out: FilePath, threads: int, on_progress: Progress) -> MovingEvaluation:
+def evaluate_moving(
+    arm: Arm, family: ArmFamily, out: FilePath, threads: int, on_progress: Progress
+) -> MovingEvaluation:
     """Have every arm of a family follow the standard paths in all cases; goes on with what is in ``out``."""
     seeds = [family.wear_seed(i) for i in range(family.arms)]
     lines: list[Line] = []
@@ -94,20 +96,23 @@ def evaluate_moving(arm: Arm, family: ArmFamily, out: FilePath, threads: int, on
         ahead = part(on_progress, first / len(seeds), (first + len(block)) / len(seeds))
         file = out / "moving" / f"{block[0]}-{block[-1]}.json"
         if not file.exists():
-            write_json(file, _block(arm, block, out, threads, ahead))
+            write_json(file, _block(arm, block, family.seed, out, threads, ahead))
         lines += read_json(file, list[Line])
     rows = [_row(case, path, lines) for case in CASES for path in STANDARD]
     return MovingEvaluation(arm=arm.name, family=family.seed, arms=family.arms, rows=rows)
 
 
-def _block(arm: Arm, seeds: Sequence[int], out: FilePath, threads: int, on_progress: Progress) -> list[Line]:
+def _block(
+    arm: Arm, seeds: Sequence[int], family: int, out: FilePath, threads: int, on_progress: Progress
+) -> list[Line]:
     from rejoint.twin.file import read_twin
 
     twins = []
     for i, seed in enumerate(seeds):
         folder = RunFolder(out / "arms" / str(seed))
         if not folder.twin.exists():
-            identify_arm(arm, seed, folder, part(on_progress, 0.5 * i / len(seeds), 0.5 * (i + 1) / len(seeds)))
+            # The same plan of excitation for all of them: a few are not safe and are refused.
+            identify_arm(arm, seed, folder, family, part(on_progress, 0.5 * i / len(seeds), 0.5 * (i + 1) / len(seeds)))
         twins.append(read_twin(folder.twin, arm).parameters)
     known = {f.name: np.stack([getattr(twin, f.name) for twin in twins for _ in STANDARD]) for f in fields(Servos)}
     bench = _Bench(arm=arm, seeds=seeds, threads=threads)
@@ -128,7 +133,10 @@ def _block(arm: Arm, seeds: Sequence[int], out: FilePath, threads: int, on_progr
         found, recording = bench.run(case, worn, tracker(), ahead, time)
         lines += found if case else []
         ahead = [
-            Ahead(path=one.path, aim=learned(one.path, one.aim or one.path, *missed(arm, recording, one, one.path, b)))
+            Ahead(
+                path=one.path,
+                aim=learned(one.path, one.aim or one.path, *missed(arm, recording, one, one.path, b), time),
+            )
             for b, one in enumerate(ahead)
         ]
     return lines
@@ -153,13 +161,9 @@ class _Bench:
         """Return the lines of a case, and its recording; ``time`` is another noise."""
         paths = self.paths
         start = Postures(self.arm, np.stack([path.place[0] for path in paths])).last
-        robot = EmulatedRobot(
-            self.arm, wears, seed=self.seeds[0] + time, start=start, threads=self.threads
-        )
+        robot = EmulatedRobot(self.arm, wears, seed=self.seeds[0] + time, start=start, threads=self.threads)
         dwell = LEAD_IN + LAG + max(path.duration for path in paths)
-        recording = follow(
-            robot, controller, Courses(list(guides)), Schedule(dwell=dwell, sent=start, keep_going=True)
-        )
+        recording = follow(robot, controller, Courses(list(guides)), Schedule(dwell=dwell, sent=start, keep_going=True))
         lines = [
             Line(
                 wear_seed=self.seeds[b // len(STANDARD)], case=case, path=path.name,

@@ -12,7 +12,7 @@ import numpy as np
 from rejoint.arms import Arm, Array
 from rejoint.control.controller import Controller
 from rejoint.control.guard import GuardLimits
-from rejoint.control.moving.courses import LEAD_IN, Ahead, Stream, played
+from rejoint.control.moving.courses import LAG, LEAD_IN, Ahead, Stream, played
 from rejoint.control.moving.drive import (
     Followed,
     Pass,
@@ -212,7 +212,9 @@ def _controller(
         return SENT, lambda arm, period: Sender(arm)  # noqa: ARG005 - it knows no time
     if given == TRACKER:
         if twin is None:
-            raise InputError("follow: the tracker needs a twin; run `rejoint identify` first, or take --controller default")
+            raise InputError(
+                "follow: the tracker needs a twin; run `rejoint identify` first, or take --controller default"
+            )
         return TRACKER, lambda arm, period: Tracker(arm, servos_of(twin), period=period)
     if isinstance(given, str) and not given.endswith(".onnx"):
         raise InputError(f"no controller called {given!r} follows paths; known: {TRACKER}, {SENT}")
@@ -244,11 +246,11 @@ class _Drive:
             sent = approach(self.robot, wanted.at(0.0), sent, self._limits()).command[-1]
             guide = Ahead(path=path, aim=aim)
             told = guide if rate is None else played(wanted, rate)
-            duration = LEAD_IN + path.duration + (0.0 if rate is None else told.lag)
+            duration = LEAD_IN + path.duration + (0.0 if rate is None else LAG)
             last = self._pass(told, self.make(arm, usual), path.name, duration, sent, number, repeat)
             done = replace(judge(arm, last, Ahead(path=path, aim=wanted)), log=last.log(0, self._label(path.name)))
             passes.append(done)
-            aim, sent = learned(wanted, aim, *missed(arm, last, guide, wanted)), last.command[-1]
+            aim, sent = learned(wanted, aim, *missed(arm, last, guide, wanted), number), last.command[-1]
         return self._followed(path.name, passes, last)
 
     def behind(self, stream: Stream, duration: float) -> Followed:
