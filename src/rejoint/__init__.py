@@ -18,9 +18,9 @@ if TYPE_CHECKING:
     from rejoint.control.comparison.result import Comparison
     from rejoint.control.controller import Controller
     from rejoint.control.deployment import Deployed
-    from rejoint.control.moving.courses import Stream
     from rejoint.control.moving.drive import Followed
     from rejoint.control.moving.path import Path
+    from rejoint.control.moving.routes import Stream
     from rejoint.control.policy import Policy
     from rejoint.control.robot import Robot
     from rejoint.diagnosis.calibration.calibration import Calibration
@@ -68,7 +68,7 @@ _HOMES = {
     "arms.draft": ("Loaded",),
     "arms.loading": ("load_arm", "read_arm"),
     "control.controller": ("Controller",),
-    "control.moving.courses": ("Stream",),
+    "control.moving.routes": ("Stream",),
     "control.moving.drive": ("Followed",),
     "control.moving.path": ("Path",),
     "control.policy": ("Policy",),

@@ -8,8 +8,8 @@ from typing import Protocol
 import numpy as np
 
 from rejoint.arms import Array
-from rejoint.control.course import Course
 from rejoint.control.robot import JointState, Mask
+from rejoint.control.route import Route
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -23,16 +23,16 @@ class ControlInput:
     """(B, n) [rad] last command as it was sent, after the guard"""
     since_target: Array
     """(B,) [s] time since the target was set"""
-    course: Course | None = None
+    route: Route | None = None
     """where the target goes; None where it stands still"""
 
     def aims(self, later: Array) -> Array:
         """Return the TCP targets (k, B, 3) [m] ``later`` (k,) or (k, B) [s] than now, by all that is known now."""
         count = len(self.since_target)
         later = np.broadcast_to(later if np.ndim(later) == 2 else np.asarray(later)[:, None], (len(later), count))
-        if self.course is None:
+        if self.route is None:
             return np.broadcast_to(self.target, (len(later), count, 3))
-        return self.course.aims(self.since_target, later)
+        return self.route.aims(self.since_target, later)
 
 
 class Controller(Protocol):

@@ -16,11 +16,11 @@ import numpy as np
 from rejoint.arms import Array, tcp_position
 from rejoint.control.controller import ControlInput, Controller
 from rejoint.control.correction import Correction
-from rejoint.control.course import Course
 from rejoint.control.following import Following
 from rejoint.control.guard import TRIPS, Guarded, GuardLimits, Reason, Reasons, guard, warm_up
 from rejoint.control.recording import Cycle, OnCycle, Recorder, Recording, attach
 from rejoint.control.robot import JointState, Mask, Robot
+from rejoint.control.route import Route
 from rejoint.control.runstate import RunState, own, reported_load
 from rejoint.control.trips import trip_error
 from rejoint.system.errors import InputError, RejointError, first_line
@@ -90,23 +90,23 @@ def run(
 def follow(
     robot: Robot,
     controller: Controller,
-    course: Course,
+    route: Route,
     schedule: Schedule,
     *,
     limits: GuardLimits | None = None,
     on_cycle: OnCycle | None = None,
 ) -> Recording:
-    """Drive ``robot`` behind the moving targets of a ``course``, for the dwell of the schedule; else as `run`.
+    """Drive ``robot`` behind the moving targets of a ``route``, for the dwell of the schedule; else as `run`.
 
-    Controllers are not reset on the way. The course has the aims, so that no correction is needed.
+    Controllers are not reset on the way. The route has the aims, so that no correction is needed.
     """
-    if course.count != robot.count:
-        raise InputError(f"a course of {course.count} targets, expected one for each of {robot.count} arms")
+    if route.count != robot.count:
+        raise InputError(f"a route of {route.count} targets, expected one for each of {robot.count} arms")
     limits = GuardLimits.of(robot.arm) if limits is None else limits
     recorder = Recorder(robot=robot, controller=controller.name)
     loop = _Loop(
         robot=robot, controller=controller, schedule=schedule, limits=limits, recorder=recorder, on_cycle=on_cycle,
-        correction=None, course=course,
+        correction=None, route=route,
     )  # fmt: skip
     _warm_up(limits)
     with noted():
@@ -127,7 +127,7 @@ def _drive(loop: _Loop, targets: Array) -> Recording:
     try:
         check()
         run_state = RunState.begin(
-            own(robot.read()), targets, loop.schedule.sent, loop.limits, loop.correction, loop.course
+            own(robot.read()), targets, loop.schedule.sent, loop.limits, loop.correction, loop.route
         )
         loop.controller.reset(run_state.inputs(), np.ones(robot.count, dtype=bool))
         while loop.cycle(run_state):
@@ -226,7 +226,7 @@ class _Loop:
     recorder: Recorder
     on_cycle: OnCycle | None
     correction: Correction | None
-    course: Course | None = None
+    route: Route | None = None
 
     def cycle(self, run_state: RunState) -> bool:
         """Do one control cycle; returns whether there is another one."""

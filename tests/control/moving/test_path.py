@@ -5,7 +5,7 @@ import pytest
 
 from rejoint.arms import mycobot280, position_kinematics, tcp_position
 from rejoint.control.moving.path import Path, read_path
-from rejoint.control.moving.posture import Postures, joint_weights, spread
+from rejoint.control.moving.posture import PathPostures, joint_weights, spread
 from rejoint.control.moving.standard import EASE, RADIUS, STANDARD, is_standard, standard_path
 from rejoint.system.errors import FileError, InputError
 
@@ -104,9 +104,9 @@ def test_standard_paths_are_in_the_target_region_and_begin_and_end_at_rest():
 def test_postures_reach_their_places_and_depend_on_nothing_else():
     path = standard_path("random-0.5hz", ARM, seed=3)
     places = path.at(np.arange(0.0, path.duration, 0.05))[:, None]
-    there = Postures(ARM, places[0]).along(places)
+    there = PathPostures(ARM, places[0]).along(places)
     assert np.linalg.norm(tcp_position(ARM, there[:, 0]) - places[:, 0], axis=-1).max() < 1e-5
-    back = Postures(ARM, places[-1]).along(places[::-1])[::-1]
+    back = PathPostures(ARM, places[-1]).along(places[::-1])[::-1]
     assert np.abs(there - back).max() < 1e-3
 
 

@@ -8,15 +8,15 @@ import pytest
 from rejoint.arms import gravity_torque, mycobot280
 from rejoint.control.controller import ControlInput
 from rejoint.control.loop import Schedule, follow
-from rejoint.control.moving.courses import Ahead, Courses
 from rejoint.control.moving.drive import judge, missed
 from rejoint.control.moving.errors import along
-from rejoint.control.moving.observer import Observer
+from rejoint.control.moving.observer import PushObserver
 from rejoint.control.moving.path import Path
-from rejoint.control.moving.posture import Postures
+from rejoint.control.moving.posture import PathPostures
 from rejoint.control.moving.repeating import learned, smooth
+from rejoint.control.moving.routes import Ahead, Routes
 from rejoint.control.moving.sender import Sender
-from rejoint.control.moving.servos import Motion, Servos, command_for
+from rejoint.control.moving.servos import Moment, Servos, command_for
 from rejoint.control.moving.standard import standard_path
 from rejoint.control.moving.tracker import Tracker
 from rejoint.control.robot import JointState
@@ -39,23 +39,23 @@ def worn_servos(count=1):
 
 
 def drive(make, guides, seed=0):
-    start = Postures(ARM, np.stack([guide.path.place[0] for guide in guides])).last
+    start = PathPostures(ARM, np.stack([guide.path.place[0] for guide in guides])).last
     robot = EmulatedRobot(ARM, [load_wear("worn", ARM)] * len(guides), seed=seed, start=start)
     dwell = 2.0 + max(guide.path.duration for guide in guides)
-    return follow(robot, make(), Courses(guides), Schedule(dwell=dwell, sent=start))
+    return follow(robot, make(), Routes(guides), Schedule(dwell=dwell, sent=start))
 
 
 def test_the_inverse_of_an_arm_at_rest_is_gravity_over_stiffness():
     servos = replace(worn_servos(2), offset=np.full((2, ARM.joints), 0.02))
     posture = np.stack([ARM.rest, ARM.rest + 0.1])
-    still = Motion(around=np.stack([posture] * 3), step=0.03)
+    still = Moment(around=np.stack([posture] * 3), step=0.03)
     expected = posture - 0.02 + gravity_torque(ARM, posture) / servos.stiffness
     assert np.allclose(command_for(ARM, servos, still), expected)
 
 
 def test_the_observer_finds_a_constant_push_and_foresees_what_was_sent():
     servos, period = worn_servos(), 0.025
-    observer, time = Observer(ARM, servos), np.zeros(1)
+    observer, time = PushObserver(ARM, servos), np.zeros(1)
     push = np.linspace(-0.03, 0.03, ARM.joints)[None]
     for _ in range(120):  # a joint at rest under a push stands off by just that
         time = time + period
@@ -77,22 +77,22 @@ def test_a_worn_arm_follows_a_circle_better_than_one_that_is_sent_it():
 
 def test_gains_give_way_where_a_cycle_is_long_and_the_arm_still_follows():
     path = standard_path("circle-8s", ARM)
-    start = Postures(ARM, path.place[:1]).last
+    start = PathPostures(ARM, path.place[:1]).last
     robot = EmulatedRobot(ARM, [load_wear("worn", ARM)], start=start, period=(0.045, 0.055))
     controller = Tracker(ARM, worn_servos(), period=0.05)
-    recording = follow(robot, controller, Courses([Ahead(path=path)]), Schedule(dwell=2.0 + path.duration, sent=start))
+    recording = follow(robot, controller, Routes([Ahead(path=path)]), Schedule(dwell=2.0 + path.duration, sent=start))
     assert judge(ARM, recording, Ahead(path=path)).encoder.rms < 2.5e-3
 
 
 def test_a_reset_on_the_way_forgets_nothing():
     servos, path = worn_servos(), standard_path("circle-4s", ARM)
-    courses = Courses([Ahead(path=path)])
+    routes = Routes([Ahead(path=path)])
     one, other = Tracker(ARM, servos), Tracker(ARM, servos)
-    start = Postures(ARM, path.place[:1]).last
+    start = PathPostures(ARM, path.place[:1]).last
     for k in range(20):
         time = np.array([0.025 * k])
         state = JointState(time=time, position=start + 1e-3 * k, age=np.zeros(1))
-        inputs = ControlInput(state=state, target=courses.place(time), sent=start, since_target=time, course=courses)
+        inputs = ControlInput(state=state, target=routes.place(time), sent=start, since_target=time, route=routes)
         if k == 0:
             one.reset(inputs, np.ones(1, dtype=bool))
         other.reset(inputs, np.ones(1, dtype=bool))

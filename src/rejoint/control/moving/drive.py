@@ -14,10 +14,10 @@ from rejoint.control.controller import Controller
 from rejoint.control.correction import Modelled, checked
 from rejoint.control.guard import GuardLimits
 from rejoint.control.loop import Schedule, follow, move
-from rejoint.control.moving.courses import Ahead, Courses, Guide, Stream
 from rejoint.control.moving.errors import Along, along, interpolated
 from rejoint.control.moving.path import Path
-from rejoint.control.moving.posture import Postures
+from rejoint.control.moving.posture import PathPostures
+from rejoint.control.moving.routes import Ahead, Guide, Routes, Stream
 from rejoint.control.recording import OnCycle, Recording
 from rejoint.control.robot import Robot
 from rejoint.logs.runlog import RunLog
@@ -65,7 +65,7 @@ def corrected_path(arm: Arm, path: Path, correction: Modelled) -> Path:
     time = np.linspace(0.0, path.duration, max(2, round(path.duration / _STEP) + 1))
     places = path.at(time)
     aims = places
-    postures = Postures(arm, places[:1])
+    postures = PathPostures(arm, places[:1])
     for _ in range(2):  # the second changes it by less than 0.1 mm
         way = postures.along(aims[:, None])[:, 0]
         came = np.concatenate([way[:1].repeat(_APPROACH, axis=0), way[:-_APPROACH]])[: len(way)]
@@ -76,7 +76,7 @@ def corrected_path(arm: Arm, path: Path, correction: Modelled) -> Path:
 
 def corrector(arm: Arm, correction: Modelled, start: Array) -> Callable[[Array], Array]:
     """Return what turns places (k, 3) [m] of a stream into aims, from the one at ``start`` (3,) on."""
-    postures = Postures(arm, start[None])
+    postures = PathPostures(arm, start[None])
 
     def correct(places: Array) -> Array:
         return checked(places, places - correction.shift(postures.at(places[:, None])[:, 0]))
@@ -86,7 +86,7 @@ def corrector(arm: Arm, correction: Modelled, start: Array) -> Callable[[Array],
 
 def approach(robot: Robot, start: Array, sent: Array, limits: GuardLimits | None = None) -> Recording:
     """Bring the arm slowly from the command ``sent`` (1, n) [rad] to the posture of ``start`` (3,) [m]."""
-    return move(robot, Postures(robot.arm, start[None]).last[0], sent=sent, settle=0.5, limits=limits)
+    return move(robot, PathPostures(robot.arm, start[None]).last[0], sent=sent, settle=0.5, limits=limits)
 
 
 def follow_guide(
@@ -95,14 +95,14 @@ def follow_guide(
 ) -> Recording:  # fmt: skip
     """Drive one arm behind a guide for ``duration`` [s]; ``sent`` (1, n) [rad] is the command in force."""
     schedule = Schedule(dwell=duration, sent=sent)
-    return follow(robot, controller, Courses([guide]), schedule, limits=limits, on_cycle=on_cycle)
+    return follow(robot, controller, Routes([guide]), schedule, limits=limits, on_cycle=on_cycle)
 
 
 def judge(arm: Arm, recording: Recording, guide: Ahead | Stream, b: int = 0) -> Pass:
     """Say how well arm ``b`` followed."""
     rows, time = rows_on(recording, guide, b)
     tool = tcp_position(arm, recording.position[rows, b])
-    at, places, aims = course_of(guide)
+    at, places, aims = route_of(guide)
     true = np.linalg.norm(recording.true_tcp[rows, b] - interpolated(time, at, places), axis=-1)
     known = bool(np.isfinite(true).all()) and len(true) > 0
     return Pass(
@@ -120,7 +120,7 @@ def rows_on(recording: Recording, guide: Ahead | Stream, b: int = 0) -> tuple[Ro
     return rows, time[rows]
 
 
-def course_of(guide: Ahead | Stream) -> tuple[Array, Array, Array]:
+def route_of(guide: Ahead | Stream) -> tuple[Array, Array, Array]:
     """Return times (K,) [s], targets (K, 3) and aims (K, 3) [m] of a guide."""
     if isinstance(guide, Ahead):
         time = np.linspace(0.0, guide.path.duration, max(2, round(guide.path.duration / _STEP) + 1))

@@ -33,7 +33,7 @@ class Trust:
     """[rad^2/s^3] by which its speed changes beside that (chosen there as well)"""
 
 
-class Observer:
+class PushObserver:
     """Deviations of B arms from the motion that is wanted."""
 
     def __init__(self, arm: Arm, servos: Servos, trust: Trust | None = None, period: float = NOMINAL_PERIOD) -> None:

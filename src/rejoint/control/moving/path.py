@@ -11,7 +11,7 @@ import numpy as np
 
 from rejoint.arms import Arm, Array
 from rejoint.control.comparison.targets import beyond_reach
-from rejoint.control.moving.posture import Postures
+from rejoint.control.moving.posture import PathPostures
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import read_bounded
 
@@ -90,7 +90,7 @@ class Path:
                 f"path: at {times[k]:.2f} s {_point(places[k])} is out of reach, {1e3 * beyond[k]:.0f} mm too far; "
                 "give places that the tool can reach"
             )
-        postures = Postures(arm, places[:1]).along(places[:, None])[:, 0]
+        postures = PathPostures(arm, places[:1]).along(places[:, None])[:, 0]
         share = np.abs(np.diff(postures, axis=0)) / np.diff(times)[:, None] / arm.max_speed
         k, j = (int(index) for index in np.unravel_index(int(share.argmax()), share.shape))
         if share[k, j] > SPEED_SHARE:

@@ -40,8 +40,8 @@ def spread(arm: Arm, jacobian: Array, way: Array) -> Array:
     return (turned @ np.linalg.solve(jacobian @ turned + _SOFT * np.eye(3), way[..., None]))[..., 0]
 
 
-class Postures:
-    """Postures of B arms; the search goes on from the last one."""
+class PathPostures:
+    """PathPostures of B arms; the search goes on from the last one."""
 
     def __init__(self, arm: Arm, place: Array) -> None:
         """Begin at ``place`` (B, 3) [m]."""

@@ -6,7 +6,7 @@ import numpy as np
 
 from rejoint.arms import Arm, Array
 from rejoint.control.controller import ControlInput
-from rejoint.control.moving.posture import Postures
+from rejoint.control.moving.posture import PathPostures
 from rejoint.control.robot import Mask
 
 
@@ -17,12 +17,12 @@ class Sender:
 
     def __init__(self, arm: Arm) -> None:
         self._arm = arm
-        self._postures: Postures | None = None
+        self._postures: PathPostures | None = None
 
     def reset(self, inputs: ControlInput, where: Mask) -> None:  # noqa: ARG002 - nothing is remembered that grows old
         """Begin at the first target."""
         if self._postures is None:
-            self._postures = Postures(self._arm, inputs.target)
+            self._postures = PathPostures(self._arm, inputs.target)
 
     def command(self, inputs: ControlInput) -> Array:
         """Return the postures (B, n) [rad] of the targets now."""

@@ -48,7 +48,7 @@ class Servos:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Motion:
+class Moment:
     """A motion of B arms at one moment, known a little before and after it."""
 
     around: Array
@@ -58,7 +58,7 @@ class Motion:
 
     @property
     def position(self) -> Array:
-        """Postures (B, n) [rad]."""
+        """PathPostures (B, n) [rad]."""
         return np.asarray(self.around[1])
 
     @property
@@ -72,7 +72,7 @@ class Motion:
         return (self.around[2] - 2.0 * self.around[1] + self.around[0]) / self.step**2
 
 
-def command_for(arm: Arm, servos: Servos, motion: Motion) -> Array:
+def command_for(arm: Arm, servos: Servos, motion: Moment) -> Array:
     """Commands (B, n) [rad] under which servos would move so: the inverse of the twin."""
     speed = motion.speed
     torque = (
@@ -84,7 +84,7 @@ def command_for(arm: Arm, servos: Servos, motion: Motion) -> Array:
     return motion.position - servos.offset + torque / servos.stiffness
 
 
-def link_torque(arm: Arm, motion: Motion) -> Array:
+def link_torque(arm: Arm, motion: Moment) -> Array:
     """Torques (B, n) [N m] that carry and accelerate the links, taken as points at their centres of mass."""
     f = frames(arm, motion.around)
     centre = f.position + np.einsum("tbnij,nj->tbni", f.rotation, arm.com)

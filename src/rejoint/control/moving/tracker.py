@@ -14,9 +14,9 @@ import numpy as np
 from rejoint.arms import Arm, Array
 from rejoint.control.controller import ControlInput
 from rejoint.control.law import limit_position
-from rejoint.control.moving.observer import Observer, Trust
-from rejoint.control.moving.posture import Postures
-from rejoint.control.moving.servos import Motion, Servos, command_for
+from rejoint.control.moving.observer import PushObserver, Trust
+from rejoint.control.moving.posture import PathPostures
+from rejoint.control.moving.servos import Moment, Servos, command_for
 from rejoint.control.pace import NOMINAL_PERIOD, Pace
 from rejoint.control.robot import Mask
 
@@ -63,8 +63,8 @@ class Tracker:
             return
         self._begun = True
         count = len(inputs.sent)
-        self._postures, self._seen = (Postures(self._arm, inputs.aims(np.zeros(1))[0]) for _ in range(2))
-        self._observer = Observer(self._arm, self._servos, self._gains.trust, self._usual)
+        self._postures, self._seen = (PathPostures(self._arm, inputs.aims(np.zeros(1))[0]) for _ in range(2))
+        self._observer = PushObserver(self._arm, self._servos, self._gains.trust, self._usual)
         self._pace, self._firmness = Pace(), self._firm(self._observer.mass)
         self._pace.begin(inputs.state.time, np.ones(count, dtype=bool))
         self._wanted = self._expected = inputs.sent.copy()
@@ -94,10 +94,10 @@ class Tracker:
         most = (self._gains.pace / late) ** 2 * mass / self._servos.stiffness - 1.0
         return np.clip(most / self._gains.stiffness, 0.0, 1.0)
 
-    def _motion(self, inputs: ControlInput) -> Motion:
+    def _motion(self, inputs: ControlInput) -> Moment:
         step = self._gains.step
         ahead = self._servos.delay + 0.5 * self._period + self._gains.early
-        return Motion(around=self._postures.at(inputs.aims(ahead + step * np.arange(-1.0, 2.0)[:, None])), step=step)
+        return Moment(around=self._postures.at(inputs.aims(ahead + step * np.arange(-1.0, 2.0)[:, None])), step=step)
 
     def _effective(self, sent: Array) -> Array:
         """Return ``sent`` (B, n) [rad], no farther from the joint than its servo makes more torque of: no windup."""

@@ -14,12 +14,12 @@ import numpy as np
 from rejoint.arms import Arm
 from rejoint.control.controller import Controller
 from rejoint.control.loop import Schedule, follow
-from rejoint.control.moving.courses import LAG, LEAD_IN, Ahead, Courses, Guide, played
 from rejoint.control.moving.drive import judge, missed
 from rejoint.control.moving.errors import Along
 from rejoint.control.moving.path import Path
-from rejoint.control.moving.posture import Postures
+from rejoint.control.moving.posture import PathPostures
 from rejoint.control.moving.repeating import learned
+from rejoint.control.moving.routes import LAG, LEAD_IN, Ahead, Guide, Routes, played
 from rejoint.control.moving.sender import Sender
 from rejoint.control.moving.servos import Servos
 from rejoint.control.moving.standard import STANDARD, standard_path
@@ -44,7 +44,7 @@ CASES = (HEALTHY, SENT, KNOWN, STREAM, REPEATED)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Line:
+class MovingLine:
     """One arm on one path in one case."""
 
     wear_seed: int
@@ -56,7 +56,7 @@ class Line:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Row:
+class MovingRow:
     """One case on one path, over the arms: root mean square errors along the way."""
 
     case: str
@@ -82,7 +82,7 @@ class MovingEvaluation:
     arm: str
     family: int
     arms: int
-    rows: list[Row]
+    rows: list[MovingRow]
 
 
 def evaluate_moving(
@@ -90,21 +90,21 @@ def evaluate_moving(
 ) -> MovingEvaluation:
     """Have every arm of a family follow the standard paths in all cases; goes on with what is in ``out``."""
     seeds = [family.wear_seed(i) for i in range(family.arms)]
-    lines: list[Line] = []
+    lines: list[MovingLine] = []
     for first in range(0, len(seeds), BLOCK):
         block = seeds[first : first + BLOCK]
         ahead = part(on_progress, first / len(seeds), (first + len(block)) / len(seeds))
         file = out / "moving" / f"{block[0]}-{block[-1]}.json"
         if not file.exists():
             write_json(file, _block(arm, block, family.seed, out, threads, ahead))
-        lines += read_json(file, list[Line])
+        lines += read_json(file, list[MovingLine])
     rows = [_row(case, path, lines) for case in CASES for path in STANDARD]
     return MovingEvaluation(arm=arm.name, family=family.seed, arms=family.arms, rows=rows)
 
 
 def _block(
     arm: Arm, seeds: Sequence[int], family: int, out: FilePath, threads: int, on_progress: Progress
-) -> list[Line]:
+) -> list[MovingLine]:
     from rejoint.twin.file import read_twin
 
     twins = []
@@ -115,7 +115,7 @@ def _block(
             identify_arm(arm, seed, folder, family, part(on_progress, 0.5 * i / len(seeds), 0.5 * (i + 1) / len(seeds)))
         twins.append(read_twin(folder.twin, arm).parameters)
     known = {f.name: np.stack([getattr(twin, f.name) for twin in twins for _ in STANDARD]) for f in fields(Servos)}
-    bench = _Bench(arm=arm, seeds=seeds, threads=threads)
+    bench = _Block(arm=arm, seeds=seeds, threads=threads)
     ahead = [Ahead(path=path) for path in bench.paths]
     worn = [load_wear(f"worn?seed={seed}", arm) for seed in seeds for _ in STANDARD]
 
@@ -143,7 +143,7 @@ def _block(
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class _Bench:
+class _Block:
     """Arms of a block, each as often as there are paths."""
 
     arm: Arm
@@ -157,15 +157,15 @@ class _Bench:
 
     def run(
         self, case: str, wears: list[Wear], controller: Controller, guides: Sequence[Guide], time: int = 0
-    ) -> tuple[list[Line], Recording]:
+    ) -> tuple[list[MovingLine], Recording]:
         """Return the lines of a case, and its recording; ``time`` is another noise."""
         paths = self.paths
-        start = Postures(self.arm, np.stack([path.place[0] for path in paths])).last
+        start = PathPostures(self.arm, np.stack([path.place[0] for path in paths])).last
         robot = EmulatedRobot(self.arm, wears, seed=self.seeds[0] + time, start=start, threads=self.threads)
         dwell = LEAD_IN + LAG + max(path.duration for path in paths)
-        recording = follow(robot, controller, Courses(list(guides)), Schedule(dwell=dwell, sent=start, keep_going=True))
+        recording = follow(robot, controller, Routes(list(guides)), Schedule(dwell=dwell, sent=start, keep_going=True))
         lines = [
-            Line(
+            MovingLine(
                 wear_seed=self.seeds[b // len(STANDARD)], case=case, path=path.name,
                 errors=judge(self.arm, recording, Ahead(path=path), b).encoder, stopped=bool(recording.tripped[b]),
             )
@@ -174,12 +174,12 @@ class _Bench:
         return lines, recording
 
 
-def _row(case: str, path: str, lines: Sequence[Line]) -> Row:
+def _row(case: str, path: str, lines: Sequence[MovingLine]) -> MovingRow:
     own = [line for line in lines if (line.case, line.path) == (case, path)]
     late = case == STREAM
     rms = np.array([line.errors.rms_after if late else line.errors.rms for line in own])
     largest = max(line.errors.largest_after if late else line.errors.largest for line in own)
-    return Row(
+    return MovingRow(
         case=case, path=path, arms=len(own), mean=float(rms.mean()), middle=float(np.median(rms)),
         high=float(np.percentile(rms, 95)), largest=largest, lag=float(np.median([line.errors.lag for line in own])),
         stopped=sum(line.stopped for line in own),

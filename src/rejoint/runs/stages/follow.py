@@ -12,7 +12,6 @@ import numpy as np
 from rejoint.arms import Arm, Array
 from rejoint.control.controller import Controller
 from rejoint.control.guard import GuardLimits
-from rejoint.control.moving.courses import LAG, LEAD_IN, Ahead, Stream, played
 from rejoint.control.moving.drive import (
     Followed,
     Pass,
@@ -25,6 +24,7 @@ from rejoint.control.moving.drive import (
 )
 from rejoint.control.moving.path import Path, read_path
 from rejoint.control.moving.repeating import learned
+from rejoint.control.moving.routes import LAG, LEAD_IN, Ahead, Stream, played
 from rejoint.control.moving.sender import Sender
 from rejoint.control.moving.servos import Servos
 from rejoint.control.moving.standard import is_standard, standard_path
@@ -171,7 +171,7 @@ def follow(
         if about is not None:
             require_space(about.path)
         with noted(), opened(robot, chosen, seed, period) as connection:
-            drive = _Drive(
+            drive = _PathDrive(
                 robot=connection, name=name, make=make, run=about, twin=known,
                 correction=None if correct is None else correct(chosen), within=within, on_progress=on_progress,
                 period=0.02 if usual is None else min(usual),
@@ -223,7 +223,7 @@ def _controller(
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class _Drive:
+class _PathDrive:
     """Paths on an open robot."""
 
     robot: Robot

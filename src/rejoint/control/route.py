@@ -7,7 +7,7 @@ from typing import Protocol
 from rejoint.arms import Array
 
 
-class Course(Protocol):
+class Route(Protocol):
     """Where the targets of B arms are over time, and how much of it is known ahead. Times are since the start."""
 
     @property

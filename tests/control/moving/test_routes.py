@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from rejoint.arms import mycobot280
-from rejoint.control.moving.courses import EXTRAPOLATED, LAG, Ahead, Courses, Stream, played
+from rejoint.control.moving.routes import EXTRAPOLATED, LAG, Ahead, Routes, Stream, played
 from rejoint.control.moving.standard import standard_path
 from rejoint.system.errors import InputError
 
@@ -68,10 +68,10 @@ def test_what_is_no_target_or_comes_late_is_refused():
 
 def test_courses_keep_arms_apart():
     other = standard_path("random-0.2hz", ARM)
-    courses = Courses([Ahead(path=CIRCLE), Ahead(path=other)])
+    routes = Routes([Ahead(path=CIRCLE), Ahead(path=other)])
     now, later = np.array([3.0, 4.0]), np.array([[0.0, 0.1], [0.2, 0.3]])
-    aims = courses.aims(now, later)
+    aims = routes.aims(now, later)
     assert aims.shape == (2, 2, 3)
     assert np.array_equal(aims[1, 0], CIRCLE.at(1.2))
     assert np.array_equal(aims[0, 1], other.at(2.1))
-    assert np.array_equal(courses.place(now)[1], other.at(2.0))
+    assert np.array_equal(routes.place(now)[1], other.at(2.0))

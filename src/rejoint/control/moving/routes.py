@@ -1,4 +1,4 @@
-"""Courses: paths that are known ahead, and targets that arrive as they go."""
+"""Routes: paths that are known ahead, and targets that arrive as they go."""
 
 from __future__ import annotations
 
@@ -127,7 +127,7 @@ def _last_velocity(times: Array, places: Array) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class Courses:
+class Routes:
     """The guides of B arms side by side."""
 
     guides: Sequence[Guide]
