@@ -1,4 +1,4 @@
-"""How well worn arms follow under conditions that `rejoint evaluate --family --follow` leaves out, and what a cycle costs.
+"""How well worn arms follow where `rejoint evaluate --family --follow` does not look, and what a control cycle costs.
 
 Each arm is diagnosed and identified first. Errors are root mean squares by the encoders, in mm, mean over the arms.
 """
@@ -25,6 +25,7 @@ from rejoint.lab.plant.wear import load_wear
 from rejoint.research.evaluation.identification import identify_arm
 from rejoint.robots.emulated import EmulatedRobot
 from rejoint.runs.folder import RunFolder
+from rejoint.system.progress import no_progress
 from rejoint.twin.file import read_twin
 from rejoint.twin.parameters import TwinParameters, healthy_parameters
 
@@ -68,7 +69,7 @@ def main() -> None:
         twins = []
         for seed in SEEDS:
             folder = RunFolder(Path(place) / str(seed))
-            identify_arm(ARM, seed, folder, 0, lambda share, what: None)
+            identify_arm(ARM, seed, folder, 0, no_progress)
             twins.append(read_twin(folder.twin, ARM).parameters)
     worn = [f"worn?seed={seed}" for seed in SEEDS]
     print(f"{'':34} {'  '.join(name[-5:] for name in STANDARD)}")

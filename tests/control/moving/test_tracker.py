@@ -131,3 +131,17 @@ def test_servos_of_other_shapes_are_refused():
         replace(good, damping=good.damping[:, :3])
     with pytest.raises(InputError, match="positive"):
         replace(good, stiffness=-good.stiffness)
+
+
+def test_heavy_joints_take_over_what_a_joint_that_is_too_weak_misses():
+    path = standard_path("circle-8s", ARM)
+    wear = load_wear("worn", ARM)
+    weak = replace(wear, torque_limit=wear.torque_limit * np.array([1.0, 1.0, 1.0, 0.55, 1.0, 1.0]))
+    start = PathPostures(ARM, path.place[:1]).last
+    robot = EmulatedRobot(ARM, [weak], start=start)
+    route, schedule = Routes([Ahead(path=path)]), Schedule(dwell=2.0 + path.duration, sent=start)
+    recording = follow(robot, Tracker(ARM, worn_servos()), route, schedule)
+    wanted = PathPostures(ARM, path.place[:1]).along(recording.aim)
+    rows = recording.since_target[:, 0] > 4.0
+    assert np.abs((recording.position - wanted)[rows, 0, 3]).max() > np.radians(1.5)  # 4 mm at the tool
+    assert judge(ARM, recording, Ahead(path=path)).encoder.rms < 1.5e-3

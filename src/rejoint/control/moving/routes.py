@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from threading import Lock
@@ -21,7 +22,7 @@ LAG = 0.08
 come when its command goes out)"""
 EXTRAPOLATED = 0.2
 """[s] for which a stream that pauses is taken to go on as it went; then it is held (chosen)"""
-_KEPT = 12.0  # [s] of a stream that are remembered (chosen: what speeds are taken from is a small part of it)
+_RECENT = 2.0  # [s] of a stream that are looked at (chosen: more than the longest lag and what follows look back)
 
 
 class Guide(Protocol):
@@ -106,8 +107,8 @@ class Stream:
 
     def _between(self, time: Array, now: float) -> Array:
         with self._lock:
-            count = int(np.searchsorted(self.time, now, side="right"))
-            first = max(0, int(np.searchsorted(self.time, now - _KEPT)) - 1)
+            count = bisect_right(self.time, now)
+            first = max(0, bisect_right(self.time, now - _RECENT, hi=count) - 2)
             times, places = np.array(self.time[first:count]), np.array(self.targets[first:count])
         if not len(times):
             raise InputError("stream: nothing has come yet; put the first target before the arm moves")
