@@ -18,7 +18,7 @@ from rejoint.runs.folder import LOGS, RunFolder, locked
 from rejoint.runs.run import Run, newest_or_new
 from rejoint.runs.stages.follow import TRACKER, WITHIN
 from rejoint.system.errors import InputError
-from rejoint.system.extras import require
+from rejoint.system.extras import EXTRAS, installed, require
 
 if TYPE_CHECKING:
     from rejoint.training.train import Trainer
@@ -257,6 +257,12 @@ def follow(
             calibration=calibration, period=opt.period_seconds(period), seed=seed, on_progress=update,
         )  # fmt: skip
     show.followed(terminal, done)
+    if all(map(installed, EXTRAS["report"])):
+        from rejoint.runs.report.followed import draw_followed
+
+        job = Run.open(run)
+        with locked(job.folder):
+            terminal.say(f"Path: {draw_followed(job.folder, job.arm, done)}")
     terminal.finish({
         "run": str(run), "path": done.path, "controller": done.controller, "followed": done.followed,
         "passes": [{"encoder": one.encoder, "true_error": one.true_error} for one in done.passes],
