@@ -9,6 +9,7 @@ from matplotlib.axes import Axes
 
 from rejoint.arms import Arm, Array, tcp_position
 from rejoint.control.moving.drive import Followed
+from rejoint.control.moving.routes import LEAD_IN
 from rejoint.logs.runlog import RunLog
 from rejoint.runs.folder import RunFolder
 from rejoint.runs.report.figures import FONT, WIDE, canvas, heading
@@ -51,4 +52,5 @@ def _plane(axes: Axes, points: Array, across: int, up: int, colour: str, label: 
 
 def _error(axes: Axes, arm: Arm, log: RunLog, look: Look, label: str) -> None:
     error = np.linalg.norm(_aims(log) - tcp_position(arm, log.position), axis=-1)
-    axes.plot(log.time - log.time[0], 1e3 * error, color=look.colour, linewidth=0.9, label=label)
+    time = log.time - log.time[0] - LEAD_IN
+    axes.plot(time[time >= 0.0], 1e3 * error[time >= 0.0], color=look.colour, linewidth=0.9, label=label)
