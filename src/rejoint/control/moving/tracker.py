@@ -20,6 +20,9 @@ from rejoint.control.moving.servos import Moment, Servos, command_for
 from rejoint.control.pace import NOMINAL_PERIOD, Pace
 from rejoint.control.robot import Mask
 
+_LEAST_DELAY = 0.02
+"""[s] that is believed where gains are chosen: a fit may put a part of it into the damping (that of an emulated SO-101
+said 9 ms where it has 20, and joint 1 swung by 2 deg)"""
 _RELIEF_DAMPING = 0.01  # [m] keeps what heavy joints take over finite (chosen: a fifth of the usual)
 _SMOOTHING = 0.1  # share of the newest period in their mean (chosen)
 
@@ -96,7 +99,7 @@ class Tracker:
 
     def _firm(self, mass: Array) -> Array:
         """Share (B, n) of the gains that joints of this ``mass`` (B, n) [kg m^2] bear at the delay and the period."""
-        late = (self._servos.delay + 0.5 * self._usual)[:, None]
+        late = (np.maximum(self._servos.delay, _LEAST_DELAY) + 0.5 * self._usual)[:, None]
         most = (self._gains.pace / late) ** 2 * mass / self._servos.stiffness - 1.0
         return np.clip(most / self._gains.stiffness, 0.0, 1.0)
 
