@@ -107,9 +107,35 @@ def test_deploy_logs_what_it_did(
     assert log.time[-1] - log.time[0] == pytest.approx(12.0, abs=0.1)
 
 
+def test_follow_goes_along_a_path_and_logs_each_time(
+    finished: RunFolder, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    points = tmp_path / "line.csv"
+    points.write_text("time,x,y,z\n0,170,0,200\n1,180,15,205\n2,180,30,210\n")
+    words = ("follow", "emulated:worn", str(finished.path), str(points), "--repeat", "2", "--json")
+    code, out, err = run_cli(*words, capsys=capsys, monkeypatch=monkeypatch)
+    assert code == 0, err
+    told = json.loads(out.splitlines()[-1])
+    assert [one["encoder"]["rms"] < 5e-3 for one in told["passes"]] == [True, True]
+    logs = {name: path for name, path in finished.logs().items() if name.startswith("follow-0")}
+    assert len(logs) == 2
+    log = read_log(next(iter(logs.values())))
+    assert np.allclose(log.target[0], [0.17, 0.0, 0.2])
+    assert np.allclose(log.target[-1], [0.18, 0.03, 0.21], atol=2e-3)
+    words = ("follow", "emulated:worn", str(finished.path), str(points), "--controller", "default", "--rate", "30")
+    code, out, _ = run_cli(*words, capsys=capsys, monkeypatch=monkeypatch)
+    assert code == 5
+    assert "Not followed" in out
+
+
 @pytest.mark.parametrize(
     ("words", "says"),
     [
+        (("follow", "emulated:worn", "{run}", "oval"), "no standard path"),
+        (("follow", "emulated:worn", "{run}", "circle-0.5s"), "give the path more time there"),
+        (("follow", "emulated:worn", "{run}", "circle-8s", "--controller", "magic"), "known: tracker, default"),
+        (("follow", "emulated:worn", "{run}", "circle-8s", "--rate", "30", "--repeat", "2"), "known ahead"),
+        (("evaluate", "--family", "--follow", "--gains", "g.json"), "--gains does not go with --follow"),
         (("diagnose", "tcp://nowhere"), "tcp://nowhere"),
         (("diagnose", "carrier-pigeon:1"), "expected emulated:PROFILE"),
         (("diagnose", "emulated:brand-new"), "brand-new"),

@@ -21,8 +21,8 @@ from rejoint.system.progress import INTERVAL, paced, part
 ARM = mycobot280()
 TARGETS = [[0.17, 0.0, 0.2], [0.18, 0.03, 0.21]]
 FUNCTIONS = (
-    "compare", "connect", "deploy", "diagnose", "identify", "load_arm", "read_arm", "repair", "replay", "report",
-    "train",
+    "compare", "connect", "deploy", "diagnose", "follow", "identify", "load_arm", "read_arm", "repair", "replay",
+    "report", "train",
 )  # fmt: skip
 HEAVY = ("torch", "mujoco", "numba", "matplotlib", "scipy", "pyarrow", "onnxruntime", "numpy", "typer", "rich")
 

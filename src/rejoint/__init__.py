@@ -18,6 +18,9 @@ if TYPE_CHECKING:
     from rejoint.control.comparison.result import Comparison
     from rejoint.control.controller import Controller
     from rejoint.control.deployment import Deployed
+    from rejoint.control.moving.drive import Followed
+    from rejoint.control.moving.path import Path
+    from rejoint.control.moving.routes import Stream
     from rejoint.control.policy import Policy
     from rejoint.control.robot import Robot
     from rejoint.diagnosis.calibration.calibration import Calibration
@@ -31,6 +34,7 @@ if TYPE_CHECKING:
     from rejoint.runs.stages.compare import Compared, compare
     from rejoint.runs.stages.deploy import deploy
     from rejoint.runs.stages.diagnose import Diagnosed, diagnose
+    from rejoint.runs.stages.follow import follow
     from rejoint.runs.stages.identify import identify
     from rejoint.runs.stages.replay import Replayed, replay
     from rejoint.runs.stages.report import report
@@ -64,6 +68,9 @@ _HOMES = {
     "arms.draft": ("Loaded",),
     "arms.loading": ("load_arm", "read_arm"),
     "control.controller": ("Controller",),
+    "control.moving.routes": ("Stream",),
+    "control.moving.drive": ("Followed",),
+    "control.moving.path": ("Path",),
     "control.policy": ("Policy",),
     "control.robot": ("Robot",),
     "diagnosis.calibration.calibration": ("Calibration",),
@@ -80,6 +87,7 @@ _HOMES = {
     "runs.stages.compare": ("Compared", "compare"),
     "runs.stages.deploy": ("deploy",),
     "runs.stages.diagnose": ("Diagnosed", "diagnose"),
+    "runs.stages.follow": ("follow",),
     "runs.stages.identify": ("identify",),
     "runs.stages.replay": ("Replayed", "replay"),
     "runs.stages.report": ("report",),
@@ -101,12 +109,12 @@ _HOME = {name: home for home, names in _HOMES.items() for name in names}
 
 __all__ = [
     "AddressError", "Arm", "Calibrated", "Calibration", "Compared", "Comparison", "ConnectionLostError",
-    "ContractError", "Controller", "Deployed", "Diagnosed", "Diagnosis", "FileError", "GuardTripError",
+    "ContractError", "Controller", "Deployed", "Diagnosed", "Diagnosis", "FileError", "Followed", "GuardTripError",
     "ImpossibleReplyError", "InputError", "Interrupted", "Judgement", "Loaded", "Measurements", "MissingExtraError",
-    "NoReplyError", "NotReadyError", "Policy", "PowerLostError", "ProfileError", "Progress", "Recommendation",
+    "NoReplyError", "NotReadyError", "Path", "Policy", "PowerLostError", "ProfileError", "Progress", "Recommendation",
     "RejointError", "Repaired", "Replayed", "Robot", "RobotError", "Run", "RunLog", "Stage", "StaleReplyError",
-    "TrainedPolicy", "Twin", "UnsavedError", "__version__", "calibrate", "compare", "connect", "deploy", "diagnose",
-    "identify", "load_arm", "read_arm", "repair", "replay", "report", "train",
+    "Stream", "TrainedPolicy", "Twin", "UnsavedError", "__version__", "calibrate", "compare", "connect", "deploy",
+    "diagnose", "follow", "identify", "load_arm", "read_arm", "repair", "replay", "report", "train",
 ]  # fmt: skip
 
 

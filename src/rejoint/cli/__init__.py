@@ -1,8 +1,8 @@
 """The command line: one command per stage, and `repair` for the whole chain.
 
 Exit codes: 0 done; 1 a bug, here or in the driver of another package; 2 input that cannot be used; 3 the guard stopped
-the motion; 4 the robot failed; 5 done, but not all targets were reached; 128 and the number of the signal, such as 130
-for Ctrl-C and 143 for SIGTERM, interrupted.
+the motion; 4 the robot failed; 5 done, but not all targets were reached, or the path was not followed; 128 and the
+number of the signal, such as 130 for Ctrl-C and 143 for SIGTERM, interrupted.
 Results go to standard output, everything else to standard error.
 """
 
@@ -36,7 +36,7 @@ app = typer.Typer(
 )
 COMMANDS: tuple[Callable[..., None], ...] = (
     chain.repair, stages.diagnose, stages.identify, stages.train, measuring.calibrate, stages.compare, stages.deploy,
-    stages.report, boards.board, offline.replay, foreign.import_, foreign.export, serving.emulate,
+    stages.follow, stages.report, boards.board, offline.replay, foreign.import_, foreign.export, serving.emulate,
     reproducing.reproduce, evaluation.evaluate, evaluation.tune,
 )  # fmt: skip
 for command in COMMANDS:

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 OUT = Path("runs") / "family"
 
 
-FAMILY_ONLY = ("controllers", "variants", "arms", "gains", "calibrate")
+FAMILY_ONLY = ("controllers", "variants", "arms", "gains", "calibrate", "follow")
 """Options of `evaluate` that go with --family"""
 
 
@@ -38,6 +38,9 @@ def evaluate(
     ] = None,
     calibrate: Annotated[
         bool, typer.Option("--calibrate", help="With --family: true errors before and after outside measurements.")
+    ] = False,
+    follow: Annotated[
+        bool, typer.Option("--follow", help="With --family: paths that move, each arm with a twin of its own.")
     ] = False,
     iterations: Annotated[int | None, typer.Option(help="Updates of those trainings instead of the preset's.")] = None,
     policy: Annotated[list[Path] | None, typer.Option(help="Policy file; repeatable, such as one per seed.")] = None,
@@ -84,6 +87,9 @@ def evaluate(
         with terminal.progress("evaluating") as update:
             found = evaluate_identification(arm, policy or [], settings, out, iterations, update)
         _show(terminal, found, out)
+        return
+    if follow:
+        _follow(terminal, arm, context, ArmFamily(arms=arms, seed=seed), out, threads)
         return
     if calibrate:
         few = ArmFamily(arms=arms, targets=targets, seed=seed)
@@ -176,6 +182,21 @@ def _calibrate(
         terminal.table(title, headers, rows)
     terminal.result(f"All of it: {(out / 'calibrated.json').resolve()}")
     terminal.finish({"out": str(out), "rows": result.rows, "named": result.named, "accused": result.accused})
+
+
+def _follow(terminal: Terminal, arm: Arm, context: typer.Context, family: ArmFamily, out: Path, threads: int) -> None:
+    from rejoint.research.evaluation.moving import evaluate_moving, moving_table
+
+    for name in ("controllers", "variants", "targets", "gains", "policy", "calibrate"):
+        source = context.get_parameter_source(name)
+        if source is not None and source.name != "DEFAULT":
+            raise InputError(f"--{name} does not go with --follow, which tries its own cases; leave it out")
+    with terminal.progress("evaluating") as update:
+        result = evaluate_moving(arm, family, out, threads, update)
+    write_json(out / "moving.json", result)
+    terminal.table(*moving_table(result))
+    terminal.result(f"All of it: {(out / 'moving.json').resolve()}")
+    terminal.finish({"out": str(out), "rows": result.rows})
 
 
 def _show(terminal: Terminal, result: Evaluation, out: Path) -> None:

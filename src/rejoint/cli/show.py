@@ -14,6 +14,7 @@ from rejoint.control.comparison.result import Comparison, PoseAccuracy
 
 if TYPE_CHECKING:
     from rejoint.control.deployment import Deployed
+    from rejoint.control.moving.drive import Followed
     from rejoint.diagnosis.diagnosis import Diagnosis
     from rejoint.runs.report.errors import BeforeAfter
     from rejoint.runs.stages.calibrate import Calibrated
@@ -143,6 +144,25 @@ def verdict(terminal: Terminal, result: BeforeAfter | None) -> None:
     """Print what the whole repair came to."""
     if result is not None and result.sentence:
         terminal.result(result.sentence)
+
+
+def followed(terminal: Terminal, done: Followed) -> None:
+    """Print how well a path was followed, each time."""
+    rows = [
+        [
+            str(number), *(f"{1e3 * value:.2f}" for value in (one.encoder.rms, one.encoder.largest)),
+            f"{1e3 * one.encoder.lag:.0f}",
+            *(f"{1e3 * value:.2f}" for value in (one.encoder.rms_after, one.encoder.largest_after)),
+            str(one.true_error),
+        ]
+        for number, one in enumerate(done.passes, start=1)
+    ]  # fmt: skip
+    headers = ["time", "rms mm", "largest mm", "lag ms", "rms after lag mm", "largest after lag mm", "rms of the tool"]
+    terminal.table(f"{done.path}, {done.controller}: errors along the way by the encoders", headers, rows)
+    if not done.followed:
+        terminal.result(f"Not followed: {1e3 * done.within:g} mm root mean square after the lag were expected.")
+    if done.gaps:
+        terminal.result(f"The answers stayed away {len(done.gaps)} times, for up to {max(done.gaps):.1f} s.")
 
 
 def deployment(terminal: Terminal, within: float, done: Deployed) -> None:

@@ -16,14 +16,15 @@ from rejoint.cli.console import Terminal, results_of
 from rejoint.control.deployment import REACHED
 from rejoint.runs.folder import LOGS, RunFolder, locked
 from rejoint.runs.run import Run, newest_or_new
+from rejoint.runs.stages.follow import TRACKER, WITHIN
 from rejoint.system.errors import InputError
-from rejoint.system.extras import require
+from rejoint.system.extras import EXTRAS, installed, require
 
 if TYPE_CHECKING:
     from rejoint.training.train import Trainer
 
 MISSED = 5
-"""Exit code of a deployment that did not reach all of its targets."""
+"""Exit code of a deployment that did not reach all of its targets, and of a path that was not followed"""
 
 
 def diagnose(
@@ -227,6 +228,56 @@ def deploy(
         "period": done.period, "gaps": done.gaps,
     })  # fmt: skip
     if done.missed:
+        raise typer.Exit(MISSED)
+
+
+def follow(
+    robot: opt.Robot,
+    run: opt.Run,
+    path: Annotated[
+        str, typer.Argument(help="CSV file time,x,y,z in s and mm; or circle-8s, random-0.2hz and the like.")
+    ],
+    controller: Annotated[
+        str, typer.Option(help="tracker, by the run's twin; or default: sent as it comes.")
+    ] = TRACKER,
+    repeat: Annotated[int, typer.Option(help="How often; each time it learns from the last.", min=1)] = 1,
+    rate: Annotated[
+        float | None, typer.Option(help="Tell the path as it goes, so many times a second, instead of ahead.")
+    ] = None,
+    within: Annotated[
+        float, typer.Option(help="Root mean square in mm within which the path counts as followed.", min=0.01)
+    ] = 1e3 * WITHIN,
+    calibration: opt.Calibration = None,
+    period: opt.Period = None,
+    seed: opt.RunSeed = None,
+    json: opt.Json = False,
+) -> None:
+    """Drive an arm along a path, and say how well it followed.
+
+    The arm is looked at first, goes slowly to its rest posture and to the start of the path. Exit code 5: not followed.
+
+    Example: `rejoint follow tcp://192.168.1.20:9000 runs/mine drawing.csv`, or
+    `rejoint follow emulated:worn runs/mine circle-8s --repeat 5`
+    """
+    terminal = Terminal(json=json)
+    with terminal.progress("following") as update:
+        done = rejoint.follow(
+            robot, path, run=run, controller=controller, repeat=repeat, rate=rate, within=1e-3 * within,
+            calibration=calibration, period=opt.period_seconds(period), seed=seed, on_progress=update,
+        )  # fmt: skip
+    show.followed(terminal, done)
+    if all(map(installed, EXTRAS["report"])):
+        from rejoint.runs.report.followed import draw_followed
+
+        job = Run.open(run)
+        with locked(job.folder):
+            terminal.say(f"Path: {draw_followed(job.folder, job.arm, done)}")
+    terminal.finish({
+        "run": str(run), "path": done.path, "controller": done.controller, "followed": done.followed,
+        "passes": [{"encoder": one.encoder, "true_error": one.true_error} for one in done.passes],
+        "period": done.period, "gaps": done.gaps,
+    })  # fmt: skip
+    if not done.followed:
         raise typer.Exit(MISSED)
 
 

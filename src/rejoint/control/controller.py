@@ -5,8 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol
 
+import numpy as np
+
 from rejoint.arms import Array
 from rejoint.control.robot import JointState, Mask
+from rejoint.control.route import Route
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -20,6 +23,16 @@ class ControlInput:
     """(B, n) [rad] last command as it was sent, after the guard"""
     since_target: Array
     """(B,) [s] time since the target was set"""
+    route: Route | None = None
+    """where the target goes; None where it stands still"""
+
+    def aims(self, later: Array) -> Array:
+        """Return the TCP targets (k, B, 3) [m] ``later`` (k,) or (k, B) [s] than now, by all that is known now."""
+        count = len(self.since_target)
+        later = np.broadcast_to(later if np.ndim(later) == 2 else np.asarray(later)[:, None], (len(later), count))
+        if self.route is None:
+            return np.broadcast_to(self.target, (len(later), count, 3))
+        return self.route.aims(self.since_target, later)
 
 
 class Controller(Protocol):

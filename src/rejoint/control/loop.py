@@ -20,6 +20,7 @@ from rejoint.control.following import Following
 from rejoint.control.guard import TRIPS, Guarded, GuardLimits, Reason, Reasons, guard, warm_up
 from rejoint.control.recording import Cycle, OnCycle, Recorder, Recording, attach
 from rejoint.control.robot import JointState, Mask, Robot
+from rejoint.control.route import Route
 from rejoint.control.runstate import RunState, own, reported_load
 from rejoint.control.trips import trip_error
 from rejoint.system.errors import InputError, RejointError, first_line
@@ -86,6 +87,32 @@ def run(
         return _drive(loop, targets)
 
 
+def follow(
+    robot: Robot,
+    controller: Controller,
+    route: Route,
+    schedule: Schedule,
+    *,
+    limits: GuardLimits | None = None,
+    on_cycle: OnCycle | None = None,
+) -> Recording:
+    """Drive ``robot`` behind the moving targets of a ``route``, for the dwell of the schedule; else as `run`.
+
+    Controllers are not reset on the way. The route has the aims, so that no correction is needed.
+    """
+    if route.count != robot.count:
+        raise InputError(f"a route of {route.count} targets, expected one for each of {robot.count} arms")
+    limits = GuardLimits.of(robot.arm) if limits is None else limits
+    recorder = Recorder(robot=robot, controller=controller.name)
+    loop = _Loop(
+        robot=robot, controller=controller, schedule=schedule, limits=limits, recorder=recorder, on_cycle=on_cycle,
+        correction=None, route=route,
+    )  # fmt: skip
+    _warm_up(limits)
+    with noted():
+        return _drive(loop, np.full((robot.count, 1, 3), np.nan))
+
+
 def _warm_up(limits: GuardLimits) -> None:
     """Have everything ready that the first cycle needs: one that waited would be long, and would allow a long step."""
     warm_up(limits)
@@ -99,7 +126,9 @@ def _drive(loop: _Loop, targets: Array) -> Recording:
     run_state: RunState | None = None
     try:
         check()
-        run_state = RunState.begin(own(robot.read()), targets, loop.schedule.sent, loop.limits, loop.correction)
+        run_state = RunState.begin(
+            own(robot.read()), targets, loop.schedule.sent, loop.limits, loop.correction, loop.route
+        )
         loop.controller.reset(run_state.inputs(), np.ones(robot.count, dtype=bool))
         while loop.cycle(run_state):
             check()
@@ -197,6 +226,7 @@ class _Loop:
     recorder: Recorder
     on_cycle: OnCycle | None
     correction: Correction | None
+    route: Route | None = None
 
     def cycle(self, run_state: RunState) -> bool:
         """Do one control cycle; returns whether there is another one."""

@@ -13,6 +13,7 @@ from rejoint.control.correction import Correction
 from rejoint.control.following import Following
 from rejoint.control.limits import GuardLimits, Reasons
 from rejoint.control.robot import JointState, Mask
+from rejoint.control.route import Route
 from rejoint.system.errors import InputError
 
 FIRST_PERIOD = 0.02
@@ -48,6 +49,8 @@ class RunState:
     period: Array
     following: Following
     correction: Correction | None = None
+    route: Route | None = None
+    """where the only target of each arm goes, None where targets stand still"""
     unbelieved: Mask | None = None
     """(B, n) joints whose readings are not believed in this cycle, None where all are"""
     last_time: Array = field(init=False)
@@ -71,7 +74,7 @@ class RunState:
     @classmethod
     def begin(
         cls, state: JointState, targets: Array, sent: Array | None, limits: GuardLimits,
-        correction: Correction | None = None,
+        correction: Correction | None = None, route: Route | None = None,
     ) -> RunState:  # fmt: skip
         """Begin with ``targets`` (B, K, 3) [m] and the command in force, ``sent`` (B, n) [rad]; None: the position."""
         count = len(targets)
@@ -83,17 +86,20 @@ class RunState:
             set_at=state.time.copy(), active=np.ones(count, dtype=bool), tripped=np.zeros(count, dtype=np.uint16),
             period=np.full(count, FIRST_PERIOD),
             following=Following(limits.arm, state, sent, limits.servos, bands=limits.bands), correction=correction,
+            route=route,
         )  # fmt: skip
 
     @property
     def target(self) -> Array:
         """(B, 3) [m] in force."""
+        if self.route is not None:
+            return self.route.place(self.state.time - self.set_at)
         return self.targets[np.arange(len(self.index)), self.index]
 
     def inputs(self) -> ControlInput:
         """Return what a controller knows."""
         since = self.state.time - self.set_at
-        return ControlInput(state=self.state, target=self.aim, sent=self.sent, since_target=since)
+        return ControlInput(state=self.state, target=self.aim, sent=self.sent, since_target=since, route=self.route)
 
     def advance(self, finished: Mask) -> Mask:
         """Set the next target where the present one is finished; returns the arms that got one."""
@@ -117,6 +123,10 @@ class RunState:
 
     def _take_aim(self, where: Mask) -> None:
         """Aim at the targets that were just set for the arms in ``where`` (B,)."""
+        if self.route is not None:
+            now = self.state.time - self.set_at
+            self.aim = self.route.aims(now, np.zeros((1, len(now))))[0]
+            return
         target = self.target
         fresh = target if self.correction is None else self.correction.aim(target, self.sent, where)
         self.aim = np.where(where[:, None], fresh, self.aim)
@@ -132,6 +142,8 @@ class RunState:
         known = np.where(np.isnan(self.usual), elapsed, self.usual)
         self.usual = np.where(elapsed > 0.0, known + _SMOOTHING * (np.minimum(elapsed, GAP) - known), self.usual)
         self.state, self.last_time = state, state.time
+        if self.route is not None:
+            self._take_aim(self.active)
         if np.count_nonzero(self.gap):
             self._begin_again(self.gap)
 

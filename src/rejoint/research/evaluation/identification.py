@@ -51,7 +51,7 @@ def know_arm(arm: Arm, wear_seed: int, folder: RunFolder, iterations: int | None
     from rejoint.twin.file import read_twin
 
     if not folder.twin.exists():
-        _identify(arm, wear_seed, folder, on_progress)
+        identify_arm(arm, wear_seed, folder, wear_seed, on_progress)
     twin = read_twin(folder.twin, arm)
     if not folder.policy.exists():
         options = TrainingOptions(iterations=iterations, resume=True)
@@ -82,7 +82,8 @@ def evaluate_identification(
     return conclude(arm, settings, contestants, meanings, outcomes, folder)
 
 
-def _identify(arm: Arm, wear_seed: int, folder: RunFolder, on_progress: Progress) -> None:
+def identify_arm(arm: Arm, wear_seed: int, folder: RunFolder, seed: int, on_progress: Progress) -> None:
+    """Diagnose and identify the arm ``worn?seed=`` with the plans of ``seed``, and leave its twin in ``folder``."""
     from rejoint.diagnosis.diagnosis import diagnose
     from rejoint.diagnosis.healthy import healthy_reference
     from rejoint.twin.file import write_twin
@@ -90,7 +91,7 @@ def _identify(arm: Arm, wear_seed: int, folder: RunFolder, on_progress: Progress
 
     robot = EmulatedRobot(arm, [load_wear(f"worn?seed={wear_seed}", arm)], seed=wear_seed)
     first, second = part(on_progress, 0.0, 0.5), part(on_progress, 0.5, 1.0)
-    _, logs = diagnose(robot, healthy_reference(arm), seed=wear_seed, on_progress=first)
+    _, logs = diagnose(robot, healthy_reference(arm), seed=seed, on_progress=first)
     twin = identify(arm, [logs.excitation], on_progress=second)
     write_twin(folder.twin, twin)
 

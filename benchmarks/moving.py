@@ -1,0 +1,106 @@
+"""How well worn arms follow where `rejoint evaluate --family --follow` does not look, and what a control cycle costs.
+
+Each arm is diagnosed and identified first. Errors are root mean squares by the encoders, in mm, mean over the arms.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from time import perf_counter
+
+import numpy as np
+
+from rejoint.arms import mycobot280
+from rejoint.control.loop import Schedule, follow
+from rejoint.control.moving.drive import judge
+from rejoint.control.moving.posture import PathPostures
+from rejoint.control.moving.routes import LAG, LEAD_IN, Ahead, Routes, Stream, played
+from rejoint.control.moving.servos import Servos
+from rejoint.control.moving.standard import STANDARD, standard_path
+from rejoint.control.moving.tracker import Tracker
+from rejoint.control.recording import Recording
+from rejoint.lab.plant.wear import load_wear
+from rejoint.research.evaluation.identification import identify_arm
+from rejoint.robots.emulated import EmulatedRobot
+from rejoint.runs.folder import RunFolder
+from rejoint.system.progress import no_progress
+from rejoint.twin.file import read_twin
+from rejoint.twin.parameters import TwinParameters, healthy_parameters
+
+ARM = mycobot280()
+SEEDS = (30001, 30002, 30003)
+"""Worn arms on which the tracker's gains were chosen"""
+PATHS = [standard_path(name, ARM) for name in STANDARD]
+
+
+def servos(twins: Sequence[TwinParameters]) -> Servos:
+    rows = {name: np.stack([getattr(twin, name) for twin in twins for _ in PATHS])
+            for name in Servos.__dataclass_fields__}  # fmt: skip
+    return Servos(**rows)
+
+
+def drive(profiles: Sequence[str], twins: Sequence[TwinParameters], period: tuple[float, float], guides) -> Recording:
+    start = PathPostures(ARM, np.stack([path.place[0] for _ in profiles for path in PATHS])).last
+    wears = [load_wear(profile, ARM) for profile in profiles for _ in PATHS]
+    robot = EmulatedRobot(ARM, wears, start=start, period=period)
+    controller = Tracker(ARM, servos(twins), period=sum(period) / 2)
+    dwell = LEAD_IN + LAG + max(path.duration for path in PATHS)
+    return follow(robot, controller, Routes(guides), Schedule(dwell=dwell, sent=start, keep_going=True))
+
+
+def show(title: str, profiles: Sequence[str], twins: Sequence[TwinParameters], period=(0.02, 0.03), rate=None) -> None:
+    paths = [path for _ in profiles for path in PATHS]
+    ahead = [Ahead(path=path) for path in paths]
+    guides: list[Ahead | Stream] = ahead if rate is None else [played(path, rate) for path in paths]
+    begun = perf_counter()
+    recording = drive(profiles, twins, period, guides)
+    took = perf_counter() - begun
+    found = [judge(ARM, recording, guide, b).encoder for b, guide in enumerate(ahead)]
+    rms = 1e3 * np.array([one.rms if rate is None else one.rms_after for one in found]).reshape(len(profiles), -1)
+    lag = 1e3 * np.mean([one.lag for one in found])
+    cells = "  ".join(f"{value:5.2f}" for value in rms.mean(axis=0))
+    print(f"{title:34} {cells}   lag {lag:3.0f} ms   {took:4.0f} s   tripped {int((recording.tripped != 0).sum())}")
+
+
+def main() -> None:
+    with TemporaryDirectory() as place:
+        twins = []
+        for seed in SEEDS:
+            folder = RunFolder(Path(place) / str(seed))
+            identify_arm(ARM, seed, folder, 0, no_progress)
+            twins.append(read_twin(folder.twin, ARM).parameters)
+    worn = [f"worn?seed={seed}" for seed in SEEDS]
+    print(f"{'':34} {'  '.join(name[-5:] for name in STANDARD)}")
+    show("known ahead", worn, twins)
+    show("known ahead, cycles of 45 to 55 ms", worn, twins, (0.045, 0.055))
+    for rate in (10.0, 30.0, 100.0):
+        show(f"as it goes, {rate:g} Hz", worn, twins, rate=rate)
+    show("healthy arm, its twin", ["healthy"], [healthy_parameters(ARM)])
+    cycle()
+
+
+def cycle() -> None:
+    """Print what a control cycle of one arm costs."""
+    path = PATHS[1]
+    start = PathPostures(ARM, path.place[:1]).last
+    own = healthy_parameters(ARM).repeat(1)
+    controller = Tracker(ARM, Servos(**{name: getattr(own, name) for name in Servos.__dataclass_fields__}))
+    robot = EmulatedRobot(ARM, [load_wear("healthy", ARM)], start=start)
+    took: list[float] = []
+    command = controller.command
+
+    def timed(inputs):
+        begun = perf_counter()
+        wanted = command(inputs)
+        took.append(perf_counter() - begun)
+        return wanted
+
+    controller.command = timed
+    follow(robot, controller, Routes([Ahead(path=path)]), Schedule(dwell=6.0, sent=start))
+    print(f"a control cycle of the tracker, one arm: {1e3 * np.median(took):.2f} ms in the middle")
+
+
+if __name__ == "__main__":
+    main()

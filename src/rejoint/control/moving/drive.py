@@ -1,0 +1,139 @@
+"""Driving an arm behind a target that moves, and saying how well it followed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rejoint.arms import Arm, Array, tcp_position
+from rejoint.control.accuracy import NOT_KNOWN, TrueError
+from rejoint.control.controller import Controller
+from rejoint.control.correction import Modelled, checked
+from rejoint.control.guard import GuardLimits
+from rejoint.control.loop import Schedule, follow, move
+from rejoint.control.moving.errors import Along, along, interpolated
+from rejoint.control.moving.path import Path
+from rejoint.control.moving.posture import PathPostures
+from rejoint.control.moving.routes import Ahead, Guide, Routes, Stream
+from rejoint.control.recording import OnCycle, Recording
+from rejoint.control.robot import Robot
+from rejoint.logs.runlog import RunLog
+
+Rows = NDArray[np.intp]
+
+_STEP = 0.02  # [s] between the places of a path that is corrected or judged
+_APPROACH = 15  # of those back is where an arm came from: 0.3 s (chosen: longer than play takes to turn round)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Pass:
+    """One time along a path."""
+
+    encoder: Along
+    """errors by the encoders"""
+    true_error: TrueError
+    """root mean square of the tool itself, without a lag, and how it is known"""
+    log: RunLog | None = None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Followed:
+    """What became of a path."""
+
+    path: str
+    controller: str
+    within: float
+    """[m]"""
+    passes: tuple[Pass, ...]
+    """in order; more than one where the arm learned from repetition"""
+    period: float | None
+    """[s] middle of the measured control periods"""
+    gaps: tuple[float, ...]
+    """[s] lengths of the pauses in the answers"""
+
+    @property
+    def followed(self) -> bool:
+        """Whether the last pass was ``within``, root mean square after the best single lag."""
+        return bool(self.passes) and self.passes[-1].encoder.rms_after <= self.within
+
+
+def corrected_path(arm: Arm, path: Path, correction: Modelled) -> Path:
+    """Return the aims of a path, so that the tool itself is on it."""
+    time = np.linspace(0.0, path.duration, max(2, round(path.duration / _STEP) + 1))
+    places = path.at(time)
+    aims = places
+    postures = PathPostures(arm, places[:1])
+    for _ in range(2):  # the second changes it by less than 0.1 mm
+        way = postures.along(aims[:, None])[:, 0]
+        came = np.concatenate([way[:1].repeat(_APPROACH, axis=0), way[:-_APPROACH]])[: len(way)]
+        aims = checked(places, places - correction.shift(way, came))
+        postures.last = way[:1]
+    return Path(time=time, place=aims, name=path.name)
+
+
+def corrector(arm: Arm, correction: Modelled, start: Array) -> Callable[[Array], Array]:
+    """Return what turns places (k, 3) [m] of a stream into aims, from the one at ``start`` (3,) on."""
+    postures = PathPostures(arm, start[None])
+
+    def correct(places: Array) -> Array:
+        return checked(places, places - correction.shift(postures.at(places[:, None])[:, 0]))
+
+    return correct
+
+
+def approach(robot: Robot, start: Array, sent: Array, limits: GuardLimits | None = None) -> Recording:
+    """Bring the arm slowly from the command ``sent`` (1, n) [rad] to the posture of ``start`` (3,) [m]."""
+    return move(robot, PathPostures(robot.arm, start[None]).last[0], sent=sent, settle=0.5, limits=limits)
+
+
+def follow_guide(
+    robot: Robot, controller: Controller, guide: Guide, duration: float, sent: Array, *,
+    limits: GuardLimits | None = None, on_cycle: OnCycle | None = None,
+) -> Recording:  # fmt: skip
+    """Drive one arm behind a guide for ``duration`` [s]; ``sent`` (1, n) [rad] is the command in force."""
+    schedule = Schedule(dwell=duration, sent=sent)
+    return follow(robot, controller, Routes([guide]), schedule, limits=limits, on_cycle=on_cycle)
+
+
+def judge(arm: Arm, recording: Recording, guide: Ahead | Stream, b: int = 0) -> Pass:
+    """Say how well arm ``b`` followed."""
+    rows, time = rows_on(recording, guide, b)
+    tool = tcp_position(arm, recording.position[rows, b])
+    at, places, aims = route_of(guide)
+    true = np.linalg.norm(recording.true_tcp[rows, b] - interpolated(time, at, places), axis=-1)
+    known = bool(np.isfinite(true).all()) and len(true) > 0
+    return Pass(
+        encoder=along(time, tool, at, aims),
+        true_error=TrueError(how="known", value=float(np.sqrt((true**2).mean()))) if known else NOT_KNOWN,
+    )
+
+
+def rows_on(recording: Recording, guide: Ahead | Stream, b: int = 0) -> tuple[Rows, Array]:
+    """Return the rows of a recording (T,) in which arm ``b`` was on its path, and the times (T,) [s] on that."""
+    begin = guide.lead_in if isinstance(guide, Ahead) else guide.time[0]
+    length = guide.path.duration if isinstance(guide, Ahead) else guide.time[-1] - begin
+    time = recording.since_target[:, b] - begin
+    rows = np.flatnonzero(recording.active[:, b] & (time >= 0.0) & (time <= length))
+    return rows, time[rows]
+
+
+def route_of(guide: Ahead | Stream) -> tuple[Array, Array, Array]:
+    """Return times (K,) [s], targets (K, 3) and aims (K, 3) [m] of a guide."""
+    if isinstance(guide, Ahead):
+        time = np.linspace(0.0, guide.path.duration, max(2, round(guide.path.duration / _STEP) + 1))
+        return time, guide.path.at(time), (guide.aim or guide.path).at(time)
+    targets = np.array(guide.targets)
+    return (
+        np.array(guide.time) - guide.time[0],
+        targets,
+        targets if guide.corrected is None else guide.corrected(targets),
+    )
+
+
+def missed(arm: Arm, recording: Recording, guide: Ahead, wanted: Path, b: int = 0) -> tuple[Array, Array]:
+    """Return times (T,) [s] and how far (T, 3) [m] arm ``b`` was from ``wanted`` by its encoders, for `learned`."""
+    rows, time = rows_on(recording, guide, b)
+    return time, wanted.at(time) - tcp_position(arm, recording.position[rows, b])

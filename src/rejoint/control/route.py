@@ -1,0 +1,24 @@
+"""Targets that move, as the control loop and its controllers see them."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from rejoint.arms import Array
+
+
+class Route(Protocol):
+    """Where the targets of B arms are over time, and how much of it is known ahead. Times are since the start."""
+
+    @property
+    def count(self) -> int:
+        """Number B of arms."""
+
+    def place(self, now: Array) -> Array:
+        """Return the targets (B, 3) [m] at ``now`` (B,) [s]."""
+
+    def aims(self, now: Array, later: Array) -> Array:
+        """Return where the encoders are to see the tools ``later`` (k, B) [s] than ``now`` (B,) [s]: (k, B, 3) [m].
+
+        By all that is known at ``now``: a path knows its future, a stream guesses it.
+        """

@@ -1,0 +1,147 @@
+"""Laws of following: an observer finds what pushes a joint, worn arms follow, and repetition takes out what repeats."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from rejoint.arms import gravity_torque, mycobot280
+from rejoint.control.controller import ControlInput
+from rejoint.control.loop import Schedule, follow
+from rejoint.control.moving.drive import judge, missed
+from rejoint.control.moving.errors import along
+from rejoint.control.moving.observer import PushObserver
+from rejoint.control.moving.path import Path
+from rejoint.control.moving.posture import PathPostures
+from rejoint.control.moving.repeating import learned, smooth
+from rejoint.control.moving.routes import Ahead, Routes
+from rejoint.control.moving.sender import Sender
+from rejoint.control.moving.servos import Moment, Servos, command_for
+from rejoint.control.moving.standard import standard_path
+from rejoint.control.moving.tracker import Tracker
+from rejoint.control.robot import JointState
+from rejoint.lab.plant.wear import load_wear
+from rejoint.robots.emulated import EmulatedRobot
+from rejoint.system.errors import InputError
+
+ARM = mycobot280()
+
+
+def worn_servos(count=1):
+    """What a twin of the worn profile would say, with its errors."""
+    wear = load_wear("worn", ARM)
+    rows = {
+        "stiffness": wear.position_gain, "damping": wear.damping_gain + wear.torque_limit / 5.0,
+        "coulomb": 1.1 * wear.coulomb, "armature": 0.9 * wear.reflected_inertia, "torque_limit": wear.torque_limit,
+        "offset": np.zeros(ARM.joints),
+    }  # fmt: skip
+    return Servos(**{name: np.tile(row, (count, 1)) for name, row in rows.items()}, delay=np.full(count, 0.022))
+
+
+def drive(make, guides, seed=0):
+    start = PathPostures(ARM, np.stack([guide.path.place[0] for guide in guides])).last
+    robot = EmulatedRobot(ARM, [load_wear("worn", ARM)] * len(guides), seed=seed, start=start)
+    dwell = 2.0 + max(guide.path.duration for guide in guides)
+    return follow(robot, make(), Routes(guides), Schedule(dwell=dwell, sent=start))
+
+
+def test_the_inverse_of_an_arm_at_rest_is_gravity_over_stiffness():
+    servos = replace(worn_servos(2), offset=np.full((2, ARM.joints), 0.02))
+    posture = np.stack([ARM.rest, ARM.rest + 0.1])
+    still = Moment(around=np.stack([posture] * 3), step=0.03)
+    expected = posture - 0.02 + gravity_torque(ARM, posture) / servos.stiffness
+    assert np.allclose(command_for(ARM, servos, still), expected)
+
+
+def test_the_observer_finds_a_constant_push_and_foresees_what_was_sent():
+    servos, period = worn_servos(), 0.025
+    observer, time = PushObserver(ARM, servos), np.zeros(1)
+    push = np.linspace(-0.03, 0.03, ARM.joints)[None]
+    for _ in range(120):  # a joint at rest under a push stands off by just that
+        time = time + period
+        observer.see(time, np.full(1, period), push)
+    assert np.allclose(observer.push, push, atol=2e-4)
+    assert np.allclose(observer.soon(time)[0], push, atol=2e-4)
+    observer.sent(time - 0.02, -push)  # takes it away: the joint begins to move home
+    later = observer.soon(time)[0]
+    assert (np.abs(later[np.abs(push) > 0.01]) < np.abs(push[np.abs(push) > 0.01])).all()
+
+
+def test_a_worn_arm_follows_a_circle_better_than_one_that_is_sent_it():
+    guides = [Ahead(path=standard_path("circle-8s", ARM)), Ahead(path=standard_path("random-0.5hz", ARM))]
+    tracked, sent = drive(lambda: Tracker(ARM, worn_servos(2)), guides), drive(lambda: Sender(ARM), guides)
+    for b, guide in enumerate(guides):
+        assert judge(ARM, tracked, guide, b).encoder.rms < 1.5e-3
+        assert judge(ARM, sent, guide, b).encoder.rms > 10e-3
+
+
+def test_gains_give_way_where_a_cycle_is_long_and_the_arm_still_follows():
+    path = standard_path("circle-8s", ARM)
+    start = PathPostures(ARM, path.place[:1]).last
+    robot = EmulatedRobot(ARM, [load_wear("worn", ARM)], start=start, period=(0.045, 0.055))
+    controller = Tracker(ARM, worn_servos(), period=0.05)
+    recording = follow(robot, controller, Routes([Ahead(path=path)]), Schedule(dwell=2.0 + path.duration, sent=start))
+    assert judge(ARM, recording, Ahead(path=path)).encoder.rms < 2.5e-3
+
+
+def test_a_reset_on_the_way_forgets_nothing():
+    servos, path = worn_servos(), standard_path("circle-4s", ARM)
+    routes = Routes([Ahead(path=path)])
+    one, other = Tracker(ARM, servos), Tracker(ARM, servos)
+    start = PathPostures(ARM, path.place[:1]).last
+    for k in range(20):
+        time = np.array([0.025 * k])
+        state = JointState(time=time, position=start + 1e-3 * k, age=np.zeros(1))
+        inputs = ControlInput(state=state, target=routes.place(time), sent=start, since_target=time, route=routes)
+        if k == 0:
+            one.reset(inputs, np.ones(1, dtype=bool))
+        other.reset(inputs, np.ones(1, dtype=bool))
+        assert np.array_equal(one.command(inputs), other.command(inputs))
+
+
+def test_what_repeats_is_learned_and_a_lag_is_found():
+    path = standard_path("circle-8s", ARM)
+    time = np.arange(0.0, path.duration, 0.025)
+    bias = 0.003 * np.stack([np.sin(time), np.cos(time), np.ones_like(time)], axis=-1)
+    aim = path
+    for _ in range(8):  # an arm that misses every aim by the same
+        aim = learned(path, aim, time, path.at(time) - (aim.at(time) - bias), 0)
+    left = path.at(time) - (aim.at(time) - bias)
+    assert np.abs(left[20:-20]).max() < 1e-4
+    found = along(time, path.at(time - 0.06), time, path.at(time))
+    assert found.lag == pytest.approx(0.06, abs=0.005)
+    assert found.rms_after < 0.1 * found.rms
+    slow = np.sin(2 * np.pi * 0.3 * time)[:, None] * np.ones(3)
+    assert np.allclose(smooth(slow, 0.025)[40:-40], slow[40:-40], atol=0.01)
+
+
+def test_what_was_missed_is_measured_on_the_path_alone():
+    path = Path(time=np.array([0.0, 1.0, 2.0]), place=np.array([[0.18, 0, 0.2], [0.19, 0, 0.2], [0.18, 0, 0.2]]))
+    guide = Ahead(path=path)
+    recording = drive(lambda: Tracker(ARM, worn_servos()), [guide])
+    time, error = missed(ARM, recording, guide, path)
+    assert time[0] >= 0.0
+    assert time[-1] <= path.duration
+    assert error.shape == (len(time), 3)
+
+
+def test_servos_of_other_shapes_are_refused():
+    good = worn_servos()
+    with pytest.raises(InputError, match="shape"):
+        replace(good, damping=good.damping[:, :3])
+    with pytest.raises(InputError, match="positive"):
+        replace(good, stiffness=-good.stiffness)
+
+
+def test_heavy_joints_take_over_what_a_joint_that_is_too_weak_misses():
+    path = standard_path("circle-8s", ARM)
+    wear = load_wear("worn", ARM)
+    weak = replace(wear, torque_limit=wear.torque_limit * np.array([1.0, 1.0, 1.0, 0.55, 1.0, 1.0]))
+    start = PathPostures(ARM, path.place[:1]).last
+    robot = EmulatedRobot(ARM, [weak], start=start)
+    route, schedule = Routes([Ahead(path=path)]), Schedule(dwell=2.0 + path.duration, sent=start)
+    recording = follow(robot, Tracker(ARM, worn_servos()), route, schedule)
+    wanted = PathPostures(ARM, path.place[:1]).along(recording.aim)
+    rows = recording.since_target[:, 0] > 4.0
+    assert np.abs((recording.position - wanted)[rows, 0, 3]).max() > np.radians(1.5)  # 4 mm at the tool
+    assert judge(ARM, recording, Ahead(path=path)).encoder.rms < 1.5e-3
