@@ -1,6 +1,6 @@
 """The robot's own computer: keeps the limits, runs the moves, powers and releases the servos.
 
-It knows no bytes and no clock: `rejoint.lab.emulator.commands` calls it with SI values, and whoever
+It knows no bytes and no clock: `rejoint.arms.wire.commands` calls it with SI values, and whoever
 owns a clock tells it how much time has passed. Where neither the vendor's manual nor logs of a real
 arm settle what the firmware does, the choice is named.
 """
@@ -10,35 +10,29 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, tcp_pose
-from rejoint.lab.emulator.ailments import Ailments
-from rejoint.lab.emulator.motion import Motion
-from rejoint.lab.emulator.paths import TimedPath, joint_path, line_path, solve_pose
+from rejoint.arms.wire.computer import ACCELERATION, FULL_SPEED, NO_LINE, NO_SOLUTION, at_angles, at_place
+from rejoint.arms.wire.motion import Motion
+from rejoint.arms.wire.paths import TimedPath, joint_path, line_path, solve_pose
+from rejoint.lab.emulator.ailments import OVER_TEMPERATURE_BIT, Ailments
 from rejoint.lab.emulator.plantlike import Mask, PlantLike
 
 TICK_MS = 10
 """[ms] between set-points that the firmware writes while it interpolates (chosen)"""
-FULL_SPEED = float(np.radians(120.0))
-"""[rad/s] reference ramp at speed 100 % (chosen: 80 % of the vendor's 150 deg/s, as in the plant)"""
-ACCELERATION = float(np.radians(200.0))
-"""[rad/s^2] of interpolated moves (vendor's communication protocol page)"""
 COMMAND_DELAY = (0.008, 0.013)
 """[s] from the arrival of a command to its effect in the servos (the plant's own channel)"""
 MAX_WRITES = 64
 """Goals on their way over the servo bus; the oldest of more are lost (chosen: an order every 8 ms leaves two)"""
 
-NO_SOLUTION = 32
-NO_LINE = 33
-"""Error codes of the vendor's ``get_error_information``; 1..6 name the joint over its limit."""
+CURRENT_PER_TORQUE = 2.7 / 2.94
+"""[A/(N m)] of an STS3215 at 12 V: 2.7 A at its stall torque of 30 kg cm (Feetech data sheet)"""
 
 _AT_REST = np.radians(2.0)
 """[rad/s] below this speed a joint counts as standing (chosen)"""
 _OVER_TEMPERATURE = 70.0
 """[deg C] default protection threshold of Feetech STS servos (their register table)"""
-_HAS_ARRIVED_ANGLE = np.radians(1.0)
-_HAS_ARRIVED_LENGTH = 0.003
-"""What counts as in position (chosen)."""
 
 
 class _Write(NamedTuple):
@@ -114,6 +108,21 @@ class Firmware:
         return self.temperature >= _OVER_TEMPERATURE
 
     @property
+    def current(self) -> Array:
+        """(n,) [A]."""
+        return np.maximum(np.abs(self.torque) * CURRENT_PER_TORQUE, self.ailments.current)
+
+    @property
+    def voltage(self) -> Array:
+        """(n,) [V]."""
+        return self.ailments.voltage
+
+    @property
+    def alarms(self) -> NDArray[np.uint8]:
+        """(n,) status bits of the servos."""
+        return np.where(self.hot, OVER_TEMPERATURE_BIT, 0).astype(np.uint8) | self.ailments.alarms
+
+    @property
     def true_tcp(self) -> Array:
         """(3,) [m] where the tool really is; nobody can ask for it over the wire."""
         return self._plant.true_tcp()[0]
@@ -130,14 +139,11 @@ class Firmware:
 
     def in_position(self, angles: Array) -> bool:
         """Whether the encoders are within a degree of ``angles`` (n,) [rad]."""
-        return bool((np.abs(self.angles - angles) < _HAS_ARRIVED_ANGLE).all())
+        return at_angles(self.angles, angles)
 
     def at_pose(self, pose: Array) -> bool:
         """Whether the TCP is within 3 mm and a degree of ``pose`` (4, 4), by the encoders."""
-        here = self.pose
-        cosine = (np.trace(pose[:3, :3] @ here[:3, :3].T) - 1.0) / 2.0
-        near = np.linalg.norm(pose[:3, 3] - here[:3, 3]) < _HAS_ARRIVED_LENGTH
-        return bool(near and cosine > np.cos(_HAS_ARRIVED_ANGLE))
+        return at_place(self.pose, pose)
 
     # --- moves ------------------------------------------------------------------------------
 

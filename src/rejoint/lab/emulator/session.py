@@ -15,11 +15,11 @@ from typing import Protocol
 
 import numpy as np
 
+from rejoint.arms.wire.commands import answer
+from rejoint.arms.wire.frames import Decoder, Frame, encode
 from rejoint.lab.emulator.armfaults import ArmFaults
-from rejoint.lab.emulator.commands import answer
 from rejoint.lab.emulator.faults import NONE, Faults
 from rejoint.lab.emulator.firmware import Firmware
-from rejoint.lab.emulator.frames import Decoder, Frame, encode
 from rejoint.lab.emulator.truthlog import TruthLog
 from rejoint.lab.emulator.wirefaults import SPLIT_PAUSE, LinkGoneError, WireFaults
 
