@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from rejoint.runs.stages.identify import identify
     from rejoint.runs.stages.replay import Replayed, replay
     from rejoint.runs.stages.report import report
+    from rejoint.runs.stages.serve import Serving, serve
     from rejoint.runs.stages.train import TrainedPolicy, train
     from rejoint.system.errors import (
         AddressError,
@@ -83,6 +84,7 @@ _HOMES = {
     "runs.stages.identify": ("identify",),
     "runs.stages.replay": ("Replayed", "replay"),
     "runs.stages.report": ("report",),
+    "runs.stages.serve": ("Serving", "serve"),
     "runs.stages.train": ("TrainedPolicy", "train"),
     "system.errors": (
         "AddressError", "ConnectionLostError", "ContractError", "FileError", "GuardTripError", "ImpossibleReplyError",
@@ -104,9 +106,9 @@ __all__ = [
     "ContractError", "Controller", "Deployed", "Diagnosed", "Diagnosis", "FileError", "GuardTripError",
     "ImpossibleReplyError", "InputError", "Interrupted", "Judgement", "Loaded", "Measurements", "MissingExtraError",
     "NoReplyError", "NotReadyError", "Policy", "PowerLostError", "ProfileError", "Progress", "Recommendation",
-    "RejointError", "Repaired", "Replayed", "Robot", "RobotError", "Run", "RunLog", "Stage", "StaleReplyError",
-    "TrainedPolicy", "Twin", "UnsavedError", "__version__", "calibrate", "compare", "connect", "deploy", "diagnose",
-    "identify", "load_arm", "read_arm", "repair", "replay", "report", "train",
+    "RejointError", "Repaired", "Replayed", "Robot", "RobotError", "Run", "RunLog", "Serving", "Stage",
+    "StaleReplyError", "TrainedPolicy", "Twin", "UnsavedError", "__version__", "calibrate", "compare", "connect", "deploy",
+    "diagnose", "identify", "load_arm", "read_arm", "repair", "replay", "report", "serve", "train",
 ]  # fmt: skip
 
 

@@ -36,7 +36,7 @@ app = typer.Typer(
 )
 COMMANDS: tuple[Callable[..., None], ...] = (
     chain.repair, stages.diagnose, stages.identify, stages.train, measuring.calibrate, stages.compare, stages.deploy,
-    stages.report, boards.board, offline.replay, foreign.import_, foreign.export, serving.emulate,
+    stages.report, boards.board, offline.replay, foreign.import_, foreign.export, serving.emulate, serving.serve,
     reproducing.reproduce, evaluation.evaluate, evaluation.tune,
 )  # fmt: skip
 for command in COMMANDS:
