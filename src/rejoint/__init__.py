@@ -24,11 +24,11 @@ if TYPE_CHECKING:
     from rejoint.diagnosis.calibration.measurements import Measurements
     from rejoint.diagnosis.diagnosis import Diagnosis
     from rejoint.logs.runlog import RunLog
-    from rejoint.runs.given import connect
     from rejoint.runs.repair import Repaired, Stage, repair
     from rejoint.runs.run import Run
     from rejoint.runs.stages.calibrate import Calibrated, calibrate
     from rejoint.runs.stages.compare import Compared, compare
+    from rejoint.runs.stages.connect import ArmState, DrivenArm, connect
     from rejoint.runs.stages.deploy import deploy
     from rejoint.runs.stages.diagnose import Diagnosed, diagnose
     from rejoint.runs.stages.identify import identify
@@ -46,6 +46,7 @@ if TYPE_CHECKING:
         InputError,
         MissingExtraError,
         NoReplyError,
+        NotReachedError,
         NotReadyError,
         PowerLostError,
         ProfileError,
@@ -74,11 +75,11 @@ _HOMES = {
     "control.comparison.recommend": ("Recommendation",),
     "control.comparison.result": ("Comparison",),
     "control.deployment": ("Deployed",),
-    "runs.given": ("connect",),
     "runs.repair": ("Repaired", "Stage", "repair"),
     "runs.run": ("Run",),
     "runs.stages.calibrate": ("Calibrated", "calibrate"),
     "runs.stages.compare": ("Compared", "compare"),
+    "runs.stages.connect": ("ArmState", "DrivenArm", "connect"),
     "runs.stages.deploy": ("deploy",),
     "runs.stages.diagnose": ("Diagnosed", "diagnose"),
     "runs.stages.identify": ("identify",),
@@ -87,9 +88,10 @@ _HOMES = {
     "runs.stages.serve": ("Serving", "serve"),
     "runs.stages.train": ("TrainedPolicy", "train"),
     "system.errors": (
-        "AddressError", "ConnectionLostError", "ContractError", "FileError", "GuardTripError", "ImpossibleReplyError",
-        "InputError", "MissingExtraError", "NoReplyError", "NotReadyError", "PowerLostError", "ProfileError",
-        "RejointError", "RobotError", "StaleReplyError", "UnsavedError",
+        "AddressError", "ConnectionLostError", "ContractError", "FileError", "GuardTripError",
+        "ImpossibleReplyError", "InputError", "MissingExtraError", "NoReplyError", "NotReachedError",
+        "NotReadyError", "PowerLostError", "ProfileError", "RejointError", "RobotError", "StaleReplyError",
+        "UnsavedError",
     ),
     "system.progress": ("Progress",),
     "system.stopping": ("Interrupted",),
@@ -102,13 +104,14 @@ _HOMES = {
 _HOME = {name: home for home, names in _HOMES.items() for name in names}
 
 __all__ = [
-    "AddressError", "Arm", "Calibrated", "Calibration", "Compared", "Comparison", "ConnectionLostError",
-    "ContractError", "Controller", "Deployed", "Diagnosed", "Diagnosis", "FileError", "GuardTripError",
+    "AddressError", "Arm", "ArmState", "Calibrated", "Calibration", "Compared", "Comparison", "ConnectionLostError",
+    "ContractError", "Controller", "Deployed", "Diagnosed", "Diagnosis", "DrivenArm", "FileError", "GuardTripError",
     "ImpossibleReplyError", "InputError", "Interrupted", "Judgement", "Loaded", "Measurements", "MissingExtraError",
-    "NoReplyError", "NotReadyError", "Policy", "PowerLostError", "ProfileError", "Progress", "Recommendation",
-    "RejointError", "Repaired", "Replayed", "Robot", "RobotError", "Run", "RunLog", "Serving", "Stage",
-    "StaleReplyError", "TrainedPolicy", "Twin", "UnsavedError", "__version__", "calibrate", "compare", "connect", "deploy",
-    "diagnose", "identify", "load_arm", "read_arm", "repair", "replay", "report", "serve", "train",
+    "NoReplyError", "NotReachedError", "NotReadyError", "Policy", "PowerLostError", "ProfileError", "Progress",
+    "Recommendation", "RejointError", "Repaired", "Replayed", "Robot", "RobotError", "Run", "RunLog", "Serving",
+    "Stage", "StaleReplyError", "TrainedPolicy", "Twin", "UnsavedError", "__version__", "calibrate", "compare",
+    "connect", "deploy", "diagnose", "identify", "load_arm", "read_arm", "repair", "replay", "report", "serve",
+    "train",
 ]  # fmt: skip
 
 

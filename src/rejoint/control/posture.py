@@ -25,6 +25,8 @@ from rejoint.control.feedforward import NOMINAL_STIFFNESS
 from rejoint.control.law import between, limit_position
 from rejoint.control.robot import JointState, Mask
 
+STILL = 1.5
+"""encoder counts within which a reading stands (chosen: one that lies between two counts jitters)"""
 _SMOOTHING = 0.5  # share of the newest difference in the speed estimate (chosen, as in the feed-forward controller)
 
 
@@ -69,6 +71,8 @@ class PostureGains:
     """[rad] from which such a joint counts as standing off"""
     turn: float = 0.03
     """[m/rad] weight of the tool's direction against its place where others make up for a weak joint"""
+    calm: float = 0.15
+    """[s] for which no reading may go farther than `STILL` before the arm counts as standing"""
     close: float = 4.5e-4
     """[m] of the tool within which nothing is corrected once the arm stands"""
     again: float = 9e-4
@@ -92,6 +96,8 @@ class PostureController:
         self._stiffness, self._offset = nominal if stiffness is None else stiffness, offset
         self._time: Array | None = None
         self._position = self._speed = self._learned = self._pushed = self._command = np.zeros((0, arm.joints))
+        self._anchor = self._position
+        self._stood: Array = np.zeros(0)
         self._weak: Mask = np.zeros((0, arm.joints), dtype=bool)
         self._rests: Mask = np.zeros(0, dtype=bool)
 
@@ -120,6 +126,7 @@ class PostureController:
         self._time, self._position = inputs.state.time.copy(), position.copy()
         self._speed, self._pushed = np.zeros_like(position), np.zeros_like(position)
         self._learned, self._command = inputs.sent - raised, inputs.sent.copy()
+        self._anchor, self._stood = position.copy(), np.zeros(len(position))
         self._weak, self._rests = np.zeros(position.shape, dtype=bool), np.zeros(len(position), dtype=bool)
 
     def _observe(self, state: JointState) -> tuple[Array, Array]:
@@ -130,6 +137,10 @@ class PostureController:
         speed = moved / np.maximum(elapsed, 1e-3)
         self._speed = np.where(elapsed > 0.0, self._speed + _SMOOTHING * (speed - self._speed), self._speed)
         self._time, self._position = state.time.copy(), state.position.copy()
+        far = np.abs(self._position - self._anchor) > STILL * self._arm.encoder_step
+        gone: Mask = np.logical_or.reduce(far, axis=1)
+        self._anchor = np.where(gone[:, None], self._position, self._anchor)
+        self._stood = np.where(gone, 0.0, self._stood + elapsed[:, 0])
         return moved, elapsed
 
     def _goal(self, wanted: Wanted) -> Array:
@@ -151,7 +162,7 @@ class PostureController:
         gains = self._gains
         away = tcp_position(self._arm, self._position) - tcp_position(self._arm, wanted.posture)
         distance = np.linalg.norm(away, axis=-1)
-        stands = (np.abs(self._speed) < gains.standing).all(axis=1) & wanted.arrived
+        stands = (self._stood >= gains.calm) & wanted.arrived
         self._rests = stands & np.where(self._rests, distance < gains.again, distance < gains.close)
         return self._rests
 

@@ -16,7 +16,7 @@ from rejoint.arms.wire.orders import ORDERS, SWITCHES
 from rejoint.arms.wire.states import flag
 from rejoint.robots.serving.orderlog import NAMES, OrderLog
 from rejoint.robots.serving.relay import Relay
-from rejoint.robots.serving.served import Arrival, ServedArm
+from rejoint.robots.serving.served import MoveEnd, ServedArm
 
 _FALLS = "the arm would fall; support it and switch it off at its supply"
 _STAYS = "it would change what the run knows of the arm; end `rejoint serve` first"
@@ -62,7 +62,7 @@ class Answering:
             self._number = number
         return reply.frame
 
-    def arrived(self, arrival: Arrival) -> None:
+    def arrived(self, arrival: MoveEnd) -> None:
         """Write how a move ended; for the control loop."""
         self._log.write(
             "arrival", number=self._number, error_mm=round(1e3 * arrival.error, 3),

@@ -26,8 +26,8 @@ from rejoint.robots.serving.apparent import Apparent
 
 IN_PLACE = 6e-4
 """[m] of the tool within which a move has ended (chosen: half of what a myCobot's maker promises as repeatability)"""
-STANDING = np.radians(2.0)
-"""[rad/s] below which a joint counts as standing (chosen: as the emulated firmware does)"""
+CALM = 0.3
+"""[s] for which it has to stay there (chosen: longer than a worn joint rings)"""
 PATIENCE = 6.0
 """[s] after the end of its way for which a move is brought nearer before it ends as near as it comes (chosen: worn
 joints stick for seconds)"""
@@ -39,7 +39,7 @@ _SMOOTHING = 0.5  # share of the newest difference in the speed that is told (ch
 
 
 @dataclass(frozen=True, kw_only=True)
-class Arrival:
+class MoveEnd:
     """The end of a move."""
 
     error: float
@@ -60,7 +60,7 @@ class ServedArm(Mover):
         self.powered = True
         self.enabled: Mask = np.ones(arm.joints, dtype=bool)
         self.registers: dict[tuple[int, int], int] = {}
-        self.on_arrival: Callable[[Arrival], object] = lambda _: None
+        self.on_arrival: Callable[[MoveEnd], object] = lambda _: None
         """is told how each move ended"""
         self._time: float | None = None
         self._seen = time.monotonic()
@@ -73,6 +73,8 @@ class ServedArm(Mover):
         self._since: float | None = None
         """when [s] the reference ended its way; None while it moves"""
         self._settled = True
+        self._close_since: float | None = None
+        """when [s] the tool came within `IN_PLACE`; None where it is not"""
 
     @contextmanager
     def carrying_out(self) -> Iterator[None]:
@@ -116,7 +118,7 @@ class ServedArm(Mover):
         """See whether the arm has come to where it was sent, or comes no nearer."""
         assert self._time is not None  # noqa: S101 - for the type checker; `_observe` was called
         if not self._wanted.arrived[0]:
-            self._since, self._settled = None, False
+            self._since, self._settled, self._close_since = None, False, None
             return
         if self._since is None:
             self._since = self._time
@@ -125,14 +127,12 @@ class ServedArm(Mover):
         posture = self._wanted.posture[0]
         error = float(np.linalg.norm(tcp_position(self.arm, posture) - tcp_position(self.arm, self._position)))
         after = self._time - self._since
-        if (error < IN_PLACE and self._stands) or after > PATIENCE:
+        self._close_since = (self._close_since or self._time) if error < IN_PLACE else None
+        calm = self._close_since is not None and self._time - self._close_since >= CALM
+        if calm or after > PATIENCE:
             self._settled, self._came = True, posture.copy()
             away = float(np.abs(posture - self._position).max())
-            self.on_arrival(Arrival(error=error, angle=away, after=after))
-
-    @property
-    def _stands(self) -> bool:
-        return bool((np.abs(self._speed) < STANDING).all())
+            self.on_arrival(MoveEnd(error=error, angle=away, after=after))
 
     # --- what clients ask -------------------------------------------------------------------
 
