@@ -12,7 +12,7 @@ from pathlib import Path
 
 BENCHMARKS = (
     "plant", "step", "control", "guard", "following", "training", "rivals", "agents", "policy", "diagnosis",
-    "identification", "emulator", "hostile", "journal", "kills", "family", "seeing",
+    "identification", "emulator", "serve", "hostile", "journal", "kills", "family", "seeing",
 )  # fmt: skip
 """Modules beside this one; each has a `main`, that of `identification` takes a folder of logs."""
 

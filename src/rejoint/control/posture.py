@@ -3,7 +3,7 @@
 The command is the posture, raised by what the twin says that each servo gives way, plus what an integrator learns of
 each joint. It carries over from posture to posture. Three things make it come to rest close by:
 
-* A joint that stands off at all the lead it may have has no more torque. It is left where it is, and the posture of the
+* A joint that stands off at all the lead it may have has no more torque. It keeps that lead, and the posture of the
   others is changed as little as brings the tool to its place.
 * A joint that sticks is pushed ever harder, and breaks loose with more than it takes to go on. As soon as its reading
   changes, most of what was added while it stood is taken back.
@@ -77,8 +77,8 @@ class PostureGains:
     """[m] of the tool within which nothing is corrected once the arm stands"""
     again: float = 9e-4
     """[m] beyond which it is again"""
-    lead: float = 0.6
-    """[rad] largest distance of the command from the measured position"""
+    lead: float = float(np.radians(18.0))
+    """[rad] largest distance of the command from the measured position (a little less than the guard's)"""
 
 
 class PostureController:
@@ -113,10 +113,11 @@ class PostureController:
             self._begin(inputs, raised)
         moved, elapsed = self._observe(state)
         goal = self._goal(wanted)
-        error = np.where(self._weak, 0.0, goal - state.position)
+        error = np.where(self._weak, wanted.posture, goal) - state.position
         self._learn(error, moved, elapsed, self._at_rest(wanted), wanted.arrived[:, None])
         command = limit_position(self._arm, raised + self._learned)
-        self._command = between(command, state.position - self._gains.lead, state.position + self._gains.lead)
+        lead = np.where(self._weak, 1.25 * self._gains.weak, self._gains.lead)  # more would only heat it
+        self._command = between(command, state.position - lead, state.position + lead)
         self._learned = self._command - raised  # nothing winds up beyond what can be sent
         return self._command.copy()
 
