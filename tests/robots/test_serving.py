@@ -92,7 +92,7 @@ def test_a_serial_line_is_served_and_the_arm_holds_when_it_is_closed(run: Path, 
         device = address.removeprefix("serial://").partition("?")[0]
         for _ in range(2):  # the second finds the line as the first
             client = MyCobot280(device, 1_000_000)
-            goal = [float(x) for x in REST + [10.0, 5.0, 0.0, 0.0, 0.0, 0.0]]
+            goal = [float(x) for x in np.degrees(ARM.rest + 0.1)]
             assert client.sync_send_angles(goal, 80, timeout=5) == 1
             assert np.abs(np.array(client.get_angles()) - goal).max() < 3.0
             client._serial_port.close()
