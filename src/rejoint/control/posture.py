@@ -114,10 +114,12 @@ class PostureController:
         moved, elapsed = self._observe(state)
         goal = self._goal(wanted)
         error = np.where(self._weak, wanted.posture, goal) - state.position
-        self._learn(error, moved, elapsed, self._at_rest(wanted), wanted.arrived[:, None])
+        rests = self._at_rest(wanted)[:, None]
+        self._learn(error, moved, elapsed, wanted.arrived[:, None])
         command = limit_position(self._arm, raised + self._learned)
         lead = np.where(self._weak, 1.25 * self._gains.weak, self._gains.lead)  # more would only heat it
-        self._command = between(command, state.position - lead, state.position + lead)
+        command = between(command, state.position - lead, state.position + lead)
+        self._command = np.where(rests, self._command, command)
         self._learned = self._command - raised  # nothing winds up beyond what can be sent
         return self._command.copy()
 
@@ -167,7 +169,7 @@ class PostureController:
         self._rests = stands & np.where(self._rests, distance < gains.again, distance < gains.close)
         return self._rests
 
-    def _learn(self, error: Array, moved: Array, elapsed: Array, rests: Mask, arrived: Mask) -> None:
+    def _learn(self, error: Array, moved: Array, elapsed: Array, arrived: Mask) -> None:
         """Integrate the ``error`` (B, n) [rad] of joints that are not on their way."""
         gains, size = self._gains, np.abs(error)
         on_its_way = (np.abs(self._speed) > gains.moving) & (self._speed * error > 0.0)
@@ -176,7 +178,7 @@ class PostureController:
         loose = (moved != 0.0) & arrived & (self._pushed * moved > 0.0)
         taken = np.where(loose, gains.taken_back * self._pushed, 0.0)
         self._pushed = np.where(moved != 0.0, 0.0, self._pushed + added)
-        self._learned = self._learned + np.where(rests[:, None], 0.0, added - taken)
+        self._learned = self._learned + added - taken
 
 
 def _without(arm: Arm, posture: Array, position: Array, weak: Mask, turn: float) -> Array:
