@@ -49,7 +49,7 @@ class Way(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class PostureGains:
-    """Settings, chosen on one emulated worn arm (seed 3, period 50 ms): errors of 0.4 mm in the middle after 4 s."""
+    """Settings, chosen on the emulated worn arm at periods of 50 ms; see `python -m benchmarks serve`."""
 
     rate: float = 4.0
     """[1/s] share of a joint's error that is integrated per second"""
@@ -73,9 +73,9 @@ class PostureGains:
     """[m/rad] weight of the tool's direction against its place where others make up for a weak joint"""
     calm: float = 0.15
     """[s] for which no reading may go farther than `STILL` before the arm counts as standing"""
-    close: float = 4.5e-4
+    close: float = 4e-4
     """[m] of the tool within which nothing is corrected once the arm stands"""
-    again: float = 9e-4
+    again: float = 7e-4
     """[m] beyond which it is again"""
     lead: float = float(np.radians(18.0))
     """[rad] largest distance of the command from the measured position (a little less than the guard's)"""

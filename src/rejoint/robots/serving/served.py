@@ -28,7 +28,7 @@ IN_PLACE = 6e-4
 """[m] of the tool within which a move has ended (chosen: half of what a myCobot's maker promises as repeatability)"""
 CALM = 0.3
 """[s] for which it has to stay there (chosen: longer than a worn joint rings)"""
-PATIENCE = 6.0
+PATIENCE = 8.0
 """[s] after the end of its way for which a move is brought nearer before it ends as near as it comes (chosen: worn
 joints stick for seconds)"""
 LONGEST = 0.1
