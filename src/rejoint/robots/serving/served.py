@@ -18,14 +18,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, tcp_pose, tcp_position
-from rejoint.arms.wire.computer import at_angles, at_place
+from rejoint.arms.wire.computer import HAS_ARRIVED_LENGTH, at_angles, at_place
 from rejoint.arms.wire.mover import Mover
-from rejoint.control.posture import Wanted
+from rejoint.control.posture import PostureGains, Wanted
 from rejoint.control.robot import JointState, Mask
 from rejoint.robots.serving.apparent import Apparent
 
-IN_PLACE = 6e-4
-"""[m] of the tool within which a move has ended (chosen: half of what a myCobot's maker promises as repeatability)"""
+IN_PLACE = PostureGains.close
+"""[m] of the tool within which a move has ended: where the controller lets the arm rest"""
 CALM = 0.3
 """[s] for which it has to stay there (chosen: longer than a worn joint rings)"""
 PATIENCE = 8.0
@@ -195,7 +195,7 @@ class ServedArm(Mover):
 
     def _is_near(self, pose: Array) -> bool:
         """Whether the tool is where it was sent, however its joints do it: a weak one may have to be made up for."""
-        return bool(np.linalg.norm(self.pose[:3, 3] - pose[:3, 3]) < 5.0 * IN_PLACE)
+        return bool(np.linalg.norm(self.pose[:3, 3] - pose[:3, 3]) < HAS_ARRIVED_LENGTH)
 
     # --- what clients order -----------------------------------------------------------------
 
