@@ -29,7 +29,6 @@ from rejoint.twin.parameters import nominal_parameters, prior
 from rejoint.twin.twin import HeldOut, PredictionError, Twin
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*getdefaultlocale.*:DeprecationWarning")
-REST = np.degrees(ARM.rest)
 PACE = 6.0
 """times as fast as real; the arm is an emulated one of this process"""
 
@@ -58,7 +57,7 @@ def test_a_program_hits_and_nothing_a_client_does_ends_the_serving(run: Path, tw
     options = {"listen": "127.0.0.1:0", "twin": twin, "pace": PACE, "say": said.append}
     with served("emulated:worn", run, **options) as (address, ends):
         with connected(address) as client:
-            outcomes = play(client, PACE, steps=7)
+            outcomes = play(client, PACE, steps=5)
             assert np.mean([outcome.error for outcome in outcomes]) < 1.0, outcomes  # the bare arm: 20
             assert np.median(read_times(client, 50)) < 5.0
             assert client.is_in_position([float(x) for x in client.get_coords()], 1) == 1
@@ -71,11 +70,11 @@ def test_a_program_hits_and_nothing_a_client_does_ends_the_serving(run: Path, tw
             assert client.jog_angle(1, 1, 20) == 1
             time.sleep(0.5)
             before = client.get_angles()[0]
-        time.sleep(0.5)
-        abuse(address, 3.0)
+        with connected(address) as client:  # the client alone takes 1.5 s, in which the joint would run to its limit
+            assert client.get_angles()[0] < before + 30.0 < 168.0
+        abuse(address, 2.0)
         time.sleep(0.3)
         with connected(address) as client:
-            assert abs(client.get_angles()[0] - before) < 60.0, "it did not jog on to its limit"
             assert holds(client, PACE)
     assert check_log(Path(ends[0].log)) == ends[0].orders >= 10
     assert any("Refused a second client" in line for line in said)
@@ -94,7 +93,8 @@ def test_a_serial_line_is_served_and_the_arm_holds_when_it_is_closed(run: Path, 
             client = MyCobot280(device, 1_000_000)
             goal = [float(x) for x in np.degrees(ARM.rest + 0.1)]
             assert client.sync_send_angles(goal, 80, timeout=5) == 1
-            assert np.abs(np.array(client.get_angles()) - goal).max() < 3.0
+            place = 1e3 * tcp_position(ARM, np.radians(goal))
+            assert np.linalg.norm(np.array(client.get_coords()[:3]) - place) < 3.0  # [mm]
             client._serial_port.close()
             time.sleep(0.3)
     assert sum("closed; the arm holds" in line for line in said) == 2

@@ -109,6 +109,7 @@ class _TcpWire(WireServer):
         host, port = listener.getsockname()[:2]
         super().__init__(answering, f"tcp://{host}:{port}", say)
         self._listener, self._refused = listener, 0
+        self._present: socket.socket | None = None
 
     def _serve(self) -> None:
         if not select.select([self._listener], [], [], TICK)[0]:
@@ -120,15 +121,23 @@ class _TcpWire(WireServer):
         with connection:
             _prepare(connection)
             self._say(f"A client is there: {host}:{port}")
+            self._present = connection
             self._converse(connection.fileno(), lambda: connection.recv(_CHUNK), connection.sendall)
         self._answering.hold(f"the client {host}:{port} is gone")
         self._say(f"The client {host}:{port} is gone; the arm holds.")
 
     def _await(self, handle: int, timeout: float) -> bool:
         ready = select.select([handle, self._listener.fileno()], [], [], timeout)[0]
-        if self._listener.fileno() in ready:
+        if self._listener.fileno() in ready and not (handle in ready and self._is_gone()):
             self._refuse()
         return handle in ready
+
+    def _is_gone(self) -> bool:
+        """Whether the client that is served, of whom there is news, has gone: then who comes is the next one."""
+        try:
+            return self._present is not None and not self._present.recv(1, socket.MSG_PEEK)
+        except OSError:
+            return True
 
     def _refuse(self) -> None:
         with contextlib.suppress(OSError):
