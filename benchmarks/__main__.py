@@ -12,7 +12,7 @@ from pathlib import Path
 
 BENCHMARKS = (
     "plant", "step", "control", "guard", "following", "training", "rivals", "agents", "policy", "diagnosis",
-    "identification", "emulator", "hostile", "journal", "kills", "family", "seeing", "feetech", "moving",
+    "identification", "emulator", "serve", "hostile", "journal", "kills", "family", "seeing", "feetech", "moving",
 )  # fmt: skip
 """Modules beside this one; each has a `main`, that of `identification` takes a folder of logs."""
 

@@ -17,12 +17,12 @@ import numpy as np
 
 from benchmarks.virtual import START, VirtualClient
 from rejoint.arms import mycobot280
+from rejoint.arms.wire.commands import answer
+from rejoint.arms.wire.frames import MAX_PAYLOAD, Decoder, Frame, encode
+from rejoint.arms.wire.orders import ORDERS, SWITCHES
+from rejoint.arms.wire.states import QUESTIONS, STATES
+from rejoint.arms.wire.values import pack_angles
 from rejoint.lab.emulator import Firmware, Server, Timing, build_firmware, serve_tcp
-from rejoint.lab.emulator.commands import answer
-from rejoint.lab.emulator.frames import MAX_PAYLOAD, Decoder, Frame, encode
-from rejoint.lab.emulator.orders import ORDERS, SWITCHES
-from rejoint.lab.emulator.states import QUESTIONS, STATES
-from rejoint.lab.emulator.values import pack_angles
 
 FRAMES, CONNECTIONS, SOAK = 1_000_000, 10_000, 3600.0
 """How many requests and connections, and how long [s] the soak is"""

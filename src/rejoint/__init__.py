@@ -27,17 +27,18 @@ if TYPE_CHECKING:
     from rejoint.diagnosis.calibration.measurements import Measurements
     from rejoint.diagnosis.diagnosis import Diagnosis
     from rejoint.logs.runlog import RunLog
-    from rejoint.runs.given import connect
     from rejoint.runs.repair import Repaired, Stage, repair
     from rejoint.runs.run import Run
     from rejoint.runs.stages.calibrate import Calibrated, calibrate
     from rejoint.runs.stages.compare import Compared, compare
+    from rejoint.runs.stages.connect import ArmState, DrivenArm, connect
     from rejoint.runs.stages.deploy import deploy
     from rejoint.runs.stages.diagnose import Diagnosed, diagnose
     from rejoint.runs.stages.follow import follow
     from rejoint.runs.stages.identify import identify
     from rejoint.runs.stages.replay import Replayed, replay
     from rejoint.runs.stages.report import report
+    from rejoint.runs.stages.serve import Serving, serve
     from rejoint.runs.stages.train import TrainedPolicy, train
     from rejoint.system.errors import (
         AddressError,
@@ -49,6 +50,7 @@ if TYPE_CHECKING:
         InputError,
         MissingExtraError,
         NoReplyError,
+        NotReachedError,
         NotReadyError,
         PowerLostError,
         ProfileError,
@@ -80,22 +82,24 @@ _HOMES = {
     "control.comparison.recommend": ("Recommendation",),
     "control.comparison.result": ("Comparison",),
     "control.deployment": ("Deployed",),
-    "runs.given": ("connect",),
     "runs.repair": ("Repaired", "Stage", "repair"),
     "runs.run": ("Run",),
     "runs.stages.calibrate": ("Calibrated", "calibrate"),
     "runs.stages.compare": ("Compared", "compare"),
+    "runs.stages.connect": ("ArmState", "DrivenArm", "connect"),
     "runs.stages.deploy": ("deploy",),
     "runs.stages.diagnose": ("Diagnosed", "diagnose"),
     "runs.stages.follow": ("follow",),
     "runs.stages.identify": ("identify",),
     "runs.stages.replay": ("Replayed", "replay"),
     "runs.stages.report": ("report",),
+    "runs.stages.serve": ("Serving", "serve"),
     "runs.stages.train": ("TrainedPolicy", "train"),
     "system.errors": (
-        "AddressError", "ConnectionLostError", "ContractError", "FileError", "GuardTripError", "ImpossibleReplyError",
-        "InputError", "MissingExtraError", "NoReplyError", "NotReadyError", "PowerLostError", "ProfileError",
-        "RejointError", "RobotError", "StaleReplyError", "UnsavedError",
+        "AddressError", "ConnectionLostError", "ContractError", "FileError", "GuardTripError",
+        "ImpossibleReplyError", "InputError", "MissingExtraError", "NoReplyError", "NotReachedError",
+        "NotReadyError", "PowerLostError", "ProfileError", "RejointError", "RobotError", "StaleReplyError",
+        "UnsavedError",
     ),
     "system.progress": ("Progress",),
     "system.stopping": ("Interrupted",),
@@ -108,13 +112,14 @@ _HOMES = {
 _HOME = {name: home for home, names in _HOMES.items() for name in names}
 
 __all__ = [
-    "AddressError", "Arm", "Calibrated", "Calibration", "Compared", "Comparison", "ConnectionLostError",
-    "ContractError", "Controller", "Deployed", "Diagnosed", "Diagnosis", "FileError", "Followed", "GuardTripError",
-    "ImpossibleReplyError", "InputError", "Interrupted", "Judgement", "Loaded", "Measurements", "MissingExtraError",
-    "NoReplyError", "NotReadyError", "Path", "Policy", "PowerLostError", "ProfileError", "Progress", "Recommendation",
-    "RejointError", "Repaired", "Replayed", "Robot", "RobotError", "Run", "RunLog", "Stage", "StaleReplyError",
-    "Stream", "TrainedPolicy", "Twin", "UnsavedError", "__version__", "calibrate", "compare", "connect", "deploy",
-    "diagnose", "follow", "identify", "load_arm", "read_arm", "repair", "replay", "report", "train",
+    "AddressError", "Arm", "ArmState", "Calibrated", "Calibration", "Compared", "Comparison", "ConnectionLostError",
+    "ContractError", "Controller", "Deployed", "Diagnosed", "Diagnosis", "DrivenArm", "FileError", "Followed",
+    "GuardTripError", "ImpossibleReplyError", "InputError", "Interrupted", "Judgement", "Loaded", "Measurements",
+    "MissingExtraError", "NoReplyError", "NotReachedError", "NotReadyError", "Path", "Policy", "PowerLostError",
+    "ProfileError", "Progress", "Recommendation", "RejointError", "Repaired", "Replayed", "Robot", "RobotError", "Run",
+    "RunLog", "Serving", "Stage", "StaleReplyError", "Stream", "TrainedPolicy", "Twin", "UnsavedError", "__version__",
+    "calibrate", "compare", "connect", "deploy", "diagnose", "follow", "identify", "load_arm", "read_arm", "repair",
+    "replay", "report", "serve", "train",
 ]  # fmt: skip
 
 

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 from rejoint.arms import mycobot280
+from rejoint.arms.wire.orders import SWITCHES
 from rejoint.control.integrator import IntegratorController
 from rejoint.control.loop import Schedule, run
 from rejoint.control.recording import recording_of
 from rejoint.lab.emulator import Timing, build_firmware, serve_pty, serve_tcp
-from rejoint.lab.emulator.orders import SWITCHES
 from rejoint.robots import open_robot
 from rejoint.system import stopping
 from rejoint.system.stopping import Interrupted

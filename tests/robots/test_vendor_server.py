@@ -17,8 +17,8 @@ import numpy as np
 import pytest
 
 from rejoint.arms import mycobot280
+from rejoint.arms.wire.frames import Decoder, encode
 from rejoint.lab.emulator import build_firmware, serve_pty
-from rejoint.lab.emulator.frames import Decoder, encode
 from rejoint.robots import open_robot
 from rejoint.robots.vendor import MyCobot280Socket
 

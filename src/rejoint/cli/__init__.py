@@ -37,7 +37,7 @@ app = typer.Typer(
 COMMANDS: tuple[Callable[..., None], ...] = (
     chain.repair, stages.diagnose, stages.identify, stages.train, measuring.calibrate, stages.compare, stages.deploy,
     stages.follow, stages.report, boards.board, offline.replay, foreign.import_, foreign.export, serving.emulate,
-    reproducing.reproduce, evaluation.evaluate, evaluation.tune,
+    serving.serve, reproducing.reproduce, evaluation.evaluate, evaluation.tune,
 )  # fmt: skip
 for command in COMMANDS:
     app.command(command.__name__.rstrip("_"), context_settings={"help_option_names": ["-h", "--help"]})(command)

@@ -1,4 +1,4 @@
-"""Commands that serve: the emulated arm on the vendor's wire protocol."""
+"""Commands that serve arms on the vendor's wire protocol: an emulated one, and a real one with a controller."""
 
 from __future__ import annotations
 
@@ -7,7 +7,9 @@ from typing import Annotated
 
 import typer
 
+import rejoint
 from rejoint.arms import load_arm
+from rejoint.cli import options as opt
 from rejoint.cli.console import Terminal
 from rejoint.cli.options import Json, Seed
 from rejoint.robots import SIMULATOR
@@ -75,3 +77,34 @@ def emulate(
     serve(chosen, wear, host=host, port=port, pty=pty, seed=seed, announce=announce, log=log, faults=faults)
     terminal.say("Emulator ended.")
     terminal.finish({"wear": wear, "address": served[-1], "faults": fault})
+
+
+def serve(
+    robot: opt.Robot,
+    run: opt.Run,
+    listen: Annotated[str, typer.Option(help="HOST:PORT; 0.0.0.0:9000 lets other machines in.")] = "127.0.0.1:9000",
+    pty: Annotated[bool, typer.Option("--pty", help="Serve a serial line (pseudo terminal) instead of TCP.")] = False,
+    calibration: opt.Calibration = None,
+    period: opt.Period = None,
+    json: Json = False,
+) -> None:
+    """Let programs written for the vendor's client drive a worn arm as if it were a new one, until Ctrl-C.
+
+    They speak to this address instead of the arm's; `send_angles`, `send_coords`, jog and all others mean what they
+    always meant. One client at a time, every command guarded; the arm holds when the client goes.
+
+    Example: `rejoint serve tcp://192.168.1.20:9000 runs/mine --listen 127.0.0.1:9001`
+    """
+    terminal = Terminal(json=json)
+
+    def announce(address: str) -> None:
+        terminal.say(f"The arm at {robot} is served at {address}  (Ctrl-C brings it to a hold and ends)")
+        if address.startswith("tcp://") and not address.startswith("tcp://127."):
+            terminal.say("Other machines can drive it too, without a password.")
+
+    done = rejoint.serve(
+        robot, run, listen=listen, pty=pty, calibration=calibration, period=opt.period_seconds(period),
+        say=terminal.say, on_address=announce,
+    )  # fmt: skip
+    terminal.say(f"Serving ended after {done.orders} orders; they are in {done.log}")
+    terminal.finish(done)

@@ -116,6 +116,10 @@ class Bus(ABC):
     def stop(self) -> None:
         """Make the arm hold where it is. Never cuts the power: a worn arm would collapse."""
 
+    def relay(self, command: int, payload: bytes) -> bytes | None:  # noqa: ARG002 - most wires have nothing to pass on
+        """Ask what is none of the joints, as a gripper, in the words of the arm's own wire; None: no answer."""
+        return None
+
     def resynchronise(self, deadline: float) -> None:  # noqa: B027 - nothing is a sensible answer
         """Make sure by ``deadline`` [s] that no late answer is taken for that of a later question.
 

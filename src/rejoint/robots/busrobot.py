@@ -110,6 +110,10 @@ class BusRobot:
         self._link.ask(self._bus.stop)
         self._command = None
 
+    def relay(self, command: int, payload: bytes) -> bytes | None:
+        """Ask what is none of the joints, see `Bus.relay`."""
+        return self._link.ask(lambda: self._bus.relay(command, payload))
+
     def close(self) -> None:
         """Drop the connection; the arm keeps holding."""
         self._link.close()

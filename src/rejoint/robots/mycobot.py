@@ -51,6 +51,8 @@ QUIET = 0.03
 """[s] of silence after which no answer is on its way any more (chosen: twice what an answer takes)"""
 RELAY_BUSY = 0.6
 """[s] during which the vendor's server may still wait for a robot's answer (its own limit is 0.5 s)"""
+QUIET_RELAY = 3.0
+"""[s] to bring both sides into step after a command that the arm does not know (chosen, as `link.SILENCE`)"""
 POWER_UP = 3.0
 """[s] to wait for the servos after power_on (chosen)"""
 _CUT_FRAME = (struct.error, IndexError, KeyError, TypeError, ValueError, UnicodeError)
@@ -121,6 +123,17 @@ class MyCobotBus(Bus):
     def stop(self) -> None:
         """Stop by the vendor's order; the arm holds where its reference is."""
         self._call("stop")
+
+    def relay(self, command: int, payload: bytes) -> bytes | None:
+        """Send a command of the client's by its number; grippers, lamps and pins answer with single bytes."""
+        try:
+            answer = self._call("_mesg", command, *payload)
+        except NoReplyError:
+            self.resynchronise(self.clock.now() + QUIET_RELAY)
+            return None
+        values = answer if isinstance(answer, list) else [answer]
+        single = [value for value in values if isinstance(value, int) and 0 <= value < 256]
+        return bytes(single) if len(single) == len(values) else None
 
     def resynchronise(self, deadline: float) -> None:
         """Wait until no late answer can be taken for another one; ConnectionLostError if that cannot be had.

@@ -60,46 +60,6 @@ FIRST_ROBOT = "emulated:worn"
 """The robot where none is named: a worn arm in this process"""
 
 
-def connect(
-    address: str, *, arm: ArmLike | None = None, seed: int = 0, count: int = 1, period: Period | None = None
-) -> Robot:
-    """Connect to a robot and read its state; nothing moves.
-
-    Parameters
-    ----------
-    address
-        ``emulated:worn`` (in this process, virtual time), ``tcp://HOST:PORT`` or ``serial:///dev/DEVICE``
-    arm
-        arm, name or file; by default the one that the address names, else a myCobot 280
-    seed
-        of everything random in an emulated arm, and of the lengths of the control cycles
-    count
-        number of emulated arms that move side by side as one batch
-    period
-        [s] interval from which the length of every control cycle is drawn; by default the robot's own
-
-    Returns
-    -------
-    Robot
-        Read it with ``read()``, command it with ``step(command)``, (count, n) [rad], and end with ``close()``. Nothing
-        between the two guards the arm: `deploy` does.
-
-    Raises
-    ------
-    AddressError
-        if nothing usable is there
-    MissingExtraError
-        for an emulated arm without the simulator
-
-    Examples
-    --------
-    >>> robot = rejoint.connect("emulated:worn")
-    >>> state = robot.step(robot.read().position + 0.01)
-    >>> robot.close()
-    """
-    return open_robot(address, arm=None if arm is None else as_arm(arm), seed=seed, count=count, period=period)
-
-
 def as_arm(given: ArmLike) -> Arm:
     """Return the arm, from the catalogue or its file where it is not given itself."""
     return given if isinstance(given, Arm) else load_arm(given)

@@ -87,6 +87,12 @@ class NotReadyError(RobotError):
     """The robot is in no state to be driven: nothing was moved, or it was only brought to rest."""
 
 
+class NotReachedError(RejointError, TimeoutError):
+    """The arm did not come to its target in time; it holds where it is."""
+
+    exit_code: ClassVar[int] = 5
+
+
 class GuardTripError(RejointError):
     """The guard stopped the motion; `reason` names why."""
 

@@ -7,13 +7,13 @@ import pytest
 from benchmarks.virtual import START, VirtualClient
 
 from rejoint.arms import mycobot280
+from rejoint.arms.wire.commands import answer
+from rejoint.arms.wire.frames import Decoder, Frame, encode
+from rejoint.arms.wire.values import pack_angles, unpack_angles
 from rejoint.cli.serving import emulate
 from rejoint.lab.emulator import Faults, Firmware, Timing, build_firmware, parse_faults
 from rejoint.lab.emulator.armfaults import BEYOND_LIMIT, HEATING, HOT, JUMP
-from rejoint.lab.emulator.commands import answer
 from rejoint.lab.emulator.faults import KNOWN, Absence, Onset, Stall, form
-from rejoint.lab.emulator.frames import Decoder, Frame, encode
-from rejoint.lab.emulator.values import pack_angles, unpack_angles
 from rejoint.lab.emulator.wirefaults import DeathError, LinkGoneError, WireFaults
 from rejoint.system.errors import InputError
 

@@ -6,11 +6,12 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from rejoint.arms import mycobot280, tcp_pose
-from rejoint.lab.emulator.commands import answer
-from rejoint.lab.emulator.firmware import COMMAND_DELAY, FULL_SPEED, NO_LINE, NO_SOLUTION, Firmware
-from rejoint.lab.emulator.frames import Frame
-from rejoint.lab.emulator.orders import ORDERS, SWITCHES
-from rejoint.lab.emulator.states import QUESTIONS, STATES
+from rejoint.arms.wire.commands import answer
+from rejoint.arms.wire.computer import FULL_SPEED, NO_LINE, NO_SOLUTION
+from rejoint.arms.wire.frames import Frame
+from rejoint.arms.wire.orders import ORDERS, SWITCHES
+from rejoint.arms.wire.states import QUESTIONS, STATES
+from rejoint.lab.emulator.firmware import COMMAND_DELAY, Firmware
 
 ARM = mycobot280()
 REST = ARM.rest

@@ -14,12 +14,12 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from rejoint.arms import mycobot280
+from rejoint.arms.wire.commands import answer
+from rejoint.arms.wire.frames import MAX_PAYLOAD, Decoder, Frame, encode
+from rejoint.arms.wire.motion import MAX_QUEUE
+from rejoint.arms.wire.values import pack_angles
 from rejoint.lab.emulator import Firmware, Timing, serve_tcp
-from rejoint.lab.emulator.commands import answer
 from rejoint.lab.emulator.firmware import MAX_WRITES
-from rejoint.lab.emulator.frames import MAX_PAYLOAD, Decoder, Frame, encode
-from rejoint.lab.emulator.motion import MAX_QUEUE
-from rejoint.lab.emulator.values import pack_angles
 
 pytestmark = pytest.mark.realtime
 

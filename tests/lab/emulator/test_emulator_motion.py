@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from rejoint.arms import mycobot280, tcp_pose
-from rejoint.lab.emulator.motion import MAX_QUEUE, Motion
-from rejoint.lab.emulator.paths import CARTESIAN_SPEED, joint_path, line_path, solve_pose
+from rejoint.arms.wire.motion import MAX_QUEUE, Motion
+from rejoint.arms.wire.paths import CARTESIAN_SPEED, joint_path, line_path, solve_pose
 
 ARM = mycobot280()
 FULL = 2.0

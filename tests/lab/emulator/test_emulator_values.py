@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rejoint.arms import mycobot280, tcp_pose
-from rejoint.lab.emulator import values
+from rejoint.arms.wire import values
 
 ARM = mycobot280()
 STEP = ARM.encoder_step

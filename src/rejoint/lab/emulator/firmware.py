@@ -1,6 +1,6 @@
 """The robot's own computer: keeps the limits, runs the moves, powers and releases the servos.
 
-It knows no bytes and no clock: `rejoint.lab.emulator.commands` calls it with SI values, and whoever
+It knows no bytes and no clock: `rejoint.arms.wire.commands` calls it with SI values, and whoever
 owns a clock tells it how much time has passed. Where neither the vendor's manual nor logs of a real
 arm settle what the firmware does, the choice is named.
 """
@@ -10,35 +10,28 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, tcp_pose
-from rejoint.lab.emulator.ailments import Ailments
-from rejoint.lab.emulator.motion import Motion
-from rejoint.lab.emulator.paths import TimedPath, joint_path, line_path, solve_pose
+from rejoint.arms.wire.computer import FULL_SPEED, at_angles, at_place
+from rejoint.arms.wire.mover import Mover
+from rejoint.lab.emulator.ailments import OVER_TEMPERATURE_BIT, Ailments
 from rejoint.lab.emulator.plantlike import Mask, PlantLike
 
 TICK_MS = 10
 """[ms] between set-points that the firmware writes while it interpolates (chosen)"""
-FULL_SPEED = float(np.radians(120.0))
-"""[rad/s] reference ramp at speed 100 % (chosen: 80 % of the vendor's 150 deg/s, as in the plant)"""
-ACCELERATION = float(np.radians(200.0))
-"""[rad/s^2] of interpolated moves (vendor's communication protocol page)"""
 COMMAND_DELAY = (0.008, 0.013)
 """[s] from the arrival of a command to its effect in the servos (the plant's own channel)"""
 MAX_WRITES = 64
 """Goals on their way over the servo bus; the oldest of more are lost (chosen: an order every 8 ms leaves two)"""
 
-NO_SOLUTION = 32
-NO_LINE = 33
-"""Error codes of the vendor's ``get_error_information``; 1..6 name the joint over its limit."""
+CURRENT_PER_TORQUE = 2.7 / 2.94
+"""[A/(N m)] of an STS3215 at 12 V: 2.7 A at its stall torque of 30 kg cm (Feetech data sheet)"""
 
 _AT_REST = np.radians(2.0)
 """[rad/s] below this speed a joint counts as standing (chosen)"""
 _OVER_TEMPERATURE = 70.0
 """[deg C] default protection threshold of Feetech STS servos (their register table)"""
-_HAS_ARRIVED_ANGLE = np.radians(1.0)
-_HAS_ARRIVED_LENGTH = 0.003
-"""What counts as in position (chosen)."""
 
 
 class _Write(NamedTuple):
@@ -49,16 +42,13 @@ class _Write(NamedTuple):
     speed: float
 
 
-class Firmware:
+class Firmware(Mover):
     """State and behaviour of one emulated myCobot; ``plant`` holds one arm, already reset."""
 
     def __init__(self, plant: PlantLike, arm: Arm, *, seed: int = 0) -> None:
-        self.arm = arm
-        self.lower, self.upper = arm.lower.copy(), arm.upper.copy()
-        self.fresh = False
+        super().__init__(arm, plant.goal[0])
         self.powered = True
         self.enabled = np.ones(arm.joints, dtype=bool)
-        self.error = 0
         self.zero = np.zeros(arm.joints)
         """(n,) [rad] what calibration took as zero, on the encoders' own scale"""
         self.registers: dict[tuple[int, int], int] = {}
@@ -66,7 +56,6 @@ class Firmware:
         self.ailments = Ailments(arm.joints)
         self._plant = plant
         self._rng = np.random.default_rng(seed)
-        self._motion = Motion(plant.goal[0], full_speed=FULL_SPEED, acceleration=ACCELERATION)
         self._clock_ms = 0
         self._owed = 0.0
         self.outbox: list[_Write] = []
@@ -77,16 +66,6 @@ class Firmware:
     def angles(self) -> Array:
         """(n,) [rad] joint angles by the encoders."""
         return self._plant.encoder()[0] - self.zero + self.ailments.misreading
-
-    @property
-    def planned_angles(self) -> Array:
-        """(n,) [rad] where the reference is."""
-        return self._motion.reference.copy()
-
-    @property
-    def destination(self) -> Array:
-        """(n,) [rad] where the last of the planned moves ends."""
-        return self._motion.end
 
     @property
     def pose(self) -> Array:
@@ -119,6 +98,21 @@ class Firmware:
         return self._plant.link_position()[0]
 
     @property
+    def current(self) -> Array:
+        """(n,) [A]."""
+        return np.maximum(np.abs(self.torque) * CURRENT_PER_TORQUE, self.ailments.current)
+
+    @property
+    def voltage(self) -> Array:
+        """(n,) [V]."""
+        return self.ailments.voltage
+
+    @property
+    def alarms(self) -> NDArray[np.uint8]:
+        """(n,) status bits of the servos."""
+        return np.where(self.hot, OVER_TEMPERATURE_BIT, 0).astype(np.uint8) | self.ailments.alarms
+
+    @property
     def true_tcp(self) -> Array:
         """(3,) [m] where the tool really is; nobody can ask for it over the wire."""
         return self._plant.true_tcp()[0]
@@ -128,75 +122,15 @@ class Firmware:
         """Whether the reference is under way or a joint still moves."""
         return (self._motion.moving and not self._motion.paused) or bool((np.abs(self.speed) > _AT_REST).any())
 
-    @property
-    def paused(self) -> bool:
-        """Whether a move is suspended."""
-        return self._motion.paused
-
     def in_position(self, angles: Array) -> bool:
         """Whether the encoders are within a degree of ``angles`` (n,) [rad]."""
-        return bool((np.abs(self.angles - angles) < _HAS_ARRIVED_ANGLE).all())
+        return at_angles(self.angles, angles)
 
     def at_pose(self, pose: Array) -> bool:
         """Whether the TCP is within 3 mm and a degree of ``pose`` (4, 4), by the encoders."""
-        here = self.pose
-        cosine = (np.trace(pose[:3, :3] @ here[:3, :3].T) - 1.0) / 2.0
-        near = np.linalg.norm(pose[:3, 3] - here[:3, 3]) < _HAS_ARRIVED_LENGTH
-        return bool(near and cosine > np.cos(_HAS_ARRIVED_ANGLE))
+        return at_place(self.pose, pose)
 
     # --- moves ------------------------------------------------------------------------------
-
-    def move_joints(self, angles: Array, rate: float) -> bool:
-        """Go to ``angles`` (n,) [rad]; False, and an error code, if they break a limit.
-
-        In fresh mode the servos get the goal at once and ramp to it by themselves; otherwise the
-        move joins the queue and is interpolated.
-        """
-        beyond = ~((angles >= self.lower - 1e-9) & (angles <= self.upper + 1e-9))
-        if beyond.any():
-            self.error = int(np.argmax(beyond)) + 1
-            return False
-        if not self._ready():
-            return False
-        if not self.fresh:
-            return self._take(joint_path(self.destination, angles, FULL_SPEED), rate, replace=False)
-        self._motion.ramp(angles, rate)
-        self._write(rate * FULL_SPEED, angles)
-        return True
-
-    def move_tool(self, pose: Array, rate: float, *, straight: bool) -> bool:
-        """Bring the tool to ``pose`` (4, 4); False, and an error code, if no posture does it."""
-        start = self.planned_angles if self.fresh else self.destination
-        if not straight:
-            goal = solve_pose(self.arm, pose, start)
-            if goal is None:
-                self.error = NO_SOLUTION
-                return False
-            return self.move_joints(goal, rate)
-        path, complete = line_path(self.arm, start, pose, FULL_SPEED)
-        if not complete or not self._within_limits(path):
-            self.error = NO_LINE
-            return False
-        return self._ready() and self._take(path, rate, replace=self.fresh)
-
-    def jog_joint(self, joint: int, direction: int, rate: float) -> bool:
-        """Run one joint until its limit or a stop."""
-        goal = self.planned_angles
-        goal[joint] = self.upper[joint] if direction > 0 else self.lower[joint]
-        path = joint_path(self.planned_angles, np.clip(goal, self.lower, self.upper), FULL_SPEED)
-        return self._ready() and self._take(path, rate, replace=True)
-
-    def jog_tool(self, pose: Array, rate: float) -> bool:
-        """Run the tool straight towards ``pose`` (4, 4) as far as the arm reaches, or until a stop."""
-        path, _ = line_path(self.arm, self.planned_angles, pose, FULL_SPEED)
-        inside = np.all((path.points >= self.lower) & (path.points <= self.upper), axis=1)
-        reach = len(inside) if inside.all() else int(np.argmin(inside))
-        if reach < 2:
-            self.error = NO_LINE
-            return False
-        return self._ready() and self._take(
-            TimedPath(points=path.points[:reach], time=path.time[:reach]), rate, replace=True
-        )
 
     def stop(self, joint: int | None = None) -> None:
         """Hold where the reference is, and forget what was to come: one joint, or the arm."""
@@ -218,10 +152,6 @@ class Firmware:
         self._motion.paused = False
         if not self._motion.interpolating:
             self._write(self._motion.ramp_speed, self._motion.goal)
-
-    def clear_queue(self) -> None:
-        """Forget the waiting moves."""
-        self._motion.clear_queue()
 
     # --- power ------------------------------------------------------------------------------
 
@@ -287,20 +217,13 @@ class Firmware:
             self.enable(np.ones(self.arm.joints, dtype=bool))
         return self.powered
 
-    def _within_limits(self, path: TimedPath) -> bool:
-        return bool(np.all((path.points >= self.lower) & (path.points <= self.upper)))
-
-    def _take(self, path: TimedPath, rate: float, *, replace: bool) -> bool:
-        if replace:
-            self._motion.follow(path, rate)
-        elif not self._motion.enqueue(path, rate):
-            return False
-        return True
-
     def _track(self, joints: Mask, angles: Array) -> None:
         """Put the reference of ``joints`` (n,) at ``angles`` (n,) [rad], so that nothing pulls."""
         for joint in np.flatnonzero(joints):
             self._motion.place(int(joint), float(angles[joint]))
+
+    def _ramped(self, speed: float, goal: Array) -> None:
+        self._write(speed, goal)
 
     def _write(self, speed: float, goal: Array | None = None) -> None:
         """Send a goal (n,) [rad], by default the reference, over the servo bus."""

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from rejoint.lab.emulator.commands import answer
+from rejoint.arms.wire.commands import answer
+from rejoint.arms.wire.frames import Decoder, Frame, encode
 from rejoint.lab.emulator.conversation import TICK, ByteStream, Conversation
 from rejoint.lab.emulator.firmware import Firmware
-from rejoint.lab.emulator.frames import Decoder, Frame, encode
 from rejoint.lab.emulator.wirefaults import SPLIT_PAUSE
 
 

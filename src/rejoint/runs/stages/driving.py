@@ -14,9 +14,11 @@ import numpy as np
 from rejoint.arms import Arm
 from rejoint.control.bands import standing_bands
 from rejoint.control.catalogue import BASELINES, make_controller
+from rejoint.control.comparison.recommend import recommend
 from rejoint.control.contract import check_controller_period
 from rejoint.control.controller import Controller
 from rejoint.control.correction import Modelled
+from rejoint.control.feedforward import FeedforwardController
 from rejoint.control.guard import GuardLimits
 from rejoint.control.lines import servo_lines
 from rejoint.control.robot import Robot
@@ -97,6 +99,14 @@ def calibration_of(given: CalibrationLike | None, run: Run | None, arm: Arm, rob
     """Return the calibration that `correction_of` corrects by; None where nothing is to be corrected."""
     found = as_calibration(given, run if run is not None and _is_own(run, robot) else None, arm)
     return found if found is not None and found.used else None
+
+
+def recommended(run: Run) -> str:
+    """Name the controller that a run recommends: by its comparison; before one, its policy, or the feed-forward."""
+    comparison = run.comparison
+    if comparison is not None:
+        return recommend(comparison).controller
+    return POLICY if run.folder.policy.exists() else FeedforwardController.name
 
 
 def make_factories(

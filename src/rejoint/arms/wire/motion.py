@@ -12,7 +12,7 @@ from collections import deque
 import numpy as np
 
 from rejoint.arms import Array
-from rejoint.lab.emulator.paths import TimedPath
+from rejoint.arms.wire.paths import TimedPath
 
 MAX_QUEUE = 32
 """Moves kept waiting; further ones are refused (chosen)."""

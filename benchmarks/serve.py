@@ -1,0 +1,310 @@
+"""The vendor's unmodified client against a bare worn arm and through `rejoint serve` on it: one script, errors beside.
+
+    python -m benchmarks serve
+    python -m benchmarks.serve --run runs/mine --abuse 600
+
+The arm is an emulated one behind TCP, in wall-clock time. Without ``--run`` it is diagnosed and its twin identified
+first, which takes minutes. Then a client of the second kind: reconnects, garbage, half frames, and clients killed in
+the middle of a motion; at the end the arm must hold, and the log must be whole. A test runs a short version.
+"""
+
+import argparse
+import json
+import multiprocessing
+import os
+import shutil
+import signal
+import socket
+import struct
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+import rejoint
+from rejoint.arms import Array, mycobot280, tcp_pose
+from rejoint.arms.wire.frames import Frame, encode
+from rejoint.arms.wire.values import pack_angles, to_coords
+from rejoint.lab.emulator import Timing, build_firmware, serve_tcp
+from rejoint.robots.vendor import MyCobot280Socket
+from rejoint.runs.stages.serve import Serving
+from rejoint.twin.twin import Twin
+
+ARM = mycobot280()
+SPEED = 50
+"""[%] of every order"""
+LONGEST = 20.0
+"""[s] that a move may take"""
+ABUSE = 60.0
+"""[s] of it; ten minutes by `--abuse 600`"""
+READS = 400
+
+POSTURES = np.degrees(ARM.rest) + np.array([
+    [10.0, 8.0, -12.0, 5.0, 6.0, 10.0], [-25.0, -6.0, 8.0, -8.0, -10.0, -20.0], [20.0, 12.0, 6.0, -12.0, 12.0, 15.0],
+    [-10.0, 4.0, -15.0, 14.0, -6.0, 40.0],
+])  # fmt: skip
+"""(4, 6) [deg]"""
+OFFSETS = np.array([[20.0, 25.0, 10.0], [0.0, -30.0, 25.0], [-20.0, 10.0, -20.0], [15.0, -15.0, 0.0]])
+"""(4, 3) [mm] of the points from the tool at rest"""
+
+
+class Step(NamedTuple):
+    """One order of the script, and where a perfect arm has its tool after it."""
+
+    kind: str
+    order: Callable[[Any], object]
+    place: Array
+    """(3,) [mm]"""
+    rotation: Array
+    """(3, 3)"""
+
+
+class Outcome(NamedTuple):
+    """What a step left."""
+
+    kind: str
+    error: float
+    """[mm]"""
+    turn: float
+    """[deg]"""
+    seconds: float
+
+
+def script() -> Iterator[Step]:
+    """Angles, points, whole poses, single coordinates, jogs by increments."""
+    rest = coords_at(np.degrees(ARM.rest))
+    for posture in (*POSTURES, np.degrees(ARM.rest)):
+        yield _step("angles", "send_angles", (_plain(posture),), coords_at(posture))
+    for offset in OFFSETS:
+        goal = rest + np.r_[offset, 0.0, 0.0, 0.0]
+        yield _step("points", "send_coords", (_plain(goal),), goal)
+    for posture in (*POSTURES[::-1], np.degrees(ARM.rest)):
+        goal = coords_at(posture)
+        yield _step("poses", "send_coords", (_plain(goal),), goal)
+    for axis, way in ((1, 20.0), (2, -25.0), (3, 15.0)):
+        goal = goal + way * np.eye(6)[axis - 1]
+        yield _step("one coordinate", "send_coord", (axis, float(goal[axis - 1])), goal)
+    for axis, way in ((1, -15.0), (2, 30.0), (3, 10.0)):
+        goal = goal + way * np.eye(6)[axis - 1]
+        yield _step("jog", "jog_increment_coord", (axis, way), goal)
+
+
+def coords_at(angles: Array) -> Array:
+    """Coordinates (6,) [mm, deg] of a perfect arm at ``angles`` (6,) [deg]."""
+    found = to_coords(tcp_pose(ARM, np.radians(angles)))
+    return np.concatenate([1e3 * found[:3], np.degrees(found[3:])])
+
+
+def play(client: Any, pace: float = 1.0, steps: int | None = None) -> list[Outcome]:
+    """Give the orders of the script, each when the last move has ended; AssertionError where one is refused."""
+    outcomes = []
+    for step in list(script())[:steps]:
+        began = time.monotonic()
+        if step.order(client) != 1:
+            raise AssertionError(f"an order of {step.kind} was refused")
+        await_rest(client, pace)
+        seconds = pace * (time.monotonic() - began)
+        here = np.array(client.get_coords())
+        outcomes.append(Outcome(step.kind, float(np.linalg.norm(here[:3] - step.place)), _turn(here, step), seconds))
+    return outcomes
+
+
+def await_rest(client: Any, pace: float = 1.0) -> None:
+    """Wait as a program does: until nothing moves any more, and a moment longer."""
+    deadline = time.monotonic() + LONGEST / pace
+    time.sleep(0.2 / pace)
+    while client.is_moving() == 1 and time.monotonic() < deadline:
+        time.sleep(0.05 / pace)
+    time.sleep(0.5 / pace)
+
+
+def _step(kind: str, method: str, values: tuple[object, ...], goal: Array) -> Step:
+    return Step(kind, lambda client: getattr(client, method)(*values, SPEED), goal[:3], _rotation(goal))
+
+
+def _plain(values: Array) -> list[float]:
+    return [float(value) for value in values]
+
+
+def _rotation(coords: Array) -> Array:
+    (sx, sy, sz), (cx, cy, cz) = np.sin(np.radians(coords[3:])), np.cos(np.radians(coords[3:]))
+    about_x = np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
+    about_y = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
+    about_z = np.array([[cz, -sz, 0], [sz, cz, 0], [0, 0, 1]])
+    return np.asarray(about_z @ about_y @ about_x)
+
+
+def _turn(here: Array, step: Step) -> float:
+    cosine = (np.trace(_rotation(here).T @ step.rotation) - 1.0) / 2.0
+    return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
+
+
+@contextmanager
+def served(robot: str, run: Path, **options: Any) -> Iterator[tuple[str, list[Serving]]]:
+    """Serve ``robot`` in a thread: its address, and at the end what it was served for."""
+    stop, ready = threading.Event(), threading.Event()
+    address: list[str] = []
+    ends: list[Serving] = []
+    errors: list[BaseException] = []
+
+    def announce(at: str) -> None:
+        address.append(at)
+        ready.set()
+
+    def work() -> None:
+        try:
+            ends.append(rejoint.serve(robot, run, stop=stop, on_address=announce, **options))
+        except BaseException as error:  # noqa: BLE001 - raised again below
+            errors.append(error)
+        finally:
+            ready.set()
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    try:
+        ready.wait()
+        if address:
+            yield address[0], ends
+    finally:
+        stop.set()
+        thread.join()
+    if errors:
+        raise errors[0]
+
+
+def connected(address: str) -> Any:
+    """Return the vendor's client."""
+    host, port = address.removeprefix("tcp://").rsplit(":", 1)
+    return closing(MyCobot280Socket(host, int(port)))
+
+
+def _socket(address: str) -> socket.socket:
+    host, port = address.removeprefix("tcp://").rsplit(":", 1)
+    return socket.create_connection((host, int(port)), 5.0)
+
+
+def _jog(address: str) -> None:
+    """Be a program that lets a joint run; for a process that is killed."""
+    client = _socket(address)
+    client.sendall(encode(Frame(0x30, bytes((1, 1, 30)))))
+    time.sleep(60.0)
+
+
+def abuse(address: str, duration: float, seed: int = 0) -> int:
+    """Connect, send garbage, half frames and orders, break off, be killed, for ``duration`` [s]; returns how often."""
+    rng, until, count = np.random.default_rng(seed), time.monotonic() + duration, 0
+    spawn = multiprocessing.get_context("spawn")
+    while time.monotonic() < until:
+        count += 1
+        if count % 20 == 10:
+            killed = spawn.Process(target=_jog, args=(address,))
+            killed.start()
+            time.sleep(rng.uniform(0.5, 3.0))
+            os.kill(killed.pid or 0, signal.SIGKILL)
+            killed.join()
+            continue
+        try:
+            with closing(_socket(address)) as client:
+                client.settimeout(1.0)
+                goal = ARM.rest + rng.uniform(-0.15, 0.15, ARM.joints)
+                order = encode(Frame(0x22, pack_angles(goal) + bytes((30,))))
+                noise = rng.bytes(int(rng.integers(1, 400)))
+                parts = (order, noise, order[:7], encode(Frame(0x20)), noise + order, b"\xfe\xfe\x1e", order * 30)
+                for _ in range(int(rng.integers(1, 6))):
+                    client.sendall(parts[rng.integers(len(parts))])
+                    time.sleep(rng.uniform(0.0, 0.05))
+                if rng.random() < 0.5:  # a reset instead of a farewell
+                    client.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+        except OSError:
+            time.sleep(0.05)  # the one before is not gone yet: refused
+    return count
+
+
+def holds(client: Any, pace: float = 1.0) -> bool:
+    """Whether the arm comes to rest and stays there for a second."""
+    await_rest(client, pace)
+    before = np.array(client.get_angles())
+    time.sleep(1.0 / pace)
+    return bool(np.abs(np.array(client.get_angles()) - before).max() < 1.0)
+
+
+def check_log(path: Path) -> int:
+    """Return how many orders a log has; AssertionError unless every line is whole and no order is missing."""
+    lines = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
+    numbers = [line["number"] for line in lines if line["what"] == "order"]
+    if lines[0]["what"] != "begin" or numbers != list(range(1, len(numbers) + 1)):
+        raise AssertionError(f"{path}: orders are missing")
+    return len(numbers)
+
+
+def read_times(client: Any, count: int = READS) -> Array:
+    """How long reads take (count,) [ms]."""
+    times = []
+    for _ in range(count):
+        began = time.perf_counter()
+        client.get_angles()
+        times.append(1e3 * (time.perf_counter() - began))
+        time.sleep(0.003)
+    return np.array(times)
+
+
+def table(bare: list[Outcome], through: list[Outcome]) -> str:
+    """Errors side by side, by kind of order."""
+    lines = [
+        f"{'':16}{'bare mm':>12}{'served mm':>12}{'largest':>10}{'bare deg':>10}{'served deg':>12}{'s':>6}{'s':>6}"
+    ]
+    for kind in (*dict.fromkeys(outcome.kind for outcome in bare), "all"):
+        a, b = ([o for o in found if kind in (o.kind, "all")] for found in (bare, through))
+        means = [np.mean([getattr(o, name) for o in x]) for name in ("error", "turn", "seconds") for x in (a, b)]
+        most = max(o.error for o in b)
+        lines.append(f"{kind:16}{means[0]:12.1f}{means[1]:12.2f}{most:10.2f}{means[2]:10.1f}{means[3]:12.1f}"
+                     f"{means[4]:6.1f}{means[5]:6.1f}")  # fmt: skip
+    return "\n".join(lines)
+
+
+def prepare(run: Path) -> None:
+    """Make a run with a twin of the emulated worn arm."""
+    rejoint.diagnose("emulated:worn", run=run)
+    rejoint.identify(run=run)
+
+
+def main(run: Path | None = None, duration: float = ABUSE, twin: Twin | None = None) -> None:
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name) / "run"
+        if run is None and twin is None:
+            prepare(folder)
+        elif run is not None:
+            folder.mkdir()
+            for file in ("run.json", "twin.toml"):
+                shutil.copy(run / file, folder / file)
+        with serve_tcp(build_firmware(ARM, "worn"), port=0) as emulator, connected(emulator.address) as client:
+            client.send_angles(_plain(np.degrees(ARM.rest)), SPEED)
+            await_rest(client)
+            bare, bare_reads = play(client), read_times(client)
+        with (
+            serve_tcp(build_firmware(ARM, "worn"), port=0, timing=Timing()) as emulator,
+            served(emulator.address, folder, listen="127.0.0.1:0", twin=twin) as (address, ends),
+        ):
+            with connected(address) as client:
+                through, reads = play(client), read_times(client)
+            print(table(bare, through))
+            print(f"reads: bare {np.median(bare_reads):.1f} ms, 99 % within {np.quantile(bare_reads, 0.99):.1f}; "
+                  f"served {np.median(reads):.1f} ms, 99 % within {np.quantile(reads, 0.99):.1f}")  # fmt: skip
+            count = abuse(address, duration)
+            time.sleep(0.5)
+            with connected(address) as client:
+                print(f"{count} clients in {duration:.0f} s, every twentieth killed; the arm holds: {holds(client)}")
+        print(f"log: {check_log(Path(ends[0].log))} orders, whole")
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.serve")
+    parser.add_argument("--run", type=Path)
+    parser.add_argument("--abuse", type=float, default=ABUSE)
+    options = parser.parse_args()
+    main(options.run, options.abuse)

@@ -1,0 +1,196 @@
+"""Bringing a worn arm to joint positions, its tool first: what programs that send angles or whole poses need.
+
+The command is the posture, raised by what the twin says that each servo gives way, plus what an integrator learns of
+each joint. It carries over from posture to posture. Three things make it come to rest close by:
+
+* A joint that stands off at all the lead it may have has no more torque. It keeps that lead, and the posture of the
+  others is changed as little as brings the tool to its place.
+* A joint that sticks is pushed ever harder, and breaks loose with more than it takes to go on. As soon as its reading
+  changes, most of what was added while it stood is taken back.
+* Once the tool is close and the arm stands, nothing is corrected any more: an integrator would hunt for ever.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from rejoint.arms import Arm, Array, clip_norm, dls, frames, gravity_torque, position_kinematics, tcp_position
+from rejoint.arms.inverse import rotation_error
+from rejoint.arms.size import torque_size
+from rejoint.control.controller import ControlInput
+from rejoint.control.feedforward import NOMINAL_STIFFNESS
+from rejoint.control.law import between, limit_position
+from rejoint.control.robot import JointState, Mask
+
+STILL = 1.5
+"""encoder counts within which a reading stands (chosen: one that lies between two counts jitters)"""
+_SMOOTHING = 0.5  # share of the newest difference in the speed estimate (chosen, as in the feed-forward controller)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Wanted:
+    """Where the arms are to be now."""
+
+    posture: Array
+    """(B, n) [rad] by the encoders"""
+    arrived: Mask
+    """(B,) whether that is the end of a way, and the arm is to come to rest there"""
+
+
+class Way(Protocol):
+    """What says where the arms are to be; asked once in every control cycle."""
+
+    def advance(self, state: JointState) -> Wanted:
+        """Take what was read, and return where the arms are to be now."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PostureGains:
+    """Settings, chosen on the emulated worn arm at periods of 50 ms; see `python -m benchmarks serve`."""
+
+    rate: float = 4.0
+    """[1/s] share of a joint's error that is integrated per second"""
+    fade: float = float(np.radians(0.3))
+    """[rad] error at which that has faded to half"""
+    push: float = float(np.radians(5.0))
+    """[rad/s] by which a joint that stands off is pushed besides, whatever its error"""
+    within: float = float(np.radians(0.06))
+    """[rad] of error without such a push: less than one encoder count of 0.088 deg"""
+    taken_back: float = 0.9
+    """share of what was added while a joint stood that is taken back when it moves"""
+    moving: float = float(np.radians(5.0))
+    """[rad/s] a joint faster than this, and on its way, is not corrected"""
+    standing: float = float(np.radians(1.0))
+    """[rad/s] below which a joint stands"""
+    weak: float = float(np.radians(12.0))
+    """[rad] of lead under which a joint that stands off has no more torque: about what worn servos give all for"""
+    off: float = float(np.radians(0.3))
+    """[rad] from which such a joint counts as standing off"""
+    turn: float = 0.03
+    """[m/rad] weight of the tool's direction against its place where others make up for a weak joint"""
+    calm: float = 0.15
+    """[s] for which no reading may go farther than `STILL` before the arm counts as standing"""
+    close: float = 4e-4
+    """[m] of the tool within which nothing is corrected once the arm stands"""
+    again: float = 7e-4
+    """[m] beyond which it is again"""
+    lead: float = float(np.radians(18.0))
+    """[rad] largest distance of the command from the measured position (a little less than the guard's)"""
+
+
+class PostureController:
+    """Brings B arms to the postures that a `Way` asks for."""
+
+    name = "posture"
+
+    def __init__(
+        self, arm: Arm, way: Way, *, stiffness: Array | None = None, offset: Array | float = 0.0,
+        gains: PostureGains | None = None,
+    ) -> None:  # fmt: skip
+        """Take what a twin says of the servos: ``stiffness`` (n,) [N m/rad] and ``offset`` (n,) [rad]."""
+        self._arm, self._way, self._gains = arm, way, gains or PostureGains()
+        nominal = np.full(arm.joints, NOMINAL_STIFFNESS * torque_size(arm))
+        self._stiffness, self._offset = nominal if stiffness is None else stiffness, offset
+        self._time: Array | None = None
+        self._position = self._speed = self._learned = self._pushed = self._command = np.zeros((0, arm.joints))
+        self._anchor = self._position
+        self._stood: Array = np.zeros(0)
+        self._weak: Mask = np.zeros((0, arm.joints), dtype=bool)
+        self._rests: Mask = np.zeros(0, dtype=bool)
+
+    def reset(self, inputs: ControlInput, where: Mask) -> None:
+        """Do nothing: the way goes on, and what was learned with it."""
+
+    def command(self, inputs: ControlInput) -> Array:
+        """Return the wanted joint positions (B, n) [rad]."""
+        state = inputs.state
+        wanted = self._way.advance(state)
+        raised = wanted.posture + gravity_torque(self._arm, wanted.posture) / self._stiffness - self._offset
+        if self._time is None:
+            self._begin(inputs, raised)
+        moved, elapsed = self._observe(state)
+        goal = self._goal(wanted)
+        error = np.where(self._weak, wanted.posture, goal) - state.position
+        rests = self._at_rest(wanted)[:, None]
+        self._learn(error, moved, elapsed, wanted.arrived[:, None])
+        command = limit_position(self._arm, raised + self._learned)
+        lead = np.where(self._weak, 1.25 * self._gains.weak, self._gains.lead)  # more would only heat it
+        command = between(command, state.position - lead, state.position + lead)
+        self._command = np.where(rests, self._command, command)
+        self._learned = self._command - raised  # nothing winds up beyond what can be sent
+        return self._command.copy()
+
+    def _begin(self, inputs: ControlInput, raised: Array) -> None:
+        """Begin with the command in force, so that nothing jumps."""
+        position = inputs.state.position
+        self._time, self._position = inputs.state.time.copy(), position.copy()
+        self._speed, self._pushed = np.zeros_like(position), np.zeros_like(position)
+        self._learned, self._command = inputs.sent - raised, inputs.sent.copy()
+        self._anchor, self._stood = position.copy(), np.zeros(len(position))
+        self._weak, self._rests = np.zeros(position.shape, dtype=bool), np.zeros(len(position), dtype=bool)
+
+    def _observe(self, state: JointState) -> tuple[Array, Array]:
+        """Return how far (B, n) [rad] the joints went since the last cycle, and the time [s] (B, 1) that was."""
+        assert self._time is not None  # noqa: S101 - for the type checker
+        elapsed = between(state.time - self._time, 0.0, 0.1)[:, None]
+        moved = state.position - self._position
+        speed = moved / np.maximum(elapsed, 1e-3)
+        self._speed = np.where(elapsed > 0.0, self._speed + _SMOOTHING * (speed - self._speed), self._speed)
+        self._time, self._position = state.time.copy(), state.position.copy()
+        far = np.abs(self._position - self._anchor) > STILL * self._arm.encoder_step
+        gone: Mask = np.logical_or.reduce(far, axis=1)
+        self._anchor = np.where(gone[:, None], self._position, self._anchor)
+        self._stood = np.where(gone, 0.0, self._stood + elapsed[:, 0])
+        return moved, elapsed
+
+    def _goal(self, wanted: Wanted) -> Array:
+        """Return the postures (B, n) [rad] that bring the tools to their places although some joints are weak."""
+        gains, posture = self._gains, wanted.posture
+        lead, away = self._command - self._position, posture - self._position
+        off = wanted.arrived[:, None] & (np.abs(away) > gains.off)
+        spent = (np.abs(lead) > gains.weak) & (away * lead > 0.0) & (np.abs(self._speed) < gains.standing)
+        self._weak = (self._weak | spent) & off
+        rows = self._weak.any(axis=1)
+        if not rows.any():
+            return posture
+        goal = posture.copy()
+        goal[rows] = _without(self._arm, posture[rows], self._position[rows], self._weak[rows], gains.turn)
+        return goal
+
+    def _at_rest(self, wanted: Wanted) -> Mask:
+        """Arms (B,) whose tool is close enough, and which stand."""
+        gains = self._gains
+        away = tcp_position(self._arm, self._position) - tcp_position(self._arm, wanted.posture)
+        distance = np.linalg.norm(away, axis=-1)
+        stands = (self._stood >= gains.calm) & wanted.arrived
+        self._rests = stands & np.where(self._rests, distance < gains.again, distance < gains.close)
+        return self._rests
+
+    def _learn(self, error: Array, moved: Array, elapsed: Array, arrived: Mask) -> None:
+        """Integrate the ``error`` (B, n) [rad] of joints that are not on their way."""
+        gains, size = self._gains, np.abs(error)
+        on_its_way = (np.abs(self._speed) > gains.moving) & (self._speed * error > 0.0)
+        push = gains.push * np.sign(error) * ((size > gains.within) & arrived)
+        added = elapsed * np.where(on_its_way, 0.0, gains.rate * error * size / (size + gains.fade) + push)
+        loose = (moved != 0.0) & arrived & (self._pushed * moved > 0.0)
+        taken = np.where(loose, gains.taken_back * self._pushed, 0.0)
+        self._pushed = np.where(moved != 0.0, 0.0, self._pushed + added)
+        self._learned = self._learned + added - taken
+
+
+def _without(arm: Arm, posture: Array, position: Array, weak: Mask, turn: float) -> Array:
+    """Return postures (B, n) [rad] near ``posture`` with the tool at its place, where ``weak`` joints stay put."""
+    goal = np.where(weak, position, posture)
+    place, direction = tcp_position(arm, posture), frames(arm, posture).tcp_rotation
+    free = ~weak[:, None, :]
+    for weight, damping in ((turn, 0.004), (turn, 0.004), (turn, 0.004), (0.0, 0.001)):  # its place comes last
+        tool, jacobian = position_kinematics(arm, goal)
+        seen = frames(arm, goal)
+        turning = weight * rotation_error(seen.tcp_rotation, direction)
+        both = np.concatenate([jacobian, weight * np.swapaxes(seen.axis, -1, -2)], axis=-2) * free
+        step = dls(both, np.concatenate([place - tool, turning], axis=-1), damping)
+        goal = goal + clip_norm(step, np.radians(8.0))
+    return limit_position(arm, goal)

@@ -1,0 +1,120 @@
+"""The control loop behind a served arm: the one loop, in pieces of minutes, until it is told to end."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rejoint.arms import Array, tcp_position
+from rejoint.control.controller import ControlInput
+from rejoint.control.guard import GuardLimits
+from rejoint.control.loop import Schedule, run
+from rejoint.control.posture import PostureController, Wanted
+from rejoint.control.recording import Cycle, Recording, recording_of
+from rejoint.control.robot import JointState, Mask, Robot
+from rejoint.robots.serving.relay import Relay
+from rejoint.robots.serving.served import ServedArm
+from rejoint.system.stopping import pause
+
+PIECE, LONGEST_PIECE = 600.0, 1800.0
+"""[s] after which a piece of the motion is written as a run log: as soon as the arm rests, and at the latest (chosen:
+half an hour takes 40 MB of memory)"""
+
+Keep = Callable[[Recording], object]
+"""Takes what the arm did in a piece"""
+
+
+class ServedWay:
+    """The way of a served arm, and where it had the tool in every cycle."""
+
+    def __init__(self, served: ServedArm) -> None:
+        self._served = served
+        self.place = np.full(3, np.nan)
+        """(3,) [m] where the tool is to be, by the encoders"""
+
+    def advance(self, state: JointState) -> Wanted:
+        """See `ServedArm.advance`."""
+        wanted = self._served.advance(state)
+        self.place = tcp_position(self._served.arm, wanted.posture[0])
+        return wanted
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ServedDrive:
+    """What is driven, and how."""
+
+    robot: Robot
+    served: ServedArm
+    controller: PostureController
+    way: ServedWay
+    """that the controller follows"""
+    limits: GuardLimits
+    relay: Relay
+    over: Callable[[], bool]
+    """whether to end; asked once a cycle"""
+
+    def until_over(self, sent: Array, begin: Callable[[], tuple[Callable[[Cycle], object], Keep]]) -> None:
+        """Drive, with the command ``sent`` (1, n) [rad] in force.
+
+        For each piece ``begin`` gives what sees its cycles as they come, and what keeps the whole. Raises what `run`
+        raises; the arm holds then.
+        """
+        while not self.over():
+            see, keep = begin()
+            places: list[Array] = []
+            try:
+                recording = self._piece(sent, see, places)
+            except BaseException as error:
+                partial = recording_of(error)
+                if partial is not None and len(partial.time):
+                    keep(_with_places(partial, places))
+                raise
+            keep(_with_places(recording, places))
+            sent = recording.command[-1]
+
+    def _piece(self, sent: Array, see: Callable[[Cycle], object], places: list[Array]) -> Recording:
+        def watch(cycle: Cycle) -> None:
+            places.append(self.way.place)
+            see(cycle._replace(target=self.way.place[None]))
+            self.relay.serve()
+
+        def give_up(inputs: ControlInput) -> Mask:
+            rests = bool(inputs.since_target[0] > PIECE) and not self.served.moving
+            return np.array([rests or self.over()])
+
+        nowhere = np.full((1, 1, 3), np.nan)  # postures are followed, and no target
+        schedule = Schedule(dwell=LONGEST_PIECE, sent=sent, give_up=give_up)
+        return run(self.robot, self.controller, nowhere, schedule, limits=self.limits, on_cycle=watch)
+
+
+class WallClock:
+    """A robot of virtual time slowed down to the wall clock, or to ``pace`` times its speed."""
+
+    def __init__(self, robot: Robot, pace: float = 1.0) -> None:
+        self._robot, self._pace = robot, pace
+        self._began: tuple[float, float] | None = None
+
+    def __getattr__(self, name: str) -> object:
+        return getattr(self._robot, name)
+
+    def step(self, command: Array, active: Mask | None = None) -> JointState:
+        """Step, and wait until as much time has passed."""
+        state = self._robot.step(command, active)
+        if self._began is None:
+            self._began = time.monotonic(), float(state.time[0])
+        wall, virtual = self._began
+        late = time.monotonic() - wall - (float(state.time[0]) - virtual) / self._pace
+        if late > 1.0:  # this machine cannot keep up, or was suspended
+            self._began = None
+        pause(-late)
+        return state
+
+
+def _with_places(recording: Recording, places: list[Array]) -> Recording:
+    """Return the recording with where the tool was to be as its targets."""
+    rows = len(recording.time)
+    filled = np.array([*places[:rows], *[np.full(3, np.nan)] * (rows - len(places))]).reshape(rows, 1, 3)
+    return replace(recording, target=filled, aim=filled)

@@ -1,0 +1,225 @@
+"""The computer that clients believe to speak to: it plans moves as the vendor's does, and tells the state read last.
+
+Two threads meet here. The control loop asks once a cycle where the reference is (`advance`) and brings what it read;
+the server carries out what clients order. Every method takes the lock for microseconds, or, where inverse kinematics
+is searched, for tens of milliseconds in which nothing else is planned: `advance` then finds the lock taken and goes on
+with the reference it had.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rejoint.arms import Arm, Array, tcp_pose, tcp_position
+from rejoint.arms.wire.computer import HAS_ARRIVED_LENGTH, at_angles, at_place
+from rejoint.arms.wire.mover import Mover
+from rejoint.control.posture import PostureGains, Wanted
+from rejoint.control.robot import JointState, Mask
+from rejoint.robots.serving.apparent import Apparent
+
+IN_PLACE = PostureGains.close
+"""[m] of the tool within which a move has ended: where the controller lets the arm rest"""
+CALM = 0.3
+"""[s] for which it has to stay there (chosen: longer than a worn joint rings)"""
+PATIENCE = 8.0
+"""[s] after the end of its way for which a move is brought nearer before it ends as near as it comes (chosen: worn
+joints stick for seconds)"""
+LONGEST = 0.1
+"""[s] by which the reference goes on in one cycle at most (chosen: the guard's longest period; it waits for the arm)"""
+LOST = 1.0
+"""[s] without an answer of the robot after which its state is told no more (chosen: five periods of a slow wire)"""
+_SMOOTHING = 0.5  # share of the newest difference in the speed that is told (chosen)
+
+
+@dataclass(frozen=True, kw_only=True)
+class MoveEnd:
+    """The end of a move."""
+
+    error: float
+    """[m] of the tool, by the encoders, from where it was sent"""
+    angle: float
+    """[rad] of the joint that is farthest away"""
+    after: float
+    """[s] from the end of the planned way"""
+
+
+class ServedArm(Mover):
+    """One arm of n joints at rest at ``position`` (n,) [rad]."""
+
+    def __init__(self, arm: Arm, position: Array, *, apparent: Apparent | None = None) -> None:
+        self._apparent = apparent or Apparent(arm=arm)
+        super().__init__(arm, self._apparent.shown(position, position))
+        self._lock = threading.RLock()
+        self.powered = True
+        self.enabled: Mask = np.ones(arm.joints, dtype=bool)
+        self.registers: dict[tuple[int, int], int] = {}
+        self.on_arrival: Callable[[MoveEnd], object] = lambda _: None
+        """is told how each move ended"""
+        self._time: float | None = None
+        self._seen = time.monotonic()
+        self._position = position.copy()
+        self._speed = np.zeros(arm.joints)
+        self._temperature: Array | None = None
+        self._fault: Mask | None = None
+        self._came = position.copy()
+        self._wanted = Wanted(posture=position[None].copy(), arrived=np.ones(1, dtype=bool))
+        self._since: float | None = None
+        """when [s] the reference ended its way; None while it moves"""
+        self._settled = True
+        self._close_since: float | None = None
+        """when [s] the tool came within `IN_PLACE`; None where it is not"""
+
+    @contextmanager
+    def carrying_out(self) -> Iterator[None]:
+        """Keep the control loop from reading a half-changed plan."""
+        with self._lock:
+            yield
+
+    # --- what the control loop does ---------------------------------------------------------
+
+    def advance(self, state: JointState) -> Wanted:
+        """Take what was read, let the reference go on, and return where the arm is to be now."""
+        if not self._lock.acquire(blocking=False):
+            return self._wanted  # a posture is being searched: the reference waits
+        try:
+            self._observe(state)
+            self._wanted = self._next()
+            self._judge()
+            return self._wanted
+        finally:
+            self._lock.release()
+
+    def _observe(self, state: JointState) -> None:
+        now, position = float(state.time[0]), state.position[0].copy()
+        elapsed = 0.0 if self._time is None else now - self._time
+        if elapsed > 0.0:
+            self._speed += _SMOOTHING * ((position - self._position) / elapsed - self._speed)
+            self._motion.advance(min(elapsed, LONGEST))
+        self._time, self._position, self._seen = now, position, time.monotonic()
+        self._temperature = None if state.temperature is None else state.temperature[0].copy()
+        self._fault = None if state.fault is None else state.fault[0].copy()
+
+    def _next(self) -> Wanted:
+        under_way = self._motion.moving and not self._motion.paused
+        if under_way or self._since is None:
+            posture = self._apparent.measured(self._motion.reference, self._came)
+        else:
+            posture = self._wanted.posture[0]
+        return Wanted(posture=posture[None], arrived=np.array([not under_way]))
+
+    def _judge(self) -> None:
+        """See whether the arm has come to where it was sent, or comes no nearer."""
+        assert self._time is not None  # noqa: S101 - for the type checker; `_observe` was called
+        if not self._wanted.arrived[0]:
+            self._since, self._settled, self._close_since = None, False, None
+            return
+        if self._since is None:
+            self._since = self._time
+        if self._settled:
+            return
+        posture = self._wanted.posture[0]
+        error = float(np.linalg.norm(tcp_position(self.arm, posture) - tcp_position(self.arm, self._position)))
+        after = self._time - self._since
+        self._close_since = (self._close_since or self._time) if error < IN_PLACE else None
+        calm = self._close_since is not None and self._time - self._close_since >= CALM
+        if calm or after > PATIENCE:
+            self._settled, self._came = True, posture.copy()
+            away = float(np.abs(posture - self._position).max())
+            self.on_arrival(MoveEnd(error=error, angle=away, after=after))
+
+    # --- what clients ask -------------------------------------------------------------------
+
+    @property
+    def is_lost(self) -> bool:
+        """Whether the robot itself has not answered for `LOST`: what is known of it is old."""
+        return time.monotonic() - self._seen > LOST
+
+    @property
+    def angles(self) -> Array:
+        """(n,) [rad] shown joint angles."""
+        return self._apparent.shown(self._position, self._came)
+
+    @property
+    def pose(self) -> Array:
+        """(4, 4) TCP pose: where the tool really is, as far as a calibration tells."""
+        return tcp_pose(self.arm, self.angles)
+
+    @property
+    def speed(self) -> Array:
+        """(n,) [rad/s]."""
+        return self._speed
+
+    @property
+    def temperature(self) -> Array:
+        """(n,) [deg C]; 0 where the arm does not tell."""
+        return np.zeros(self.arm.joints) if self._temperature is None else self._temperature
+
+    @property
+    def current(self) -> Array:
+        """(n,) [A]; 0, since drivers do not ask for it."""
+        return np.zeros(self.arm.joints)
+
+    @property
+    def voltage(self) -> Array:
+        """(n,) [V]; 0, since drivers do not ask for it."""
+        return np.zeros(self.arm.joints)
+
+    @property
+    def alarms(self) -> NDArray[np.uint8]:
+        """(n,) status bits: the lowest where a servo reports a fault."""
+        return np.zeros(self.arm.joints, np.uint8) if self._fault is None else self._fault.astype(np.uint8)
+
+    @property
+    def moving(self) -> bool:
+        """Whether a move is under way, or the arm is still brought nearer to its end."""
+        return not self.paused and (self._motion.moving or not self._settled)
+
+    def in_position(self, angles: Array) -> bool:
+        """Whether the arm is at ``angles`` (n,) [rad]; at the end of a move, once that has ended."""
+        if not at_angles(self.planned_angles, angles):
+            return at_angles(self.angles, angles)
+        return not self.moving and self._is_near(tcp_pose(self.arm, angles))
+
+    def at_pose(self, pose: Array) -> bool:
+        """Whether the tool is at ``pose`` (4, 4); at the end of a move, once that has ended."""
+        if not at_place(tcp_pose(self.arm, self.planned_angles), pose):
+            return at_place(self.pose, pose)
+        return not self.moving and self._is_near(pose)
+
+    def _is_near(self, pose: Array) -> bool:
+        """Whether the tool is where it was sent, however its joints do it: a weak one may have to be made up for."""
+        return bool(np.linalg.norm(self.pose[:3, 3] - pose[:3, 3]) < HAS_ARRIVED_LENGTH)
+
+    # --- what clients order -----------------------------------------------------------------
+
+    def stop(self, joint: int | None = None) -> None:
+        """Hold where the reference is: one joint, or the arm."""
+        self._motion.hold(joint)
+
+    def pause(self) -> None:
+        """Hold where the reference is, to go on later."""
+        self._motion.paused = True
+
+    def resume(self) -> None:
+        """Go on."""
+        self._motion.paused = False
+
+    def power(self, on: bool) -> None:
+        """Do nothing: the arm has power, and clients may not take it; see `rejoint.robots.serving.answering`."""
+
+    def enable(self, wanted: Mask) -> None:
+        """Do nothing: all servos hold, and clients may not release them."""
+
+    def calibrate(self, joint: int) -> None:
+        """Do nothing: the zeros of the joints stay."""
+
+    def _ready(self) -> bool:
+        self._settled, self._since = False, None
+        return True

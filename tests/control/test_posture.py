@@ -1,0 +1,91 @@
+"""Bringing joints to postures: on the emulated worn arm, and by the parts of the law."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from rejoint.arms import frames, mycobot280, tcp_position
+from rejoint.control.guard import GuardLimits
+from rejoint.control.loop import Schedule, move, run
+from rejoint.control.posture import PostureController, PostureGains, Wanted, _without
+from rejoint.control.robot import JointState
+from rejoint.lab.plant.wear import load_wear
+from rejoint.robots import open_robot
+
+ARM = mycobot280()
+DWELL, SPEED = 6.0, np.radians(60.0)
+
+
+class Ways:
+    """Each arm goes from rest to its postures (B, K, n), one after the other."""
+
+    def __init__(self, postures: np.ndarray) -> None:
+        self.postures = postures
+        self.reference = np.repeat(ARM.rest[None], len(postures), axis=0)
+        self.began: np.ndarray | None = None
+
+    def advance(self, state: JointState) -> Wanted:
+        if self.began is None:
+            self.began = self.last = state.time.copy()
+        k = np.minimum((state.time - self.began) // DWELL, self.postures.shape[1] - 1).astype(int)
+        goal = self.postures[np.arange(len(k)), k]
+        reach = SPEED * (state.time - self.last)[:, None]
+        self.reference = self.reference + np.clip(goal - self.reference, -reach, reach)
+        self.last = state.time.copy()
+        return Wanted(posture=self.reference.copy(), arrived=(self.reference == goal).all(axis=1))
+
+
+def test_a_worn_arm_comes_to_postures_and_stays() -> None:
+    rng = np.random.default_rng(7)
+    count = 6
+    postures = ARM.rest + rng.uniform(-1, 1, (count, 3, 6)) * np.radians([30, 12, 15, 10, 15, 40])
+    stiffness = load_wear("worn", ARM).position_gain
+    controller = PostureController(ARM, Ways(postures), stiffness=np.asarray(stiffness))
+    robot = open_robot("emulated:worn", seed=1, count=count, period=(0.05, 0.05))
+    start = move(robot, ARM.rest)
+    nowhere = np.full((count, 1, 3), np.nan)
+    schedule = Schedule(dwell=3 * DWELL, sent=start.command[-1])
+    found = run(robot, controller, nowhere, schedule, limits=GuardLimits.of(ARM))
+    assert not found.tripped.any()
+    errors, bare = [], []
+    since = found.time - found.time[0]
+    for b in range(count):
+        for k in range(3):
+            rows = (since[:, b] > (k + 1) * DWELL - 0.8) & (since[:, b] < (k + 1) * DWELL)
+            place = tcp_position(ARM, postures[b, k])
+            errors.append(np.linalg.norm(tcp_position(ARM, found.position[rows, b]) - place, axis=-1).mean())
+            bare.append(np.linalg.norm(tcp_position(ARM, found.command[rows, b]) - place, axis=-1).mean())
+    assert np.median(errors) < 0.6e-3, np.round(1e3 * np.array(errors), 2)
+    assert np.mean(errors) < 1e-3, np.round(1e3 * np.array(errors), 2)
+    assert np.mean(bare) > 10e-3, "what a command of the posture itself would have left"
+
+
+def test_other_joints_bring_the_tool_to_its_place_where_one_is_weak() -> None:
+    rng = np.random.default_rng(2)
+    posture = ARM.rest + rng.uniform(-0.3, 0.3, (20, 6))
+    weak = np.zeros((20, 6), dtype=bool)
+    weak[:, 3] = True
+    position = posture - weak * np.radians(10.0)
+    goal = _without(ARM, posture, position, weak, PostureGains.turn)
+    np.testing.assert_array_equal(goal[:, 3], position[:, 3])
+    away = np.linalg.norm(tcp_position(ARM, goal) - tcp_position(ARM, posture), axis=-1)
+    assert away.max() < 1e-4
+    nothing = _without(ARM, posture, posture, np.zeros_like(weak), PostureGains.turn)
+    np.testing.assert_allclose(nothing, posture, atol=1e-9)
+    assert frames(ARM, goal).tcp_rotation.shape == (20, 3, 3)
+
+
+@pytest.mark.parametrize("offset", [0.0, 0.02])
+def test_it_begins_with_the_command_in_force(offset: float) -> None:
+    from rejoint.control.controller import ControlInput
+
+    class Stay:
+        def advance(self, state: JointState) -> Wanted:
+            return Wanted(posture=ARM.rest[None], arrived=np.ones(len(state.time), dtype=bool))
+
+    sent = ARM.rest[None] + 0.05
+    state = JointState(time=np.zeros(1), position=ARM.rest[None], age=np.zeros(1))
+    inputs = ControlInput(state=state, target=np.full((1, 3), np.nan), sent=sent, since_target=np.zeros(1))
+    controller = PostureController(ARM, Stay(), offset=offset, gains=dataclasses.replace(PostureGains(), push=0.0))
+    np.testing.assert_allclose(controller.command(inputs), sent, atol=1e-12)

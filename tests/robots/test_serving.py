@@ -1,0 +1,227 @@
+"""Programs of the vendor's client drive a worn arm through `rejoint serve`: its unmodified client is the judge."""
+
+import dataclasses
+import json
+import socket
+import threading
+import time
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+import pytest
+from benchmarks.serve import ARM, abuse, check_log, connected, holds, play, read_times, served
+
+import rejoint
+from rejoint.arms import tcp_position
+from rejoint.arms.wire.frames import Decoder, Frame, encode
+from rejoint.control.robot import JointState
+from rejoint.lab.plant.wear import load_wear
+from rejoint.robots.serving.answering import REFUSED, Answering
+from rejoint.robots.serving.apparent import Apparent
+from rejoint.robots.serving.orderlog import OrderLog
+from rejoint.robots.serving.relay import Relay
+from rejoint.robots.serving.served import PATIENCE, MoveEnd, ServedArm
+from rejoint.robots.vendor import MyCobot280
+from rejoint.runs.run import Run
+from rejoint.system.errors import InputError, NoReplyError
+from rejoint.twin.parameters import nominal_parameters, prior
+from rejoint.twin.twin import HeldOut, PredictionError, Twin
+
+pytestmark = pytest.mark.filterwarnings("ignore:.*getdefaultlocale.*:DeprecationWarning")
+PACE = 6.0
+"""times as fast as real; the arm is an emulated one of this process"""
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Path:
+    return Run.create(tmp_path / "run", "emulated:worn", ARM, 0).path
+
+
+@pytest.fixture(scope="module")
+def twin() -> Twin:
+    """What an identification would find: here the stiffness is known."""
+    belief, error = prior(ARM), PredictionError(joints=np.full(6, 0.01), joint=0.01, tcp=1e-3)
+    return Twin(
+        arm=ARM.name, joint_names=ARM.joint_names,
+        parameters=dataclasses.replace(nominal_parameters(ARM), stiffness=load_wear("worn", ARM).position_gain),
+        covariance=np.diag((0.1 * belief.sigma) ** 2), lower=belief.lower, upper=belief.upper,
+        narrowing=np.full(len(belief.mean), 0.1), identified=np.ones(len(belief.mean), dtype=bool),
+        held_out=HeldOut(seconds=30.0, no_twin=error, healthy_twin=error, twin=error), fit_seconds=1.0, notes=(),
+    )  # fmt: skip
+
+
+@pytest.mark.realtime
+def test_a_program_hits_and_nothing_a_client_does_ends_the_serving(run: Path, twin: Twin) -> None:
+    said: list[str] = []
+    options = {"listen": "127.0.0.1:0", "twin": twin, "pace": PACE, "say": said.append}
+    with served("emulated:worn", run, **options) as (address, ends):
+        with connected(address) as client:
+            outcomes = play(client, PACE, steps=5)
+            assert np.mean([outcome.error for outcome in outcomes]) < 1.0, outcomes  # the bare arm: 20
+            assert np.median(read_times(client, 50)) < 5.0
+            assert client.is_in_position([float(x) for x in client.get_coords()], 1) == 1
+            with closing(socket.create_connection(address.removeprefix("tcp://").rsplit(":", 1), 2.0)) as second:
+                assert second.recv(10) == b"", "one client at a time"
+            assert client.send_coords([270.0, 270.0, 400.0, 0.0, 0.0, 0.0], 50) == 0
+            assert client.get_error_information() == 32
+            assert client.power_off() == 0
+            assert client.is_power_on() == client.is_all_servo_enable() == 1
+            assert client.jog_angle(1, 1, 20) == 1
+            time.sleep(0.5)
+            before = client.get_angles()[0]
+        with connected(address) as client:  # the client alone takes 1.5 s, in which the joint would run to its limit
+            assert client.get_angles()[0] < before + 30.0 < 168.0
+        abuse(address, 2.0)
+        time.sleep(0.3)
+        with connected(address) as client:
+            assert holds(client, PACE)
+    assert check_log(Path(ends[0].log)) == ends[0].orders >= 10
+    assert any("Refused a second client" in line for line in said)
+    assert any(line.startswith("Refused power_off: the arm would fall") for line in said)
+    log = Run.open(run).logs
+    (name,) = (name for name in log if name.startswith("serve-"))
+    assert np.isfinite(log[name].target).all()
+
+
+@pytest.mark.realtime
+def test_a_serial_line_is_served_and_the_arm_holds_when_it_is_closed(run: Path, twin: Twin) -> None:
+    said: list[str] = []
+    with served("emulated:worn", run, pty=True, twin=twin, pace=PACE, say=said.append) as (address, ends):
+        device = address.removeprefix("serial://").partition("?")[0]
+        for _ in range(2):  # the second finds the line as the first
+            client = MyCobot280(device, 1_000_000)
+            goal = [float(x) for x in np.degrees(ARM.rest + 0.1)]
+            assert client.sync_send_angles(goal, 80, timeout=5) == 1
+            place = 1e3 * tcp_position(ARM, np.radians(goal))
+            assert np.linalg.norm(np.array(client.get_coords()[:3]) - place) < 3.0  # [mm]
+            client._serial_port.close()
+            time.sleep(0.3)
+    assert sum("closed; the arm holds" in line for line in said) == 2
+    assert ends[0].orders == 2
+
+
+def state(time_s: float, position: np.ndarray) -> JointState:
+    return JointState(time=np.array([time_s]), position=position[None], age=np.zeros(1))
+
+
+def answering(served: ServedArm, relay: Relay | None = None) -> tuple[Answering, list[str]]:
+    said: list[str] = []
+    return Answering(served, OrderLog(), relay or Relay(None), said.append), said
+
+
+def test_a_move_has_ended_once_the_tool_stays_near_or_comes_no_nearer() -> None:
+    for off, expected in ((0.0, 0.3), (0.05, PATIENCE)):
+        served, ends = ServedArm(ARM, ARM.rest), list[MoveEnd]()
+        served.on_arrival = ends.append
+        goal = ARM.rest + 0.1
+        assert served.move_joints(goal, 1.0)
+        assert served.moving
+        clock, wanted = 0.0, None
+        while not ends and clock < 20.0:
+            wanted = served.advance(state(clock, ARM.rest if wanted is None else wanted.posture[0] + off))
+            clock += 0.05
+        assert not served.moving
+        assert ends[0].after == pytest.approx(expected, abs=0.11)
+        np.testing.assert_allclose(wanted.posture[0], goal)
+        distance = np.linalg.norm(tcp_position(ARM, goal) - tcp_position(ARM, goal + off))
+        assert ends[0].error == pytest.approx(distance, abs=1e-9)
+        assert served.in_position(goal) == (off == 0.0)
+
+
+def test_orders_that_would_let_the_arm_fall_are_refused_and_said() -> None:
+    answers, said = answering(ServedArm(ARM, ARM.rest))
+    for command in REFUSED:
+        assert answers.answer(Frame(command, b"\x01")) == Frame(command, b"\x00")
+    assert len(said) == len(REFUSED)
+    assert answers.answer(Frame(0x1A, b"\x00")) == Frame(0x1A, b"\x01"), "free mode may end"
+
+
+def test_what_is_old_is_not_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    served = ServedArm(ARM, ARM.rest)
+    answers, _ = answering(served)
+    assert answers.answer(Frame(0x20)) is not None
+    now = time.monotonic()
+    monkeypatch.setattr(time, "monotonic", lambda: now + 2.0)
+    assert answers.answer(Frame(0x20)) is None
+
+
+def test_a_client_sees_the_angles_of_a_perfect_arm_where_its_tool_really_is() -> None:
+    way = np.array([0.004, -0.003, -0.008])
+    apparent = Apparent(arm=ARM, shift=lambda position, came: way)  # noqa: ARG005
+    rng = np.random.default_rng(3)
+    for posture in ARM.rest + rng.uniform(-0.4, 0.4, (10, 6)):
+        shown = apparent.shown(posture, posture)
+        np.testing.assert_allclose(tcp_position(ARM, shown), tcp_position(ARM, posture) + way, atol=1e-3)
+        measured = apparent.measured(posture, posture)
+        np.testing.assert_allclose(apparent.shown(measured, posture), posture, atol=1e-3)
+    bare = Apparent(arm=ARM)
+    assert bare.shown(ARM.rest, ARM.rest) is ARM.rest is bare.measured(ARM.rest, ARM.rest)
+
+
+def test_a_gripper_is_passed_on_and_one_that_is_silent_asked_once() -> None:
+    asked: list[tuple[int, bytes]] = []
+
+    def gripper(command: int, payload: bytes) -> bytes | None:
+        asked.append((command, payload))
+        if command == 0x67:
+            raise NoReplyError("silent")
+        return b"\x01"
+
+    relay = Relay(gripper)
+    answers, _ = answering(ServedArm(ARM, ARM.rest), relay)
+    over = threading.Event()
+
+    def loop() -> None:
+        while not over.wait(0.005):
+            relay.serve()
+
+    thread = threading.Thread(target=loop)
+    thread.start()
+    assert answers.answer(Frame(0x66, b"\x01\x32")) == Frame(0x66, b"\x01")
+    assert answers.answer(Frame(0x67, b"\x32\x32")) is None
+    assert answers.answer(Frame(0x67, b"\x32\x32")) is None
+    over.set()
+    thread.join()
+    assert asked == [(0x66, b"\x01\x32"), (0x67, b"\x32\x32")]
+
+
+def test_any_bytes_are_borne(tmp_path: Path) -> None:
+    served = ServedArm(ARM, ARM.rest)
+    log = OrderLog(tmp_path / "orders.jsonl")
+    answers = Answering(served, log, Relay(None), lambda _: None)
+    rng, decoder = np.random.default_rng(0), Decoder()
+    commands = [*REFUSED, *range(0x10, 0x60), 0xD5, 0xE1, 0xE5]
+    slow = {0x24, 0x25, 0x31, 0x32, 0x34}  # inverse kinematics
+    for number in range(3000):
+        command = int(rng.choice(commands))
+        payload = rng.bytes(int(rng.integers(0, 29)))
+        stream = rng.bytes(3) + encode(Frame(command, payload)) if command not in slow else rng.bytes(9)
+        for request in decoder.feed(stream):
+            if request.command not in slow:
+                found = answers.answer(request)
+                assert found is None or found.command == request.command
+        served.advance(state(0.05 * number, ARM.rest))
+    assert len((tmp_path / "orders.jsonl").read_text().splitlines()) == log.orders
+    assert all(json.loads(line)["what"] == "order" for line in (tmp_path / "orders.jsonl").read_text().splitlines())
+
+
+def test_a_full_disk_ends_the_log_and_not_the_arm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    said: list[str] = []
+    log = OrderLog(tmp_path / "orders.jsonl", say=said.append)
+
+    def full(*_: object) -> int:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("rejoint.robots.serving.orderlog.os.write", full)
+    assert [log.ordered(0x29, b"", done=True) for _ in range(3)] == [1, 2, 3]
+    assert len(said) == 1
+    assert "No space left on device" in said[0]
+
+
+@pytest.mark.parametrize("listen", ["9000", "127.0.0.1:", "127.0.0.1:70000", ":9000", "127.0.0.1:-1"])
+def test_an_address_that_cannot_be_listened_on_is_refused_before_anything_moves(
+    run: Path, twin: Twin, listen: str
+) -> None:
+    with pytest.raises(InputError, match=r"HOST:PORT|a port is a number"):
+        rejoint.serve("emulated:worn", run, listen=listen, twin=twin)
