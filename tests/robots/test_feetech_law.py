@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from rejoint.lab.plant.bareservo import BareServos
 from rejoint.robots.feetech.gains import KNOBS, way
-from rejoint.robots.feetech.law import Law
+from rejoint.robots.feetech.law import DutyLaw
 
 
 @settings(deadline=None)
@@ -20,13 +20,13 @@ def test_the_load_of_a_servo_at_rest_is_its_gain_times_its_error(error, p, start
     servo.settings["dead_cw"] = servo.settings["dead_ccw"] = dead
     servo.status["goal"] = error
     servo.advance(0.4, blocked=True)
-    law = Law(p=p, startup=startup, above=dead, below=dead)
-    assert law.load(int(servo.status["output"][0]), error) == pytest.approx(error * p / 4 / 1000, abs=0.0011)
+    law = DutyLaw(p=p, startup=startup, above=dead, below=dead)
+    assert law.share(int(servo.status["output"][0]), error) == pytest.approx(error * p / 4 / 1000, abs=0.0011)
 
 
 @given(duty=st.integers(-1023, 1023))
 def test_loads_keep_the_sign_and_the_size_of_their_duty(duty):
-    load = Law(p=32, startup=16, above=1, below=1).load(duty)
+    load = DutyLaw(p=32, startup=16, above=1, below=1).share(duty)
     assert abs(load) <= 1.0
     assert abs(load - duty / 1000) <= 0.024
     assert load * duty >= 0.0

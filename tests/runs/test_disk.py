@@ -89,7 +89,7 @@ def test_a_deployment_is_shown_and_kept_on_a_disk_that_filled_meanwhile(
         fill(full, ".deploy-")
         code, out, err = run_cli(*words, capsys=capsys, monkeypatch=full)
     assert code == 2
-    assert "error mm" in out
+    assert "encoder error" in out
     assert "170.0" in out
     (line,) = [line for line in err.splitlines() if line.startswith("error: ")]
     assert "logs/deploy-" in line

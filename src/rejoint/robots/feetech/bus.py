@@ -19,7 +19,7 @@ from rejoint.arms import Arm, Array
 from rejoint.robots.bus import Bus, Reading
 from rejoint.robots.feetech.address import FeetechAddress
 from rejoint.robots.feetech.gains import HEAVIEST, HOTTEST, INTEGRAL_LIMIT, KNOBS, LIMITED, PAUSE, way
-from rejoint.robots.feetech.law import FULL, Law
+from rejoint.robots.feetech.law import FULL, DutyLaw
 from rejoint.robots.feetech.wire import Wire
 from rejoint.robots.feetech.zeros import Counts, Zeros, read_calibration, zeros_of
 from rejoint.robots.link import persist
@@ -65,7 +65,7 @@ class FeetechBus(Bus):
         self.ids = self._file.ids if self._file is not None else tuple(range(1, arm.joints + 1))
         self._wire: Wire | None = None
         self._zeros: Zeros | None = None
-        self._laws: list[Law] = []
+        self._laws: list[DutyLaw] = []
         self._supply: Array | None = None
         self._goal: Counts | None = None
         self._was_ready = False
@@ -113,7 +113,7 @@ class FeetechBus(Bus):
         sags = voltage < SAGGING * self.supply
         return Reading(
             position=self.zeros.radians(np.array(place)),
-            load=np.array([law.load(*seen) for law, *seen in zip(self._laws, pushed, error, strict=True)]),
+            load=np.array([law.share(*seen) for law, *seen in zip(self._laws, pushed, error, strict=True)]),
             voltage=voltage,
             temperature=np.array(heat, float), fault=np.array([bits != 0 for bits in status]) | sags,
             trouble=self._troubles(status, voltage, sags) if any(status) or sags.any() else None,
@@ -204,10 +204,10 @@ class FeetechBus(Bus):
                         f"{name} is {before} again"
                     )
 
-    def _law(self, servo: int, until: float | None) -> Law:
+    def _law(self, servo: int, until: float | None) -> DutyLaw:
         """Read the settings in force that make a load of a duty."""
         data = self._sure(partial(self.wire.read, servo, SETTINGS, 7), until)
-        return Law(p=data[0], startup=data[3], above=data[5], below=data[6])
+        return DutyLaw(p=data[0], startup=data[3], above=data[5], below=data[6])
 
     def _registers(self, address: int, until: float | None, *, sign: int = 16) -> Counts:
         """Two registers of every servo, as a number whose bit ``sign`` is its sign."""

@@ -15,7 +15,7 @@ FULL = 1000.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class Law:
+class DutyLaw:
     """Settings of one servo, as its registers hold them."""
 
     p: int
@@ -25,7 +25,7 @@ class Law:
     below: int
     """[counts] likewise for negative ones"""
 
-    def load(self, duty: int, error: int = 0) -> float:
+    def share(self, duty: int, error: int = 0) -> float:
         """Share of the largest torque, -1 to 1, of a ``duty`` [0.1 %] with its sign, at an ``error`` [counts]."""
         size: float = abs(duty) - self.startup
         if size <= 0:
