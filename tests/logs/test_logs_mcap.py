@@ -139,6 +139,11 @@ WRITERS: dict[str, Callable[[Path, Sample], Path]] = {
 }  # fmt: skip
 
 
+def test_a_file_that_broke_off_after_its_first_bytes_is_no_text(tmp_path: Path):
+    (tmp_path / "log.mcap").write_bytes(b"\x89MCAP0\r\n and nothing more")
+    assert detect(tmp_path / "log.mcap") == "mcap"
+
+
 @pytest.mark.parametrize("kind", WRITERS)
 def test_every_number_arrives(tmp_path: Path, kind: str):
     found = sample()

@@ -116,6 +116,8 @@ def detect(source: Path, options: ImportOptions | None = None) -> str:
         fitting = [name for name, reader in _READERS.items() if reader.fits(source, options)]
     except OSError as error:
         raise FileError(source, f"not readable ({error})", "check its permissions") from error
+    if source.is_file() and len(fitting) > 1:  # what a file is known by at its first byte is surer than that it is text
+        fitting = [name for name in fitting if name != "csv"]
     if len(fitting) > 1:
         raise FileError(
             source, f"holds logs of the formats {' and '.join(fitting)}", "say with --format which to import"
