@@ -1,5 +1,7 @@
 """Splitting logs into visits: hand-worked times and errors."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -34,6 +36,18 @@ def test_a_visit_starts_with_the_last_row_of_the_one_before(arm):
     np.testing.assert_allclose(second.encoder_error, np.linalg.norm(tcp[2:] - b, axis=1))
     assert np.isnan(first.true_error).all()
     np.testing.assert_array_equal(encoder_path(arm, log), tcp)
+
+
+def test_encoders_are_judged_by_where_they_were_to_stand(arm):
+    a, b, beside = np.array([0.15, 0.0, 0.2]), np.array([0.15, 0.02, 0.2]), np.array([0.0, 0.0, 0.007])
+    log = log_of(arm, np.array([a, a, b, b, b]))
+    again = np.array([a + beside, a + beside, b + beside, b + beside, b - beside])  # aimed once more at the end
+    _, second = visits(arm, replace(log, aim=again))
+    tcp = tcp_position(arm, log.position)
+    np.testing.assert_allclose(second.aim, b - beside)
+    np.testing.assert_allclose(second.encoder_error[0], np.linalg.norm(tcp[1] - b - beside))
+    np.testing.assert_allclose(second.encoder_error[-1], np.linalg.norm(tcp[4] - b + beside))
+    np.testing.assert_allclose(second.target, b)
 
 
 def test_rows_without_a_target_belong_to_no_visit(arm):

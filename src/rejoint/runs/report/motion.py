@@ -19,10 +19,12 @@ class TargetSpan:
 
     target: Array
     """(3,) [m]"""
+    aim: Array
+    """(3,) [m] where the TCP was to stand by the encoders at the end: beside the target where a calibration says so"""
     time: Array
     """(T,) [s] since the target was set; the first entry is 0"""
     encoder_error: Array
-    """(T,) [m] distance of the TCP that the encoders tell from the target"""
+    """(T,) [m] distance of the TCP that the encoders tell from the aim"""
     true_error: Array
     """(T,) [m] distance of the real TCP from the target; NaN where nobody knows"""
 
@@ -34,17 +36,18 @@ def encoder_path(arm: Arm, log: RunLog) -> Array:
 
 def visits(arm: Arm, log: RunLog) -> tuple[TargetSpan, ...]:
     """Split a log wherever its target changes; rows without a target are left out."""
-    tcp = encoder_path(arm, log)
+    tcp, aim = encoder_path(arm, log), log.target if log.aim is None else log.aim
     found = []
     for start, stop in _spans(log):
         # The target was set when the last row of the previous one was read.
         rows = np.arange(max(start - 1, 0), stop)
-        target = log.target[start]
+        target, aims = log.target[start], aim[np.maximum(rows, start)]
         found.append(
             TargetSpan(
                 target=target,
+                aim=aims[-1],
                 time=log.time[rows] - log.time[rows[0]],
-                encoder_error=np.linalg.norm(tcp[rows] - target, axis=1),
+                encoder_error=np.linalg.norm(tcp[rows] - aims, axis=1),
                 true_error=np.linalg.norm(log.true_tcp[rows] - target, axis=1),
             )
         )

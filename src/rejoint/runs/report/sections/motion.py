@@ -41,7 +41,8 @@ def _paths(arm: Arm, logs: Mapping[str, RunLog], gallery: Gallery) -> Part:
     pictures = tuple(_path_picture(name, path, limits, gallery) for name, path in paths.items())
     text = (
         "The tool's way as the encoders tell it, from above and from the side, through the same targets in the same "
-        "order. Square: start. Circle: the radius of 10 mm that counts as reached. Compare Park et al. 2024, Fig. 13."
+        "order. Square: start. Circle: the radius of 10 mm that counts as reached, about where the encoders are to "
+        "stand (beside the target where a calibration says so). Compare Park et al. 2024, Fig. 13."
     )
     return Part(heading="Ways through the targets", texts=(text,), figures=pictures, columns=2)
 
@@ -50,7 +51,7 @@ def _path(arm: Arm, name: str, log: RunLog) -> Path3:
     rows = np.isfinite(log.target).all(axis=1)
     return Path3(
         label=short(name), look=look_of(name), tcp=encoder_path(arm, log)[rows],
-        targets=np.array([visit.target for visit in visits(arm, log)]).reshape(-1, 3),
+        targets=np.array([visit.aim for visit in visits(arm, log)]).reshape(-1, 3),
     )  # fmt: skip
 
 
@@ -74,7 +75,7 @@ def _errors(arm: Arm, logs: Mapping[str, RunLog], gallery: Gallery) -> Part:
         "error-over-time", error_over_time(time, series),
         alt=f"Encoder error over the time since a target was set, log axis. Medians at the end of each line: {words}.",
         caption="Encoder error after a new target is set: median over the targets of one trial, and where 80 % of them "
-        "lie. Dashed levels: 10, 5 and 2 mm.",
+        "lie. By the encoders, from where they are to stand. Dashed levels: 10, 5 and 2 mm.",
     )  # fmt: skip
     return Part(heading="Error over time", figures=(picture,))
 
