@@ -301,7 +301,7 @@ def test_a_servo_that_stays_silent_is_named_and_the_arm_holds(monkeypatch):
     [
         ("overload=3@1", "elbow_flex reports a servo fault (overload)"),
         ("voltage@1", "the supply sags to 7.0 V from 12.0 V"),
-        ("sag=12", "the supply sags to"),
+        ("sag=24", "the supply sags to"),
         ("overheat=2@0", "shoulder_lift is at"),
     ],
 )
