@@ -5,6 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import pandas
 import pyarrow as pa
 import pyarrow.csv
 import pytest
@@ -45,7 +46,7 @@ def write_numpy(path: Path, found: Sample) -> None:
 
 
 def write_pandas(path: Path, found: Sample) -> None:
-    pytest.importorskip("pandas").DataFrame(columns(found)).to_csv(path)  # with its unnamed index column
+    pandas.DataFrame(columns(found)).to_csv(path)  # with its unnamed index column
 
 
 def write_excel(path: Path, found: Sample) -> None:

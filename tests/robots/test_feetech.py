@@ -14,8 +14,12 @@ from rejoint.control.integrator import IntegratorController
 from rejoint.control.loop import Schedule, run
 from rejoint.control.recording import recording_of
 from rejoint.lab.emulator.faults import parse_faults
+from rejoint.lab.emulator.feetech.arm import HOMING, NAMES, build_arm
+from rejoint.lab.emulator.feetech.emulate import serve_bus
+from rejoint.lab.emulator.feetech.session import BusSession
 from rejoint.robots import open_robot, place_of
 from rejoint.robots.feetech.address import FeetechAddress
+from rejoint.robots.feetech.bus import FeetechBus
 from rejoint.robots.feetech.zeros import Zeros, read_calibration, zeros_of
 from rejoint.system.errors import (
     AddressError,
@@ -27,12 +31,6 @@ from rejoint.system.errors import (
     PowerLostError,
     RobotError,
 )
-
-pytest.importorskip("scservo_sdk", reason="the maker's client is not installed: pip install 'rejoint[feetech]'")
-from rejoint.lab.emulator.feetech.arm import HOMING, NAMES, build_arm
-from rejoint.lab.emulator.feetech.emulate import serve_bus
-from rejoint.lab.emulator.feetech.session import BusSession
-from rejoint.robots.feetech.bus import FeetechBus
 
 ARM = load_arm("so101")
 TARGETS = np.array([[[0.33, 0.05, 0.22], [0.31, -0.05, 0.20]]])

@@ -5,6 +5,7 @@ import time
 from contextlib import nullcontext
 from types import SimpleNamespace
 
+import cv2
 import numpy as np
 import pytest
 
@@ -30,7 +31,6 @@ from rejoint.runs.stages.filming import film_of
 from rejoint.system.errors import InputError
 from rejoint.system.extras import EXTRAS
 
-cv2 = pytest.importorskip("cv2", reason="OpenCV is not installed: pip install 'rejoint[camera]'")
 ARM = mycobot280()
 SCENE = beside(ARM)
 

@@ -94,7 +94,6 @@ def documented_edits() -> list[tuple[str, str, str]]:
     return edits
 
 
-@pytest.mark.skipif(not PAGE.exists(), reason="needs the pages of the sources")
 def test_the_law_of_the_page_is_fitted_kept_drawn_and_simulated(tmp_path):
     shutil.copytree(SOURCE, tmp_path / "rejoint")
     edits = documented_edits()

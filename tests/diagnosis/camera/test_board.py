@@ -12,8 +12,6 @@ from rejoint.arms.camera.drawing import PAGES, write_pdf
 from rejoint.cli import main
 from rejoint.system.errors import FileError, InputError
 
-pytest.importorskip("cv2", reason="OpenCV is not installed: pip install 'rejoint[camera]'")
-
 POINT = 25.4 / 72  # mm
 
 

@@ -14,8 +14,6 @@ from rejoint.diagnosis.calibration.fit import fit
 from rejoint.lab.camera.scene import LENS, beside
 from rejoint.system.errors import InputError
 
-pytest.importorskip("scipy", reason="SciPy is not installed: pip install 'rejoint[camera]'")
-
 SIZE = (LENS.width, LENS.height)
 
 

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from camera_scenes import ARM, WORN, taken
@@ -18,7 +19,6 @@ from rejoint.diagnosis.calibration.camera.fit import fit_film
 from rejoint.lab.camera.scene import LENS
 from rejoint.system.errors import ContractError, FileError, InputError
 
-cv2 = pytest.importorskip("cv2", reason="OpenCV is not installed: pip install 'rejoint[camera]'")
 SIZE = (LENS.width, LENS.height)
 SWAPPED = ("view-05.png", "view-06.png")
 

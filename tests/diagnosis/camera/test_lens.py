@@ -1,5 +1,6 @@
 """The lens, its derivatives and the poses: against OpenCV, and against finite differences."""
 
+import cv2
 import numpy as np
 import pytest
 
@@ -26,7 +27,6 @@ def before_camera(rng, tilt=0.7, away=0.6):
 
 
 def test_it_projects_as_opencv_does():
-    cv2 = pytest.importorskip("cv2", reason="OpenCV is not installed")
     matrix = np.array([[STRONG.f, 0, STRONG.cx], [0, STRONG.f, STRONG.cy], [0, 0, 1]])
     bent = np.array([STRONG.k1, STRONG.k2, STRONG.p1, STRONG.p2])
     expected = cv2.projectPoints(points(), np.zeros(3), np.zeros(3), matrix, bent)[0][:, 0]

@@ -4,6 +4,7 @@ import ast
 import re
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from camera_scenes import ARM, taken
@@ -20,8 +21,6 @@ from rejoint.lab.camera.rendering import Looks, render
 from rejoint.lab.camera.scene import LENS
 from rejoint.robots import livecamera
 from rejoint.system.errors import InputError
-
-cv2 = pytest.importorskip("cv2", reason="OpenCV is not installed: pip install 'rejoint[camera]'")
 
 CLEAN = Looks(blur=0.5, noise=0.0)
 
