@@ -7,8 +7,6 @@ text, so that a changed or damaged file is noticed.
 
 from __future__ import annotations
 
-import re
-import tomllib
 from collections.abc import Sequence
 from dataclasses import fields
 from pathlib import Path
@@ -20,8 +18,8 @@ from tomlkit.items import Array as TomlArray
 from tomlkit.items import Table as TomlTable
 
 from rejoint.arms import Arm, Array
-from rejoint.system.errors import FileError, InputError, first_line
-from rejoint.system.files import CHANGED, TOML_MOST, digest, read_bounded, write_whole
+from rejoint.system.errors import InputError
+from rejoint.system.sealed import read_sealed, write_sealed
 from rejoint.twin.parameters import PARAMETERS, STICTION, Layout, TwinParameters
 from rejoint.twin.prediction import PredictionError
 from rejoint.twin.table import TablePlane
@@ -30,36 +28,22 @@ from rejoint.twin.twin import HeldOut, Twin
 FORMAT = 1
 """Version of the layout; a reader refuses others"""
 
-_REMEDY = "identify the arm again"
-_SEAL = re.compile(rb"\A# digest of the text below: ([0-9a-f]{16})\n")
-
 
 def write_twin(path: Path, twin: Twin) -> None:
     """Write a twin as TOML, whole or not at all."""
-    text = tomlkit.dumps(_document(twin))
-    text = f"# digest of the text below: {digest(text.encode()).decode()}\n{text}"
-    write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+    write_sealed(path, _document(twin))
 
 
 def read_twin(path: Path, arm: Arm | None = None) -> Twin:
     """Read a twin; FileError if the file is missing or damaged, ContractError if it is of another arm."""
-    try:
-        text = read_bounded(path, TOML_MOST, _REMEDY)
-        sealed = _SEAL.search(text)
-        if sealed and digest(text[sealed.end() :]) != sealed[1]:
-            raise FileError(path, CHANGED, _REMEDY)
-        data = tomllib.loads(text.decode())
-        if data["format"] != FORMAT:
-            raise FileError(path, f"twin of format {data['format']!r}, expected {FORMAT}", _REMEDY)
+
+    def build(data: dict[str, Any]) -> Twin:
         twin = _twin(data)
         if data["digest"] != twin.digest():
-            raise FileError(path, f"holds digest {data['digest']!r} but its values give {twin.digest()!r}", _REMEDY)
-    except FileNotFoundError as error:
-        raise FileError(path, "no such file", "identify the arm first") from error
-    except (OSError, UnicodeDecodeError, RecursionError, tomllib.TOMLDecodeError) as error:
-        raise FileError(path, f"not a readable TOML file ({first_line(error)})", _REMEDY) from error
-    except (KeyError, TypeError, ValueError, AttributeError, InputError) as error:
-        raise FileError(path, f"not a twin ({type(error).__name__}: {first_line(error)})", _REMEDY) from error
+            raise InputError(f"it holds digest {data['digest']!r} but its values give {twin.digest()!r}")
+        return twin
+
+    twin = read_sealed(path, build, name="twin", version=FORMAT, again="identify the arm")
     if arm is not None:
         twin.require(arm)
     return twin

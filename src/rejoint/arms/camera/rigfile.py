@@ -6,8 +6,6 @@ holds as long as neither camera nor board is shifted, and the lens not focused a
 
 from __future__ import annotations
 
-import re
-import tomllib
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -20,14 +18,11 @@ from rejoint.arms.arm import Arm, Array
 from rejoint.arms.camera.board import Board
 from rejoint.arms.camera.lens import TERMS, Lens
 from rejoint.arms.camera.rig import Rig
-from rejoint.system.errors import ContractError, FileError, InputError, first_line
-from rejoint.system.files import CHANGED, TOML_MOST, digest, read_bounded, write_whole
+from rejoint.system.errors import ContractError, InputError
+from rejoint.system.sealed import read_sealed, write_sealed
 
 FORMAT = 1
 """Version of the layout; a reader refuses others"""
-
-_REMEDY = "calibrate with the camera again"
-_SEAL = re.compile(rb"\A# digest of the text below: ([0-9a-f]{16})\n")
 
 
 def write_rig(path: Path, arm: Arm, rig: Rig, sigma: Array, date: str = "") -> None:
@@ -59,21 +54,13 @@ def write_rig(path: Path, arm: Arm, rig: Rig, sigma: Array, date: str = "") -> N
         table.add("sigma_shift", spread[:3].tolist())
         table.add("sigma_turn", spread[3:].tolist())
         document.add(name, table)
-    text = tomlkit.dumps(document)
-    text = f"# digest of the text below: {digest(text.encode()).decode()}\n{text}"
-    write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+    write_sealed(path, document)
 
 
 def read_rig(path: Path, arm: Arm) -> Rig:
     """Read the rig of ``arm``; FileError if it is missing or damaged, ContractError if it is of another arm."""
-    try:
-        text = read_bounded(path, TOML_MOST, _REMEDY)
-        sealed = _SEAL.search(text)
-        if sealed and digest(text[sealed.end() :]) != sealed[1]:
-            raise FileError(path, CHANGED, _REMEDY)
-        data = tomllib.loads(text.decode())
-        if data["format"] != FORMAT:
-            raise FileError(path, f"a rig of format {data['format']!r}, expected {FORMAT}", _REMEDY)
+
+    def build(data: dict[str, Any]) -> Rig:
         if data["arm"] != arm.name:
             raise ContractError(f"camera of arm {data['arm']!r}, expected one of {arm.name!r}; calibrate this arm")
         lens = {name: value for name, value in data["lens"].items() if name != "sigma"}
@@ -81,12 +68,8 @@ def read_rig(path: Path, arm: Arm) -> Rig:
             lens=msgspec.convert(lens, Lens), board=msgspec.convert(data["board"], Board),
             carried=str(data["carried"]), standing=_pose(data["standing"]), mounted=_pose(data["mounted"]),
         )  # fmt: skip
-    except FileNotFoundError as error:
-        raise FileError(path, "no such file", "calibrate with the camera first") from error
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise FileError(path, f"not a readable TOML file ({first_line(error)})", _REMEDY) from error
-    except (KeyError, TypeError, ValueError, AttributeError, InputError, msgspec.MsgspecError) as error:
-        raise FileError(path, f"no rig ({type(error).__name__}: {first_line(error)})", _REMEDY) from error
+
+    return read_sealed(path, build, name="rig of a camera", version=FORMAT, again="calibrate with the camera")
 
 
 def _pose(table: dict[str, Any]) -> Array:

@@ -6,8 +6,6 @@ digests of the arm's geometry and masses tell another arm.
 
 from __future__ import annotations
 
-import re
-import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -19,14 +17,12 @@ from tomlkit.items import Table as TomlTable
 from rejoint.arms import Arm, Array, Displacement
 from rejoint.diagnosis.calibration.calibration import Calibration, check_arm, geometry_of
 from rejoint.diagnosis.calibration.parameters import DisplacementLayout
-from rejoint.system.errors import FileError, InputError, first_line
-from rejoint.system.files import CHANGED, TOML_MOST, digest, read_bounded, write_whole
+from rejoint.system.errors import InputError
+from rejoint.system.sealed import read_sealed, write_sealed
 
 FORMAT = 1
 """Version of the layout; a reader refuses others"""
 
-_REMEDY = "calibrate the arm again"
-_SEAL = re.compile(rb"\A# digest of the text below: ([0-9a-f]{16})\n")
 _UNITS = {
     "offset": "rad, added to what the encoders say",
     "compliance": "rad/(N m), of gear and link",
@@ -38,29 +34,17 @@ _UNITS = {
 
 def write_calibration(path: Path, calibration: Calibration) -> None:
     """Write a calibration as TOML, whole or not at all."""
-    text = tomlkit.dumps(_document(calibration))
-    text = f"# digest of the text below: {digest(text.encode()).decode()}\n{text}"
-    write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+    write_sealed(path, _document(calibration))
 
 
 def read_calibration(path: Path, arm: Arm) -> Calibration:
     """Read the calibration of ``arm``; FileError if it is missing or damaged, ContractError if it is of another arm."""
-    try:
-        text = read_bounded(path, TOML_MOST, _REMEDY)
-        sealed = _SEAL.search(text)
-        if sealed and digest(text[sealed.end() :]) != sealed[1]:
-            raise FileError(path, CHANGED, _REMEDY)
-        data = tomllib.loads(text.decode())
-        if data["format"] != FORMAT:
-            raise FileError(path, f"calibration of format {data['format']!r}, expected {FORMAT}", _REMEDY)
+
+    def build(data: dict[str, Any]) -> Calibration:
         check_arm(str(data["arm"]), {str(k): str(v) for k, v in data["geometry"].items()}, arm)
         return _calibration(data, arm)
-    except FileNotFoundError as error:
-        raise FileError(path, "no such file", "calibrate the arm first") from error
-    except (OSError, UnicodeDecodeError, RecursionError, tomllib.TOMLDecodeError) as error:
-        raise FileError(path, f"not a readable TOML file ({first_line(error)})", _REMEDY) from error
-    except (KeyError, TypeError, ValueError, AttributeError, InputError, np.linalg.LinAlgError) as error:
-        raise FileError(path, f"not a calibration ({type(error).__name__}: {first_line(error)})", _REMEDY) from error
+
+    return read_sealed(path, build, name="calibration", version=FORMAT, again="calibrate the arm")
 
 
 def _document(calibration: Calibration) -> tomlkit.TOMLDocument:
