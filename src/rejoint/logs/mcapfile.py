@@ -14,7 +14,7 @@ from rejoint.logs.messages import NANOSECONDS, REMEDY
 from rejoint.logs.options import ImportOptions
 from rejoint.logs.track import RecordedMotion
 from rejoint.system.errors import FileError
-from rejoint.system.files import MEGABYTE
+from rejoint.system.files import MEGABYTE, begins_with
 
 MAGIC = b"\x89MCAP0\r\n"
 """First bytes of every MCAP file. Source: mcap.dev/spec."""
@@ -43,16 +43,8 @@ def motions(source: Path, arm: Arm, options: ImportOptions) -> tuple[int, Iterat
 
 def _files(source: Path) -> list[Path]:
     if source.is_dir():
-        return sorted(file for file in source.glob("*.mcap") if file.is_file() and _has_magic(file))
-    return [source] if source.is_file() and _has_magic(source) else []
-
-
-def _has_magic(file: Path) -> bool:
-    try:
-        with file.open("rb") as stream:
-            return stream.read(len(MAGIC)) == MAGIC
-    except OSError:
-        return False
+        return sorted(file for file in source.glob("*.mcap") if begins_with(file, MAGIC))
+    return [source] if begins_with(source, MAGIC) else []
 
 
 def _inventory(file: Path) -> Inventory:

@@ -15,7 +15,7 @@ from rejoint.logs.options import ImportOptions
 from rejoint.logs.runlog import LOG_MOST
 from rejoint.logs.track import RecordedMotion
 from rejoint.system.errors import FileError
-from rejoint.system.files import require_file
+from rejoint.system.files import begins_with, require_file
 
 ENDING = ".db3"
 MAGIC = b"SQLite format 3\x00"
@@ -40,15 +40,7 @@ def motions(source: Path, arm: Arm, options: ImportOptions) -> tuple[int, Iterat
 
 def _files(source: Path) -> list[Path]:
     found = sorted(source.glob(f"*{ENDING}")) if source.is_dir() else [source]
-    return [file for file in found if file.is_file() and file.suffix == ENDING and _has_magic(file)]
-
-
-def _has_magic(file: Path) -> bool:
-    try:
-        with file.open("rb") as stream:
-            return stream.read(len(MAGIC)) == MAGIC
-    except OSError:
-        return False
+    return [file for file in found if file.suffix == ENDING and begins_with(file, MAGIC)]
 
 
 def _opened(file: Path) -> Any:  # noqa: ANN401 - the library is optional

@@ -97,6 +97,17 @@ def require_file(path: Path, most: int, remedy: str) -> None:
         raise FileError(path, f"{_size(found.st_size)} large, expected at most {_size(most)}", remedy)
 
 
+def begins_with(path: Path, first: bytes) -> bool:
+    """Tell whether ``path`` is a file with these first bytes; False where it cannot be read."""
+    try:
+        if not path.is_file():  # a pipe is not opened: it might never answer
+            return False
+        with path.open("rb") as file:
+            return file.read(len(first)) == first
+    except OSError:
+        return False
+
+
 def require_space(folder: Path, needed: int = SPACE) -> None:
     """Raise FileError unless ``needed`` bytes are free where ``folder`` is: better known before an arm has moved."""
     try:
