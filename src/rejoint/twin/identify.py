@@ -32,7 +32,7 @@ from rejoint.twin.prediction import PredictionError, prediction_error
 from rejoint.twin.replay import Replay, cut, divide, measured_velocity
 from rejoint.twin.table import TablePlane
 from rejoint.twin.twin import HeldOut, Twin
-from rejoint.twin.uncertainty import Uncertainty, uncertainty
+from rejoint.twin.uncertainty import CLUSTER, Uncertainty, uncertainty
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,7 +97,7 @@ def identify(
     on_progress(0.6, "refinement")
     found = fit(fine, x, settings.iterations)
     on_progress(0.9, "intervals")
-    knowledge = uncertainty(fine, found)
+    knowledge = uncertainty(fine, found, fine.clusters(CLUSTER))
     held_out = _held_out(arm, Replay(arm, logs, unseen, settings.timestep, settings.threads), found.vector)
     twin = fitted_twin(fine, found, knowledge, held_out)
     on_progress(1.0, "done")

@@ -1,0 +1,105 @@
+"""Twins of arms whose parameters are known: how far off they are, and whether their intervals say so.
+
+    python -m benchmarks truth
+    python -m benchmarks.truth --arms 10 --masses 0.15
+
+Arms around a worn one move as in a diagnosis; readings are rounded to encoder steps and jitter. They are twins
+themselves, with links of other masses than the fit assumes, so that only the fit is judged, not the twin's structure.
+"""
+
+import argparse
+import time
+from dataclasses import replace
+
+import numpy as np
+
+from rejoint.arms import Arm, mycobot280
+from rejoint.diagnosis.excitation import plan_excitation
+from rejoint.logs.runlog import RunLog
+from rejoint.twin.identify import IdentifySettings, identify
+from rejoint.twin.parameters import STICTION, TwinParameters, pack
+from rejoint.twin.reference import Reference
+from rejoint.twin.simulation import Draw, Simulation
+
+WORN = TwinParameters(
+    stiffness=[6.0, 6.8, 5.2, 4.6, 6.1, 5.5], damping=[0.3, 0.34, 0.22, 0.15, 0.17, 0.14],
+    coulomb=[0.10, 0.12, 0.07, 0.05, 0.06, 0.04], armature=[0.022, 0.018, 0.024, 0.012, 0.014, 0.016],
+    torque_limit=[1.0, 1.1, 0.8, 0.5, 0.5, 0.4], offset=[0.004, -0.003, 0.005, 0.0, -0.004, 0.002],
+    delay=0.022, ramp_speed=2.2,
+)  # fmt: skip
+"""An arm that its motors can just carry"""
+SPREAD = 0.25
+"""Standard deviation of the logarithm of each parameter"""
+PERIOD, JITTER, STEP = 0.03, 0.002, 0.005
+"""[s] of control, of the answers, of the simulation"""
+
+
+def worn(arm: Arm, rng: np.random.Generator) -> TwinParameters:
+    """Draw an arm around `WORN`."""
+    names = ("stiffness", "damping", "coulomb", "armature")
+    changed = {name: getattr(WORN, name) * np.exp(SPREAD * rng.standard_normal(arm.joints)) for name in names}
+    offset = np.radians(0.5) * rng.standard_normal(arm.joints)
+    return replace(WORN, **changed, offset=offset, delay=rng.uniform(0.01, 0.03))
+
+
+def heavier(arm: Arm, rng: np.random.Generator, spread: float) -> Arm:
+    """Draw links of other masses."""
+    factor = np.exp(spread * rng.standard_normal(arm.joints))
+    return replace(arm, mass=arm.mass * factor, inertia=arm.inertia * factor[:, None, None])
+
+
+def excite(arm: Arm, truth: TwinParameters, rng: np.random.Generator) -> RunLog:
+    """Log of the excitation of a diagnosis, on an arm whose twin is ``truth``."""
+    plan = plan_excitation(arm, seed=0)
+    times = np.arange(0.0, plan.time[-1], PERIOD)
+    command = np.stack([np.interp(times, plan.time, column) for column in plan.position.T], axis=1)
+    reference = Reference(times, command, np.atleast_1d(truth.ramp_speed), command[0])
+    grid = np.arange(int(times[-1] / STEP) + 2) * STEP
+    control = reference.sample(grid, np.atleast_1d(truth.delay))
+    simulation = Simulation(arm, 1, timestep=STEP)
+    simulation.place(Draw.of(truth.repeat(1), STICTION), command[:1], command[:1])
+    simulation.rollout(np.repeat(control[:, :1], 400, axis=1))
+    path = np.vstack([simulation.twins.qpos.copy(), simulation.rollout(control)[0]])
+    read = np.clip(times + rng.uniform(-JITTER, JITTER, len(times)), 0.0, grid[-1])
+    position = np.stack([np.interp(read, np.arange(len(path)) * STEP, column) for column in path.T], axis=1)
+    nowhere = np.full((len(times), 3), np.nan)
+    return RunLog(
+        arm=arm.name, joint_names=arm.joint_names, robot="twin", label="excitation", time=times, command=command,
+        position=np.round(position / arm.encoder_step) * arm.encoder_step, target=nowhere, true_tcp=nowhere,
+    )  # fmt: skip
+
+
+def main(arms: int = 6, masses: float = 0.15, seed: int = 0) -> None:
+    arm, inside, scales, seconds, residual = mycobot280(), [], [], [], []
+    for number in range(seed, seed + arms):
+        rng = np.random.default_rng(number)
+        truth = worn(arm, rng)
+        log = excite(heavier(arm, rng, masses), truth, rng)
+        began = time.process_time()
+        twin = identify(arm, [log], IdentifySettings(threads=1))
+        seconds.append(time.process_time() - began)
+        off = pack(twin.parameters) - pack(truth)
+        known = np.asarray(twin.identified)
+        inside.append(np.mean(np.abs(off[known]) < 1.96 * np.sqrt(np.diag(twin.covariance))[known]))
+        scales.append(np.abs(off[: arm.joints]))
+        residual.append(np.degrees(twin.held_out.twin.joint))
+        print(
+            f"arm {number}: {known.sum()} identified, {100 * inside[-1]:.0f} % of them within 95 % intervals; "
+            f"stiffness off by {', '.join(f'{100 * value:.0f}' for value in scales[-1])} %; held out {residual[-1]:.3f} deg",
+            flush=True,
+        )
+    loaded = np.array([1, 2])
+    print(
+        f"within the intervals: {100 * np.mean(inside):.0f} %. Stiffness off by {100 * np.median(scales):.0f} % in the "
+        f"middle, joints 2 and 3 by {100 * np.median(np.array(scales)[:, loaded]):.0f} %, the worst by "
+        f"{100 * np.max(scales):.0f} %. Held out {np.mean(residual):.3f} deg. {np.mean(seconds):.1f} s of processor."
+    )
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.truth")
+    parser.add_argument("--arms", type=int, default=6)
+    parser.add_argument("--masses", type=float, default=0.15, help="standard deviation of the logarithm of masses")
+    parser.add_argument("--seed", type=int, default=0)
+    options = parser.parse_args()
+    main(options.arms, options.masses, options.seed)
