@@ -15,6 +15,7 @@ CONTROLLERS = {
     "pid-literal": "joint PID of Park et al., integral as printed",
     "integrator": "moves the command until the measured error is gone",
     "feedforward": "raises the command against gravity, then integrates",
+    "shelf": "learned in simulation for any worn arm of this build, comes with rejoint",
     "policy": "learned in simulation of this arm",
 }
 """What each controller does"""

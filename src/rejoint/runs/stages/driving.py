@@ -22,13 +22,14 @@ from rejoint.control.feedforward import FeedforwardController
 from rejoint.control.guard import GuardLimits
 from rejoint.control.lines import servo_lines
 from rejoint.control.robot import Robot
+from rejoint.control.shelf import SHELF, shelf_policy
 from rejoint.control.start import Stance
 from rejoint.logs.journal import Journal
 from rejoint.logs.runlog import read_log
 from rejoint.robots import place_of
 from rejoint.runs.given import CalibrationLike, Period, as_calibration, as_policy
 from rejoint.runs.run import Run
-from rejoint.system.errors import AddressError
+from rejoint.system.errors import AddressError, ContractError
 
 if TYPE_CHECKING:
     from rejoint.control.policy import Policy
@@ -114,17 +115,32 @@ def make_factories(
 ) -> dict[str, Factory]:
     """Return what makes each controller, by its name; the feed-forward believes the stiffness of ``twin``.
 
-    Nothing given means all baselines, and the policy of the run where there is one. A name, a policy or a control
-    period that does not fit is refused here, before anything moves.
+    Nothing given means all baselines, the policy from the shelf where it suits, and that of the run where there is one.
+    A name, a policy or a control period that does not fit is refused here, before anything moves.
     """
-    if not given:
-        given = (*BASELINES, *((POLICY,) if run is not None and run.folder.policy.exists() else ()))
-    named = given if isinstance(given, Mapping) else _unique(given)
     usual = np.nan if period is None else sum(period) / 2
+    if not given:
+        own = (POLICY,) if run is not None and run.folder.policy.exists() else ()
+        given = (*BASELINES, *((SHELF,) if _on_shelf(arm, usual) else ()), *own)
+    named = given if isinstance(given, Mapping) else _unique(given)
     factories = {name: _factory(one, run, twin) for name, one in named.items()}
     for make in factories.values():
         check_controller_period(make(arm), usual)
     return factories
+
+
+def usual_controller(run: Run | None) -> str:
+    """Name what drives an arm where nothing else is asked for: the policy of its run, before one that of the shelf."""
+    return POLICY if run is not None and run.folder.policy.exists() else SHELF
+
+
+def _on_shelf(arm: Arm, period: float) -> bool:
+    """Whether there is a policy from the shelf for this arm and control ``period`` [s]; NaN: not known yet."""
+    try:
+        check_controller_period(shelf_policy(arm), period)
+    except ContractError:
+        return False
+    return True
 
 
 def name_of(controller: ControllerLike) -> str:
