@@ -78,11 +78,18 @@ def test_it_deploys_before_anything_is_trained(base: Base, arm_at: str, points: 
 
 def test_it_compares(base: Base, complete: RunFolder, arm_at: str, tmp_path: Path) -> None:
     (tmp_path / "one.csv").write_text("x,y,z\n170,0,200\n")
-    words = ("--targets", str(tmp_path / "one.csv"), "--repetitions", "1", "--controllers", "integrator,policy")
+    words = (
+        "--targets",
+        str(tmp_path / "one.csv"),
+        "--repetitions",
+        "1",
+        "--controllers",
+        "integrator,policy,predictive",
+    )
     ended = base.rejoint("compare", arm_at, str(complete.path), *words)
     assert ended.code == 0, ended.err
     assert "Recommended: " in ended.out
-    assert read_json(complete.comparison, Comparison).controllers == ("integrator", "policy")
+    assert read_json(complete.comparison, Comparison).controllers == ("integrator", "policy", "predictive")
 
 
 def test_it_judges_and_converts_logs(base: Base, complete: RunFolder) -> None:

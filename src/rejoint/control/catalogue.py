@@ -23,7 +23,10 @@ BASELINES: dict[str, Callable[[Arm], Controller]] = {
 }
 """Everything that was not learned, from the simplest to the most demanding."""
 
-CONTROLLERS = (*BASELINES, SHELF, "policy")
+PREDICTIVE = "predictive"
+"""Name of the controller that plans on the arm's own twin (`rejoint.twin.predictive`)"""
+
+CONTROLLERS = (*BASELINES, SHELF, "policy", PREDICTIVE)
 """Names of controllers, from the simplest to the most demanding."""
 
 
@@ -42,6 +45,8 @@ def make_controller(
         from rejoint.control.policy import load_policy  # ONNX Runtime is slow to import and not needed elsewhere
 
         return load_policy(policy, arm)
+    if name == PREDICTIVE:
+        raise InputError("the controller 'predictive' needs the twin of the arm; fit one with: rejoint identify")
     if name == SHELF:
         return shelf_controller(arm)
     if name == "feedforward":

@@ -17,6 +17,7 @@ CONTROLLERS = {
     "feedforward": "raises the command against gravity, then integrates",
     "shelf": "learned in simulation for any worn arm of this build, comes with rejoint",
     "policy": "learned in simulation of this arm",
+    "predictive": "plans on the twin of this arm, leaves the last millimetre to another",
 }
 """What each controller does"""
 
