@@ -102,12 +102,13 @@ def main() -> None:
     parser.add_argument("--arms", type=int, default=16)
     parser.add_argument("--family", type=int, default=0, help="family of arms; settings were chosen on 4")
     parser.add_argument("--twins", type=Path, default=Path("runs/twins"), help="folder that keeps the arms' twins")
+    parser.add_argument("--variant", default="worn", help="condition; twins are those of the arms without it")
     options = parser.parse_args()
-    family, worn = ArmFamily(arms=options.arms, targets=TARGETS, seed=options.family), find_variant("worn")
+    family, variant = ArmFamily(arms=options.arms, targets=TARGETS, seed=options.family), find_variant(options.variant)
     twins = know(family, options.twins)
     known, stiffness = together(twins), float(np.mean([one.parameters.stiffness.mean() for one in twins]))
     bench = TrialArms(
-        open=lambda: open_family(ARM, worn, family), targets=family_targets(ARM, family, TARGETS),
+        open=lambda: open_family(ARM, variant, family), targets=family_targets(ARM, family, TARGETS),
         wear_seed=np.array([family.wear_seed(i) for i in range(family.arms)], dtype=float),
     )  # fmt: skip
     settings, shelf = TrialSettings(family=family, protocol=Protocol(), crossing=False), None

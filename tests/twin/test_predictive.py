@@ -68,7 +68,8 @@ def test_with_the_right_model_the_plan_settles_at_the_target():
 def test_a_wrong_model_leaves_no_lasting_error():
     draw, twins = drawn()
     wrong = wrong_twins(twins, 1.25)
-    assert final_error(draw, PlanAlone(Planner(ARM, wrong, FEW))).max() < 1.5e-3
+    quick = replace(FEW, offset_rate=4.0)  # nobody takes over here
+    assert final_error(draw, PlanAlone(Planner(ARM, wrong, quick))).max() < 1.5e-3
     forgetful = replace(FEW, offset_rate=0.0)
     assert final_error(draw, PlanAlone(Planner(ARM, wrong, forgetful))).max() > 3.0e-3
 

@@ -199,8 +199,8 @@ def deploy(
     controller: Annotated[
         str | None,
         typer.Option(
-            help="policy, shelf, or one of the baselines; by default the policy of RUN, and without one that which "
-            "comes with rejoint for any worn arm of this build (shelf)."
+            help="policy, shelf, predictive, or one of the baselines; by default the policy of RUN, and without one "
+            "that which comes with rejoint for any worn arm of this build (shelf)."
         ),
     ] = None,
     arm: opt.ArmOption = None,

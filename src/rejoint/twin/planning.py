@@ -30,7 +30,7 @@ _SHADOW_STEPS = 4
 
 @dataclass(frozen=True, kw_only=True)
 class PlanSettings:
-    """How the plan is made; all chosen on twins."""
+    """How the plan is made; all chosen on twins, the rate of the offset on worn arms of family 4."""
 
     samples: int = 32
     """candidates per arm and cycle, the overdriven ones among them"""
@@ -52,7 +52,7 @@ class PlanSettings:
     """[1/rad] cost of the change of the command"""
     correction: float = 0.4
     """share of the prediction error taken over into the twin's position each cycle"""
-    offset_rate: float = 4.0
+    offset_rate: float = 1.0
     """[1/s] the same into the offset of the commands"""
     lead: float = float(np.radians(20.0))
     """[rad] largest distance between command and measured position"""

@@ -32,7 +32,7 @@ class Holder(Controller, Protocol):
 class HandOver:
     """When the plan is left; all chosen on worn arms of family 4."""
 
-    near: float = 1e-3
+    near: float = 0.5e-3
     """[m] distance of the tool from its target, by the encoders"""
     late: float = 1.0
     """[s] since the target was set"""

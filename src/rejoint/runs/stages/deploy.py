@@ -81,7 +81,7 @@ def deploy(
     robot
         robot or its address
     controller
-        policy, its file, the name of a baseline, ``shelf``, or a controller of your own; by default the policy of
+        policy, its file, the name of a baseline, ``shelf``, ``predictive``, or your own; by default the policy of
         ``run``, and where there is none that which comes with the package for any worn arm of this build
     targets
         (K, 3) [m], or a CSV file in mm with the header ``x,y,z``; by default ten that are drawn
