@@ -114,7 +114,7 @@ class Planner:
         self._count, n = inputs.sent.shape
         settings, given = self._settings, self._given
         arms = given.rows(np.zeros(self._count, dtype=int)) if len(given.period) == 1 else given
-        self._twin, self._arms, start = arms.twin, arms, inputs.state.position
+        self._twin, start = arms.twin, inputs.state.position
         self.shadow = Simulation(self._arm, self._count, substeps=_SHADOW_STEPS)
         self.shadow.place(arms, start, inputs.sent)
         self.shadow.time = inputs.state.time.copy()

@@ -30,7 +30,7 @@ class Holder(Controller, Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class HandOver:
-    """When the plan is left; all chosen on worn arms of family 4."""
+    """When the plan is left; ``near`` and ``late`` were chosen on worn arms of family 4, none of which is ``lost``."""
 
     near: float = 0.5e-3
     """[m] distance of the tool from its target, by the encoders"""
