@@ -120,6 +120,14 @@ def test_every_stage_works_on_data_in_memory(motion: rejoint.RunLog, tmp_path: P
     assert [path.name for path in tmp_path.iterdir()] == ["policy.onnx"], "nothing else is written"
 
 
+def test_an_arm_is_driven_before_anything_is_trained(tmp_path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    done = rejoint.deploy("emulated:worn", targets=TARGETS, dwell=2.0)
+    assert done.controller == "shelf"
+    assert all(visit.error < 3e-3 for visit in done.visits)  # open loop leaves 20 mm
+    assert not list(tmp_path.iterdir())
+
+
 def test_an_open_robot_stays_open(monkeypatch) -> None:
     robot = rejoint.connect("emulated:worn")
     monkeypatch.setattr(type(robot), "close", lambda _: pytest.fail("closed"))

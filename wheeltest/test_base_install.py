@@ -37,6 +37,7 @@ def test_the_wheel_holds_every_file_of_the_package(wheel: Path) -> None:
     kept = {name.removeprefix("src/") for name in listed if (ROOT / name).exists()}
     packed = {name for name in zipfile.ZipFile(wheel).namelist() if ".dist-info/" not in name}
     assert packed == kept
+    assert "rejoint/control/policies/mycobot280.onnx" in packed
 
 
 def test_no_extra_is_there(base: Base) -> None:
@@ -67,13 +68,28 @@ def test_it_deploys(base: Base, complete: RunFolder, arm_at: str, points: Path) 
     assert np.isfinite(log.command).all()
 
 
+def test_it_deploys_before_anything_is_trained(base: Base, arm_at: str, points: Path) -> None:
+    ended = base.rejoint("deploy", arm_at, "--targets", str(points), "--dwell", "4", "--json")
+    assert ended.code == 0, ended.err
+    told = json.loads(ended.out.splitlines()[-1])
+    assert told["controller"] == "shelf"
+    assert max(told["error_mm"]) < 5.0  # the same arm is about 20 mm off when a target is sent once
+
+
 def test_it_compares(base: Base, complete: RunFolder, arm_at: str, tmp_path: Path) -> None:
     (tmp_path / "one.csv").write_text("x,y,z\n170,0,200\n")
-    words = ("--targets", str(tmp_path / "one.csv"), "--repetitions", "1", "--controllers", "integrator,policy")
+    words = (
+        "--targets",
+        str(tmp_path / "one.csv"),
+        "--repetitions",
+        "1",
+        "--controllers",
+        "integrator,policy,predictive",
+    )
     ended = base.rejoint("compare", arm_at, str(complete.path), *words)
     assert ended.code == 0, ended.err
     assert "Recommended: " in ended.out
-    assert read_json(complete.comparison, Comparison).controllers == ("integrator", "policy")
+    assert read_json(complete.comparison, Comparison).controllers == ("integrator", "policy", "predictive")
 
 
 def test_it_judges_and_converts_logs(base: Base, complete: RunFolder) -> None:

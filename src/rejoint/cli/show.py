@@ -175,7 +175,9 @@ def deployment(terminal: Terminal, within: float, done: Deployed) -> None:
         ]
         for number, visit in enumerate(done.visits, start=1)
     ]  # fmt: skip
-    title = f"Errors at the end of each target (reached: within {1e3 * within:g} mm by the encoders)"
+    title = (
+        f"Errors of {done.controller} at the end of each target (reached: within {1e3 * within:g} mm by the encoders)"
+    )
     headers = ["target", "x mm", "y mm", "z mm", "encoder error mm", "true error of the tool", "reached", ""]
     terminal.table(title, headers, rows)
     if done.missed:

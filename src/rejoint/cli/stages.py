@@ -194,9 +194,16 @@ def compare(
 
 def deploy(
     robot: opt.Robot,
-    run: opt.Run,
+    run: Annotated[Path | None, typer.Argument(help="Run folder, if there is one.", metavar="RUN")] = None,
     targets: opt.Targets = None,
-    controller: Annotated[str, typer.Option(help="policy, or one of the baselines.")] = "policy",
+    controller: Annotated[
+        str | None,
+        typer.Option(
+            help="policy, shelf, predictive, or one of the baselines; by default the policy of RUN, and without one "
+            "that which comes with rejoint for any worn arm of this build (shelf)."
+        ),
+    ] = None,
+    arm: opt.ArmOption = None,
     dwell: Annotated[float, typer.Option(help="Time per target in seconds.", min=0.1)] = 4.0,
     within: Annotated[float, typer.Option(help="Distance in mm at which a target counts as reached.", min=0.01)] = (
         1e3 * REACHED
@@ -211,20 +218,24 @@ def deploy(
 
     The arm is looked at first and goes slowly to its rest posture. Exit code 5: not all targets were reached.
 
-    Example: `rejoint deploy tcp://192.168.1.20:9000 runs/mine --targets points.csv`
+    Example: `rejoint deploy tcp://192.168.1.20:9000 runs/mine --targets points.csv`; before any repair
+    `rejoint deploy tcp://192.168.1.20:9000`
     """
+    if run is not None and arm is not None:
+        raise InputError("deploy takes the arm from RUN; leave out --arm")
     terminal = Terminal(json=json)
     tell = partial(show.deployment, terminal, 1e-3 * within)
     with terminal.unsaved(tell), terminal.progress("deploying") as update:
         done = rejoint.deploy(
-            robot, controller, targets, run=run, dwell=dwell, within=1e-3 * within,
+            robot, controller, targets, run=run, arm=arm, dwell=dwell, within=1e-3 * within,
             calibration=calibration, eye=camera, period=opt.period_seconds(period), seed=seed,
             on_progress=update, on_end=tell,
         )  # fmt: skip
     tell(done)
     errors = [None if visit.error is None else 1e3 * visit.error for visit in done.visits]
     terminal.finish({
-        "run": str(run), "controller": controller, "error_mm": errors, "missed": done.missed, "visits": done.visits,
+        "run": run and str(run), "controller": done.controller, "error_mm": errors, "missed": done.missed,
+        "visits": done.visits,
         "period": done.period, "gaps": done.gaps,
     })  # fmt: skip
     if done.missed:

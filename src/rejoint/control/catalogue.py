@@ -11,6 +11,7 @@ from rejoint.control.default import DefaultController
 from rejoint.control.feedforward import FeedforwardController
 from rejoint.control.integrator import IntegratorController
 from rejoint.control.pid import PidController, PidGains
+from rejoint.control.shelf import SHELF, shelf_controller
 from rejoint.system.errors import InputError
 
 BASELINES: dict[str, Callable[[Arm], Controller]] = {
@@ -20,10 +21,13 @@ BASELINES: dict[str, Callable[[Arm], Controller]] = {
     "integrator": IntegratorController,
     "feedforward": FeedforwardController,
 }
-"""Everything but the policy, from the simplest to the most demanding."""
+"""Everything that was not learned, from the simplest to the most demanding."""
 
-CONTROLLERS = (*BASELINES, "policy")
-"""Names that `make_controller` knows."""
+PREDICTIVE = "predictive"
+"""Name of the controller that plans on the arm's own twin (`rejoint.twin.predictive`)"""
+
+CONTROLLERS = (*BASELINES, SHELF, "policy", PREDICTIVE)
+"""Names of controllers, from the simplest to the most demanding."""
 
 
 def make_controller(
@@ -41,6 +45,10 @@ def make_controller(
         from rejoint.control.policy import load_policy  # ONNX Runtime is slow to import and not needed elsewhere
 
         return load_policy(policy, arm)
+    if name == PREDICTIVE:
+        raise InputError("the controller 'predictive' needs the twin of the arm; fit one with: rejoint identify")
+    if name == SHELF:
+        return shelf_controller(arm)
     if name == "feedforward":
         return FeedforwardController(arm, stiffness)
     if name not in BASELINES:

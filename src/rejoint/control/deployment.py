@@ -74,6 +74,8 @@ class Visit:
 class Deployed:
     """What became of a deployment."""
 
+    controller: str
+    """what drove"""
     visits: tuple[Visit, ...]
     period: float | None
     """[s] middle of the measured control periods; None before there are any"""
@@ -132,7 +134,8 @@ def judge(
         visits.append(_visit(target, job, own, recording, error, gap, model, ended=last))
     lengths = tuple(float(value) for value in gap[gap > 0.0])
     period = recording.usual_period()
-    return Deployed(visits=tuple(visits), period=period if np.isfinite(period) else None, gaps=lengths)
+    usual = period if np.isfinite(period) else None
+    return Deployed(controller=job.controller, visits=tuple(visits), period=usual, gaps=lengths)
 
 
 def _visit(

@@ -109,6 +109,10 @@ class FeedforwardController:
         self._position = np.where(where[:, None], inputs.state.position, self._position)
         self._pace.begin(inputs.state.time, where)
 
+    def take_over(self, inputs: ControlInput, where: Mask) -> None:
+        """Go on from the last command of the arms in ``where`` (B,), which another controller gave."""
+        self._correction[where] = inputs.sent[where] - self._raised[where]
+
     def memory(self) -> dict[str, Array]:
         """Return everything that is remembered, by name; live arrays."""
         return {

@@ -213,6 +213,10 @@ class Observer:
         self._action[:, 1:] = self._action[:, :-1]
         self._action[:, 0] = action
 
+    def drop_actions(self, where: Mask) -> None:
+        """Drop the last actions of the arms in ``where`` (B,): they were not what was sent."""
+        self._action[where] = 0.0
+
     def state(self) -> dict[str, Array]:
         """Everything that a checkpoint must keep, as live arrays."""
         names = ("position", "velocity", "time", "period", "action")

@@ -59,6 +59,11 @@ class PolicyController:
         self._observer.reset(inputs, where)
         self._commander.reset(inputs, where)
 
+    def take_over(self, inputs: ControlInput, where: Mask) -> None:
+        """Go on from the last command of the arms in ``where`` (B,), which another controller gave."""
+        self._observer.drop_actions(where)
+        self._commander.take_over(inputs, where)
+
     def command(self, inputs: ControlInput) -> Array:
         """Return the wanted joint positions (B, n) [rad]."""
         observer = self._observer

@@ -142,6 +142,11 @@ class Commander:
         if self._base is not None:
             self._base.reset_learned(inputs, where)
 
+    def take_over(self, inputs: ControlInput, where: Mask) -> None:
+        """Go on from the last command of the arms in ``where`` (B,), which another controller gave."""
+        if self._base is not None:  # other anchors start from the last command or the measured position anyway
+            self._base.take_over(inputs, where)
+
     def command(self, inputs: ControlInput, view: View, action: Array) -> Array:
         """Return the wanted joint positions (B, n) [rad] for actions (B, n) in [-1, 1]."""
         law = self.law

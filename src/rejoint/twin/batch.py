@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array
 from rejoint.system.errors import InputError
-from rejoint.twin.model import FRICTION_SOFTNESS, TIMESTEP, friction_solref, model_fields, twin_model
+from rejoint.twin.declaration import TIMESTEP
+from rejoint.twin.model import FRICTION_SOFTNESS, friction_solref, model_fields, twin_model
 from rejoint.twin.parameters import TwinParameters, nominal_parameters
 from rejoint.twin.table import TablePlane
 from rejoint.twin.tablemodel import TIP, table_fields, table_pose

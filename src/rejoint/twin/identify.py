@@ -16,8 +16,8 @@ from rejoint.arms import Arm, Array, gravity_torque
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
 from rejoint.system.progress import Progress, no_progress
+from rejoint.twin.declaration import TIMESTEP
 from rejoint.twin.fit import Fit, Problem, fit, search
-from rejoint.twin.model import TIMESTEP
 from rejoint.twin.parameters import (
     Layout,
     Prior,

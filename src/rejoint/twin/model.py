@@ -26,12 +26,10 @@ import numpy as np
 from rejoint.arms import Arm, Array
 from rejoint.arms.kinematics import GRAVITY
 from rejoint.system.errors import InputError
+from rejoint.twin.declaration import TIMESTEP
 from rejoint.twin.friction import friction_fields
 from rejoint.twin.parameters import TwinParameters
 from rejoint.twin.tablemodel import add_table
-
-TIMESTEP = 0.005
-"""[s] chosen: half of it changes predictions by less than an encoder step"""
 
 FRICTION_IMPEDANCE = (0.9999, 0.9999, 0.001, 0.5, 2.0)
 """solimp of the friction constraints (MuJoCo, modelling, solver parameters): nearly rigid"""

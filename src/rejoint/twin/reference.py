@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from rejoint.arms import Array
 from rejoint.control.robot import Mask
@@ -86,6 +87,18 @@ class LiveReference:
             )
         self.position = path[:, -1].copy()
         return path
+
+    def ahead(self, which: NDArray[np.integer], goals: Array, step: float) -> Array:
+        """Return where references would be, (m, s, n) [rad], if the arms ``which`` (m,) were asked for ``goals``.
+
+        These are (m, s, n) [rad], one in each of s steps of ``step`` [s]; nothing moves on.
+        """
+        position, velocity, reach = self.position[which], self.velocity[which], self._speed[which] * step
+        if (self._acceleration == np.inf).all():
+            return follow(position, goals, reach)
+        again = np.zeros(goals.shape, dtype=bool)
+        each = np.full(len(which), step)
+        return _follow_limited(position, velocity, goals, again, reach, self._acceleration[which], each)[0]
 
     def state(self) -> dict[str, Array]:
         """Everything that a checkpoint must keep, as live arrays."""

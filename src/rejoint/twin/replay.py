@@ -19,7 +19,7 @@ from rejoint.arms import Arm, Array
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
 from rejoint.twin.conditions import gains
-from rejoint.twin.model import TIMESTEP
+from rejoint.twin.declaration import TIMESTEP
 from rejoint.twin.parameters import STICTION, TwinParameters
 from rejoint.twin.profile import Profile
 from rejoint.twin.reference import Reference

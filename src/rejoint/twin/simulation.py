@@ -21,9 +21,9 @@ from rejoint.control.robot import Mask
 from rejoint.system.errors import InputError
 from rejoint.twin.backlash import Backlash
 from rejoint.twin.chain.batch import ChainBatch
+from rejoint.twin.declaration import TIMESTEP
 from rejoint.twin.friction import DRY, dry_friction, friction_terms, is_steady
 from rejoint.twin.latency import Latency
-from rejoint.twin.model import TIMESTEP
 from rejoint.twin.parameters import TwinParameters
 from rejoint.twin.reference import LiveReference
 

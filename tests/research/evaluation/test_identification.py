@@ -66,7 +66,7 @@ def test_knowing_an_arm_is_compared_with_not_knowing_it(known, tmp_path, monkeyp
     result = evaluate_identification(ARM, [], settings, tmp_path, None, lambda *_: None)
     assert seen == [(10_000, "10000"), (10_001, "10001")]
     assert result.controllers == (
-        "feedforward", "tuned-feedforward", "feedforward on its twin", "mpc on its twin", "policy on its twin",
+        "feedforward", "tuned-feedforward", "feedforward on its twin", "predictive on its twin", "policy on its twin",
     )  # fmt: skip
     assert {pair.rival for pair in result.pairs} == set(result.controllers[:-1])
     row = result.row(VARIANT, "feedforward")

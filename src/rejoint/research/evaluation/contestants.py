@@ -11,13 +11,11 @@ from rejoint.arms import Arm
 from rejoint.control.catalogue import BASELINES
 from rejoint.control.controller import Controller
 from rejoint.control.policy import load_policy
+from rejoint.control.shelf import SHELF, shelf_arms, shelf_controller, shelf_path
 from rejoint.research.rivals.catalogue import RIVALS, make_rival
-from rejoint.research.rivals.mpc import MpcController, MpcSettings
 from rejoint.system.errors import InputError
-from rejoint.twin.parameters import nominal_parameters
-
-MPC = "mpc"
-"""Model predictive control; on the nominal twin where nothing has been identified"""
+from rejoint.twin.predictive import PredictiveController
+from rejoint.twin.twin import Twin
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -36,15 +34,16 @@ class Contestant:
 
 def known_names() -> tuple[str, ...]:
     """Names that need no file."""
-    return (*BASELINES, *RIVALS, MPC)
+    return (*BASELINES, *RIVALS, SHELF)
 
 
 def classical(name: str, gains: Mapping[str, Mapping[str, float]] | None = None) -> Contestant:
     """Baseline or rival by name; ``gains`` by rival replace those it comes with; InputError names the alternatives."""
     if name in BASELINES:
         return Contestant(name=name, group=name, make=BASELINES[name], identity=name)
-    if name == MPC:
-        return Contestant(name=name, group=name, make=_nominal_mpc, identity=f"{name} {MpcSettings()}")
+    if name == SHELF:
+        kept = b"".join(shelf_path(arm).read_bytes() for arm in shelf_arms())
+        return Contestant(name=name, group=name, make=shelf_controller, identity=_digest(kept), learned=True)
     if name not in RIVALS:
         raise InputError(f"no controller is called {name!r}; known: {', '.join(known_names())}, and --policy FILE")
     own = dict((gains or {}).get(name, RIVALS[name].gains))
@@ -53,19 +52,23 @@ def classical(name: str, gains: Mapping[str, Mapping[str, float]] | None = None)
     )
 
 
-def _nominal_mpc(arm: Arm) -> Controller:
-    return MpcController(arm, nominal_parameters(arm))
+def planned(arm: Arm, twin: Twin) -> Controller:
+    """Predictive control on an arm's own twin, with the policy from the shelf."""
+    return PredictiveController.of(arm, twin, shelf_controller(arm))
 
 
 def learned(path: Path, arm: Arm) -> Contestant:
     """Policy from a file; FileError or ContractError where it is none for this arm."""
     contract = load_policy(path, arm).contract
     group = f"policy {contract.preset}" + (" on its twin" if contract.twin_digest else "")
-    digest = hashlib.sha256(path.read_bytes()).hexdigest()[:16]
     return Contestant(
-        name=f"{group} #{contract.seed}", group=group, make=lambda arm: load_policy(path, arm), identity=digest,
-        learned=True,
+        name=f"{group} #{contract.seed}", group=group, make=lambda arm: load_policy(path, arm),
+        identity=_digest(path.read_bytes()), learned=True,
     )  # fmt: skip
+
+
+def _digest(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()[:16]
 
 
 def check_names(contestants: Sequence[Contestant]) -> None:

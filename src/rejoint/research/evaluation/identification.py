@@ -18,13 +18,12 @@ from rejoint.control.controller import Controller
 from rejoint.control.feedforward import FeedforwardController
 from rejoint.control.policy import load_policy
 from rejoint.lab.plant.wear import load_wear
-from rejoint.research.evaluation.contestants import Contestant, classical, learned
+from rejoint.research.evaluation.contestants import Contestant, classical, learned, planned
 from rejoint.research.evaluation.evaluate import conclude
 from rejoint.research.evaluation.family import find_variant
 from rejoint.research.evaluation.outcome import Outcome
 from rejoint.research.evaluation.result import Evaluation
 from rejoint.research.evaluation.trials import TrialArms, TrialSettings, try_on
-from rejoint.research.rivals.mpc import MpcController
 from rejoint.robots.emulated import EmulatedRobot
 from rejoint.runs.folder import RunFolder
 from rejoint.system.progress import Progress, part
@@ -107,7 +106,7 @@ def _contestants(arm: Arm, known: KnownArm, policies: Sequence[Path]) -> list[Co
         classical("feedforward"),
         classical("tuned-feedforward"),
         make(lambda arm: FeedforwardController(arm, own.stiffness), "feedforward on its twin"),
-        make(lambda arm: MpcController(arm, own), "mpc on its twin"),
+        make(lambda arm: planned(arm, known.twin), "predictive on its twin"),
         *(learned(path, arm) for path in policies),
         Contestant(
             name="policy on its twin", group="policy on its twin", make=lambda arm: load_policy(known.policy, arm),

@@ -15,7 +15,9 @@ CONTROLLERS = {
     "pid-literal": "joint PID of Park et al., integral as printed",
     "integrator": "moves the command until the measured error is gone",
     "feedforward": "raises the command against gravity, then integrates",
+    "shelf": "learned in simulation for any worn arm of this build, comes with rejoint",
     "policy": "learned in simulation of this arm",
+    "predictive": "plans on the twin of this arm, leaves the last millimetre to another",
 }
 """What each controller does"""
 

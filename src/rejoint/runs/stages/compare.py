@@ -97,8 +97,10 @@ def compare(
     robot
         robot or its address
     controllers
-        names of baselines (``default``, ``pid-sum``, ``pid-literal``, ``integrator``, ``feedforward``), policies, their
-        files, or controllers of your own; a mapping names them. None given: all baselines, and the policy of the run
+        names of baselines (``default``, ``pid-sum``, ``pid-literal``, ``integrator``, ``feedforward``), ``shelf``,
+        ``predictive``, policies, their files, or controllers of your own; a mapping names them. None given: all
+        baselines, the policy that comes with the package (``shelf``) where it suits, the policy of the run, and
+        predictive control where there is a twin
     targets
         (K, 3) or (S, K, 3) [m], or a CSV file in mm with the header ``x,y,z``; by default drawn, ten in a set
     run
@@ -106,7 +108,7 @@ def compare(
     arm
         arm, name or file; needed only without a run, where the address does not tell
     twin
-        twin whose stiffness the feed-forward controller believes, and as
+        twin whose stiffness the feed-forward controller believes, on which predictive control plans, and as
         which a real arm must stand; by default that of the run
     calibration
         what lies behind the encoders, or its file: all controllers are aimed by it; ``none`` for no correction. By

@@ -30,7 +30,6 @@ from rejoint.runs.given import (
 )
 from rejoint.runs.run import Run, exclusive
 from rejoint.runs.stages.driving import (
-    POLICY,
     ControllerLike,
     calibration_of,
     correction_of,
@@ -38,6 +37,7 @@ from rejoint.runs.stages.driving import (
     make_factories,
     stance_of,
     start_journal,
+    usual_controller,
 )
 from rejoint.runs.stages.eyes import EyeLike, opened_eye, watched, with_sightings
 from rejoint.system.errors import InputError
@@ -55,7 +55,7 @@ if TYPE_CHECKING:
 @paced
 def deploy(
     robot: RobotLike,
-    controller: ControllerLike = POLICY,
+    controller: ControllerLike | None = None,
     targets: Targets | None = None,
     *,
     run: RunLike | None = None,
@@ -81,7 +81,8 @@ def deploy(
     robot
         robot or its address
     controller
-        policy, its file, the name of a baseline, or a controller of your own; by default the policy of ``run``
+        policy, its file, the name of a baseline, ``shelf``, ``predictive``, or your own; by default the policy of
+        ``run``, and where there is none that which comes with the package for any worn arm of this build
     targets
         (K, 3) [m], or a CSV file in mm with the header ``x,y,z``; by default ten that are drawn
     run
@@ -143,7 +144,8 @@ def deploy(
         known = as_twin(twin) if twin is not None else None if about is None else about.twin
         correct = correction_of(calibration, about, chosen, address_of(robot))
         usual = period_of(robot, period)
-        ((name, make),) = make_factories([controller], chosen, usual, run=about, twin=known).items()
+        wanted = usual_controller(about) if controller is None else controller
+        ((name, make),) = make_factories([wanted], chosen, usual, run=about, twin=known).items()
         job = Deployment(controller=name, targets=points[0], dwell=dwell, within=within)
         if about is not None:
             require_space(about.path)

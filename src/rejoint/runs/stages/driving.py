@@ -13,7 +13,7 @@ import numpy as np
 
 from rejoint.arms import Arm
 from rejoint.control.bands import standing_bands
-from rejoint.control.catalogue import BASELINES, make_controller
+from rejoint.control.catalogue import BASELINES, PREDICTIVE, make_controller
 from rejoint.control.comparison.recommend import recommend
 from rejoint.control.contract import check_controller_period
 from rejoint.control.controller import Controller
@@ -22,13 +22,14 @@ from rejoint.control.feedforward import FeedforwardController
 from rejoint.control.guard import GuardLimits
 from rejoint.control.lines import servo_lines
 from rejoint.control.robot import Robot
+from rejoint.control.shelf import SHELF, shelf_controller, shelf_policy
 from rejoint.control.start import Stance
 from rejoint.logs.journal import Journal
 from rejoint.logs.runlog import read_log
 from rejoint.robots import place_of
 from rejoint.runs.given import CalibrationLike, Period, as_calibration, as_policy
 from rejoint.runs.run import Run
-from rejoint.system.errors import AddressError
+from rejoint.system.errors import AddressError, ContractError
 
 if TYPE_CHECKING:
     from rejoint.control.policy import Policy
@@ -114,17 +115,34 @@ def make_factories(
 ) -> dict[str, Factory]:
     """Return what makes each controller, by its name; the feed-forward believes the stiffness of ``twin``.
 
-    Nothing given means all baselines, and the policy of the run where there is one. A name, a policy or a control
-    period that does not fit is refused here, before anything moves.
+    Nothing given means all baselines, the policy from the shelf where it suits, that of the run where there is one, and
+    predictive control where there is a twin.
+    A name, a policy or a control period that does not fit is refused here, before anything moves.
     """
-    if not given:
-        given = (*BASELINES, *((POLICY,) if run is not None and run.folder.policy.exists() else ()))
-    named = given if isinstance(given, Mapping) else _unique(given)
     usual = np.nan if period is None else sum(period) / 2
-    factories = {name: _factory(one, run, twin) for name, one in named.items()}
+    if not given:
+        own = (POLICY,) if run is not None and run.folder.policy.exists() else ()
+        shelf = (SHELF,) if _on_shelf(arm, usual) else ()
+        given = (*BASELINES, *shelf, *own, *((PREDICTIVE,) if twin is not None else ()))
+    named = given if isinstance(given, Mapping) else _unique(given)
+    factories = {name: _factory(one, run, twin, usual) for name, one in named.items()}
     for make in factories.values():
         check_controller_period(make(arm), usual)
     return factories
+
+
+def usual_controller(run: Run | None) -> str:
+    """Name what drives an arm where nothing else is asked for: the policy of its run, before one that of the shelf."""
+    return POLICY if run is not None and run.folder.policy.exists() else SHELF
+
+
+def _on_shelf(arm: Arm, period: float) -> bool:
+    """Whether there is a policy from the shelf for this arm and control ``period`` [s]; NaN: not known yet."""
+    try:
+        check_controller_period(shelf_policy(arm), period)
+    except ContractError:
+        return False
+    return True
 
 
 def name_of(controller: ControllerLike) -> str:
@@ -146,7 +164,21 @@ def _unique(given: Sequence[ControllerLike]) -> dict[str, ControllerLike]:
     return found
 
 
-def _factory(given: ControllerLike, run: Run | None, twin: Twin | None) -> Factory:
+def _predictive(arm: Arm, twin: Twin, period: float) -> Controller:
+    """Make predictive control on ``twin``, which leaves the last millimetres to the policy from the shelf, if it suits.
+
+    Else they are left to the feed-forward, which integrates. ``period`` [s] is NaN where it is not known yet.
+    """
+    from rejoint.twin.predictive import PredictiveController
+
+    known = twin.parameters.stiffness
+    holder = shelf_controller(arm) if _on_shelf(arm, period) else FeedforwardController(arm, known)
+    return PredictiveController.of(arm, twin, holder)
+
+
+def _factory(given: ControllerLike, run: Run | None, twin: Twin | None, period: float) -> Factory:
+    if given == PREDICTIVE and twin is not None:
+        return lambda arm: _predictive(arm, twin, period)
     if isinstance(given, str) and not given.endswith(".onnx"):
         file = run.folder.policy if run is not None and run.folder.policy.exists() else None
         known = {} if twin is None else {"stiffness": twin.parameters.stiffness}

@@ -20,8 +20,8 @@ from rejoint.twin.chain.dynamics import LANES
 from rejoint.twin.chain.links import chain_links
 from rejoint.twin.chain.loop import advance
 from rejoint.twin.chain.step import workspace
+from rejoint.twin.declaration import TIMESTEP
 from rejoint.twin.friction import dry_friction, is_steady
-from rejoint.twin.model import TIMESTEP
 from rejoint.twin.parameters import TwinParameters, nominal_parameters
 
 Ids = NDArray[np.integer] | NDArray[np.bool_] | None

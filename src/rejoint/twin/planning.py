@@ -1,11 +1,12 @@
-"""Model predictive control on a twin: sampled command trajectories, rolled out side by side on `mujoco.batch`.
+"""Plans on an arm's own twin: sampled command trajectories, simulated side by side, of which the best are averaged.
 
 Model predictive path integral control (Williams et al., "Information theoretic MPC for model-based reinforcement
 learning", ICRA 2017): each cycle, candidates around the last plan are simulated, and their average weighted by
-exp(-cost) is sent. Some candidates are not random: the command that holds the goal in the model, and the same
+exp(-cost) is the plan. Some candidates are not random: the command that holds the goal in the model, and the same
 overdriven. What the model lacks is estimated as an offset of the commands, so that no error remains at
 rest (offset-free MPC: Pannocchia and Rawlings, AIChE Journal 49(2), 2003). The plan starts from where the
-twin says the arm will be when the first new command arrives.
+twin says the arm will be when the first new command arrives. The twin knows friction with its stiction, the servos'
+limits of torque, speed and acceleration, and candidates end at the joint limits.
 """
 
 from __future__ import annotations
@@ -20,8 +21,6 @@ from rejoint.control.goal import Goal
 from rejoint.control.law import limit_lead, limit_position
 from rejoint.control.pace import Pace
 from rejoint.control.robot import Mask
-from rejoint.twin.parameters import TwinParameters
-from rejoint.twin.reference import follow
 from rejoint.twin.simulation import Draw, Simulation
 
 _OVERDRIVE = np.array([-0.5, 0.0, 0.5, 1.0, 2.0, 4.0])
@@ -30,8 +29,8 @@ _SHADOW_STEPS = 4
 
 
 @dataclass(frozen=True, kw_only=True)
-class MpcSettings:
-    """How the plan is made; all chosen on twins."""
+class PlanSettings:
+    """How the plan is made; all chosen on twins, the rate of the offset on worn arms of family 4."""
 
     samples: int = 32
     """candidates per arm and cycle, the overdriven ones among them"""
@@ -53,7 +52,7 @@ class MpcSettings:
     """[1/rad] cost of the change of the command"""
     correction: float = 0.4
     """share of the prediction error taken over into the twin's position each cycle"""
-    offset_rate: float = 4.0
+    offset_rate: float = 1.0
     """[1/s] the same into the offset of the commands"""
     lead: float = float(np.radians(20.0))
     """[rad] largest distance between command and measured position"""
@@ -61,15 +60,15 @@ class MpcSettings:
     seed: int = 0
 
 
-class MpcController:
-    """Plans for B arms on their twins, one set of parameters for all or (B,) of them."""
+class Planner:
+    """Plans for B arms, each on its own twin; ``shadow`` is that twin as it is now, brought along with the arm."""
 
-    name = "mpc"
-
-    def __init__(self, arm: Arm, twin: TwinParameters, settings: MpcSettings | None = None) -> None:
-        self._arm, self._given, self._settings = arm, twin, settings or MpcSettings()
+    def __init__(self, arm: Arm, twins: Draw, settings: PlanSettings | None = None) -> None:
+        """Take the twins of B arms, or one for however many there will be."""
+        self._arm, self._given, self._settings = arm, twins, settings or PlanSettings()
         self._goal, self._pace = Goal(arm), Pace()
         self._count = 0
+        self._offset: Array = np.zeros((0, arm.joints))
         self._rng = np.random.default_rng(self._settings.seed)
 
     def reset(self, inputs: ControlInput, where: Mask) -> None:
@@ -84,8 +83,7 @@ class MpcController:
         self._plan[where] = (self._holding - self._offset)[where, None]
 
     def command(self, inputs: ControlInput) -> Array:
-        """Return the first command of the plan, (B, n) [rad]."""
-        self._follow(inputs)
+        """Return the first command of the plan, (B, n) [rad]; `follow` comes before it."""
         candidates = self._candidates(inputs)
         costs = self._costs(inputs, candidates)
         best = costs.min(axis=1, keepdims=True)
@@ -95,11 +93,28 @@ class MpcController:
         self._plan = (weights[:, :, None, None] * candidates).sum(axis=1)
         return limit_position(self._arm, self._plan[:, 0])
 
+    def follow(self, inputs: ControlInput) -> Array:
+        """Bring the shadows to now and learn from what they missed, (B, n) [rad]; once per control cycle."""
+        settings, now = self._settings, inputs.state.time
+        elapsed = self._pace.tick(now)
+        shadow = self.shadow
+        if (now <= shadow.time).all():
+            return np.zeros_like(inputs.sent)
+        shadow.send(inputs.sent)
+        shadow.advance(np.maximum(elapsed, 1e-4), self._offset)
+        shadow.time = now.copy()
+        missed = inputs.state.position - shadow.twins.qpos
+        shadow.twins.qpos[:] += settings.correction * missed
+        shadow.twins.qvel[:] += 0.5 * settings.correction**2 * missed / np.maximum(elapsed, 1e-3)[:, None]
+        learned = self._offset + settings.offset_rate * elapsed[:, None] * missed
+        self._offset = np.clip(learned, -settings.offset_limit, settings.offset_limit)
+        return missed
+
     def _begin(self, inputs: ControlInput) -> None:
         self._count, n = inputs.sent.shape
-        settings = self._settings
-        self._twin = self._given.repeat(self._count) if self._given.shape == () else self._given
-        arms, start = Draw.of(self._twin), inputs.state.position
+        settings, given = self._settings, self._given
+        arms = given.rows(np.zeros(self._count, dtype=int)) if len(given.period) == 1 else given
+        self._twin, start = arms.twin, inputs.state.position
         self.shadow = Simulation(self._arm, self._count, substeps=_SHADOW_STEPS)
         self.shadow.place(arms, start, inputs.sent)
         self.shadow.time = inputs.state.time.copy()
@@ -109,22 +124,6 @@ class MpcController:
         self._jacobian = np.zeros((self._count, 3, n))
         self._holding, self._offset = np.zeros((2, self._count, n))
         self._plan = np.zeros((self._count, 2, n))  # first command, and the one after `bend`
-
-    def _follow(self, inputs: ControlInput) -> None:
-        """Bring the shadow twins to now, and learn from what they missed."""
-        settings, now = self._settings, inputs.state.time
-        elapsed = self._pace.tick(now)
-        shadow = self.shadow
-        if (now <= shadow.time).all():
-            return
-        shadow.send(inputs.sent)
-        shadow.advance(np.maximum(elapsed, 1e-4), self._offset)
-        shadow.time = now.copy()
-        missed = inputs.state.position - shadow.twins.qpos
-        shadow.twins.qpos[:] += settings.correction * missed
-        shadow.twins.qvel[:] += 0.5 * settings.correction**2 * missed / np.maximum(elapsed, 1e-3)[:, None]
-        learned = self._offset + settings.offset_rate * elapsed[:, None] * missed
-        self._offset = np.clip(learned, -settings.offset_limit, settings.offset_limit)
 
     def _candidates(self, inputs: ControlInput) -> Array:
         """Commands (B, K, 2, n) [rad]: first, and after the bend."""
@@ -138,7 +137,7 @@ class MpcController:
         noise = self._rng.standard_normal((len(measured), count, *self._plan.shape[1:]))
         random = self._plan[:, None] + spread[:, None, None, None] * noise
         every = np.concatenate([fixed, self._plan[:, None], random], axis=1)
-        return limit_lead(every, measured[:, None, None], settings.lead)
+        return limit_position(self._arm, limit_lead(every, measured[:, None, None], settings.lead))
 
     def _costs(self, inputs: ControlInput, candidates: Array) -> Array:
         """Cost (B, K) of candidates in the twins."""
@@ -153,8 +152,7 @@ class MpcController:
         first, last = candidates[:, :, 0, None], candidates[:, :, 1, None]
         wanted = np.where((since >= 0.0)[:, None, :, None], first + share * (last - first), sent[:, None])
         each, now = np.repeat(np.arange(count), samples), self.shadow.twins
-        reach = self._twin.ramp_speed[each] * timestep
-        control = follow(self.shadow.reference.position[each], wanted.reshape(-1, steps, n), reach)
+        control = self.shadow.reference.ahead(each, wanted.reshape(-1, steps, n), timestep)
         control += self._offset[each, None]
         self._rollouts.twins.restart(now.qpos[each], now.qvel[each])
         passed = self._rollouts.rollout(control).reshape(count, samples, steps, n)

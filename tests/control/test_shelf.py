@@ -1,0 +1,64 @@
+"""Policies from the shelf: who may be driven by them, who not, and that they repair a worn arm that they never met."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from rejoint.arms import load_arm, so101
+from rejoint.control.catalogue import make_controller
+from rejoint.control.comparison.result import Protocol
+from rejoint.control.contract import check_period
+from rejoint.control.shelf import SHELF, shelf_arms, shelf_path, shelf_policy
+from rejoint.research.evaluation.family import ArmFamily, find_variant
+from rejoint.research.evaluation.trials import TrialSettings, try_controller
+from rejoint.robots import place_of
+from rejoint.runs.stages.driving import make_factories
+from rejoint.system.errors import ContractError
+
+
+def test_there_is_one_for_the_arm_that_is_taken_by_default():
+    assert "mycobot280" in shelf_arms()
+
+
+@pytest.mark.parametrize("name", shelf_arms())
+def test_it_is_for_any_unit_of_its_build_at_every_period_of_its_wires(name):
+    contract = shelf_policy(load_arm(name)).contract
+    assert contract.arm == name
+    assert contract.twin_digest == ""  # of no single arm
+    for address in ("tcp://arm", "serial:///dev/arm", "emulated:worn"):
+        check_period(contract, np.mean(place_of(address).default_period))
+    assert shelf_path(name).stat().st_size < 150e3
+
+
+def test_other_arms_are_refused_in_a_line():
+    arm = load_arm("mycobot280")
+    heavier = dataclasses.replace(arm, mass=1.1 * arm.mass)
+    with pytest.raises(ContractError, match=r"another mass; train a policy for this arm"):
+        make_controller(SHELF, heavier)
+    stranger = dataclasses.replace(so101(), name="mine")
+    with pytest.raises(ContractError, match=r"no policy comes with rejoint for the arm 'mine', only for mycobot280"):
+        make_controller(SHELF, stranger)
+
+
+def test_it_takes_part_wherever_it_suits():
+    arm = load_arm("mycobot280")
+    assert SHELF in make_factories((), arm, (0.020, 0.030))
+    assert SHELF in make_factories((), arm, None)
+    assert SHELF not in make_factories((), arm, (0.200, 0.200))
+    assert SHELF not in make_factories((), dataclasses.replace(arm, mass=1.1 * arm.mass), None)
+    with pytest.raises(ContractError, match="control period is 200 ms"):
+        make_factories((SHELF,), arm, (0.200, 0.200))
+
+
+def test_it_repairs_worn_arms_that_it_never_met():
+    arm = load_arm("mycobot280")
+    settings = TrialSettings(family=ArmFamily(arms=6, targets=2, seed=7), protocol=Protocol(hold=4.0), crossing=False)
+    worn = find_variant("worn")
+    as_found, repaired = (
+        try_controller(arm, worn, lambda arm, name=name: make_controller(name, arm), settings, lambda *_: None).settled
+        for name in ("default", SHELF)
+    )
+    assert np.median(as_found) > 10e-3
+    assert repaired.mean() < 1e-3
+    assert repaired.max() < 5e-3

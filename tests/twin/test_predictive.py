@@ -1,0 +1,179 @@
+"""Plans on twins that are right, wrong and lost, and the hand-over from the plan to what holds the arm."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from rejoint.arms import mycobot280, tcp_position
+from rejoint.control.catalogue import PREDICTIVE, make_controller
+from rejoint.control.feedforward import FeedforwardController
+from rejoint.control.loop import Schedule, run
+from rejoint.control.policy import load_policy
+from rejoint.control.shelf import shelf_path
+from rejoint.research.rivals.twinrobot import TwinRobot
+from rejoint.system.errors import InputError
+from rejoint.training.ranges import BroadRanges
+from rejoint.twin.planning import Planner, PlanSettings
+from rejoint.twin.predictive import HandOver, PredictiveController
+from rejoint.twin.reference import LiveReference
+from rejoint.twin.simulation import Draw
+
+ARM = mycobot280()
+RANGES = BroadRanges(arm=ARM, weak_joints=0.0, torque_limit=(2.0, 3.0), coulomb=(0.0, 0.4), period=(0.024, 0.026))
+TARGETS = ARM.targets.sample(np.random.default_rng(3), (2, 1))
+FEW = PlanSettings(samples=12)
+
+
+class PlanAlone:
+    """Sends what is planned, to the end."""
+
+    name = "plan"
+
+    def __init__(self, planner):
+        self.planner = planner
+        self.reset = planner.reset
+
+    def command(self, inputs):
+        self.planner.follow(inputs)
+        return self.planner.command(inputs)
+
+
+def drawn() -> tuple[Draw, Draw]:
+    """Two arms, and their twins as an identification has them: the whole delay lies on the way out."""
+    draw = RANGES.draw(np.random.default_rng(11), 2)
+    whole = replace(draw.twin, delay=draw.command_delay + draw.readback_delay)
+    return draw, replace(Draw.of(whole), stiction=draw.stiction)
+
+
+def drive(draw: Draw, controller, dwell: float = 2.5):
+    return run(TwinRobot(ARM, draw, seed=0), controller, TARGETS, Schedule(dwell=dwell, keep_going=True))
+
+
+def final_error(draw: Draw, controller) -> np.ndarray:
+    tail = tcp_position(ARM, drive(draw, controller).position[-20:])
+    return np.linalg.norm(tail - TARGETS[:, 0], axis=-1).mean(axis=0)
+
+
+def wrong_twins(twins: Draw, factor: float) -> Draw:
+    twin = twins.twin
+    return replace(twins, twin=replace(twin, stiffness=factor * twin.stiffness, offset=twin.offset + np.radians(1.0)))
+
+
+def test_with_the_right_model_the_plan_settles_at_the_target():
+    draw, twins = drawn()
+    assert final_error(draw, PlanAlone(Planner(ARM, twins, FEW))).max() < 1.0e-3
+
+
+def test_a_wrong_model_leaves_no_lasting_error():
+    draw, twins = drawn()
+    wrong = wrong_twins(twins, 1.25)
+    quick = replace(FEW, offset_rate=4.0)  # nobody takes over here
+    assert final_error(draw, PlanAlone(Planner(ARM, wrong, quick))).max() < 1.5e-3
+    forgetful = replace(FEW, offset_rate=0.0)
+    assert final_error(draw, PlanAlone(Planner(ARM, wrong, forgetful))).max() > 3.0e-3
+
+
+def test_the_shadow_of_the_right_model_is_the_arm():
+    draw, twins = drawn()
+    none = 0.0 * draw.twin.coulomb
+    draw = replace(draw, twin=replace(draw.twin, coulomb=none), stiction=none + 1.0, gravity_scale=np.ones(2))
+    twins = replace(twins, twin=replace(twins.twin, coulomb=none), stiction=none + 1.0)
+    robot = TwinRobot(ARM, draw, seed=0)
+    planner = Planner(ARM, twins, replace(FEW, correction=0.0, offset_rate=0.0))
+    missed = []
+
+    def watch(cycle):
+        if len(missed) > 0 or cycle.since_target[0] > 0.0:
+            missed.append(np.abs(planner.shadow.twins.qpos - cycle.position).max())
+
+    schedule = Schedule(dwell=1.0, keep_going=True, sent=robot.simulation.reference.position.copy())
+    run(robot, PlanAlone(planner), TARGETS, schedule, on_cycle=watch)
+    # Encoder counts, and another number of physics steps per cycle.
+    assert np.max(missed) < np.radians(1.0)
+    assert np.mean(missed) < np.radians(0.25)
+
+
+def test_the_plan_is_a_function_of_the_seed():
+    draw, twins = drawn()
+    commands = [
+        drive(draw, PlanAlone(Planner(ARM, twins, replace(FEW, seed=seed))), dwell=0.2).command for seed in (0, 0, 1)
+    ]
+    np.testing.assert_array_equal(commands[0], commands[1])
+    assert np.abs(commands[0] - commands[2]).max() > 1e-6
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_one_twin_serves_a_batch(count):
+    one = drawn()[1].rows(np.array([0]))
+    robot = TwinRobot(ARM, RANGES.draw(np.random.default_rng(11), count), seed=0)
+    controller = PredictiveController(ARM, one, FeedforwardController(ARM), FEW)
+    recording = run(robot, controller, TARGETS[:count], Schedule(dwell=0.2, keep_going=True))
+    assert np.isfinite(recording.command).all()
+
+
+@pytest.mark.parametrize("acceleration", [np.inf, 30.0])
+def test_references_ahead_are_those_that_come(acceleration):
+    rng = np.random.default_rng(2)
+    live, goals = LiveReference(2, 6), rng.normal(0.0, 0.5, (2, 5, 6))
+    live.restart(
+        np.ones(2, dtype=bool), np.zeros((2, 6)), speed=np.array([1.0, 2.0]), acceleration=np.full(2, acceleration)
+    )
+    ahead = live.ahead(np.array([1, 0, 1]), goals[[1, 0, 1]], 0.01)
+    assert np.abs(live.position).max() == 0.0
+
+    class Known:
+        in_force = staticmethod(lambda _: goals)
+        sent_again = staticmethod(lambda _: np.zeros(goals.shape, dtype=bool))
+
+    np.testing.assert_array_equal(live.follow(Known(), np.zeros((2, 5)), np.full(2, 0.01))[[1, 0, 1]], ahead)
+
+
+class Spy:
+    """Notes when it is left the arm, and what it said then."""
+
+    name = "spy"
+
+    def __init__(self, holder):
+        self.holder, self.reset, self.taken, self.jump = holder, holder.reset, {}, []
+        self._at = None
+
+    def take_over(self, inputs, where):
+        self.holder.take_over(inputs, where)
+        self._at = where
+        for i in np.flatnonzero(where):
+            self.taken.setdefault(int(i), float(inputs.since_target[i]))
+
+    def command(self, inputs):
+        held = self.holder.command(inputs)
+        if self._at is not None:
+            self.jump.append(np.abs(held - inputs.sent)[self._at].max())
+            self._at = None
+        return held
+
+
+@pytest.mark.parametrize("holder", [FeedforwardController, lambda arm: load_policy(shelf_path(arm.name), arm)])
+def test_the_last_millimetres_are_left_to_another_without_a_jump(holder):
+    draw, twins = drawn()
+    spy = Spy(holder(ARM))
+    error = final_error(draw, PredictiveController(ARM, twins, spy, FEW))
+    assert error.max() < 1.5e-3
+    assert set(spy.taken) == {0, 1}
+    assert max(spy.taken.values()) < HandOver().late + 0.05
+    assert max(spy.jump) < np.radians(1.0)  # of a command that has led by some ten degrees
+
+
+def test_a_plan_that_is_lost_is_left_at_once():
+    draw, twins = drawn()
+    never = HandOver(near=0.0, late=np.inf)
+    right, lost = Spy(FeedforwardController(ARM)), Spy(FeedforwardController(ARM))
+    drive(draw, PredictiveController(ARM, twins, right, FEW, never), dwell=1.0)
+    drive(draw, PredictiveController(ARM, wrong_twins(twins, 0.2), lost, FEW, never), dwell=1.0)
+    assert not right.taken
+    assert set(lost.taken) == {0, 1}
+    assert max(lost.taken.values()) < 0.6
+
+
+def test_without_a_twin_there_is_none():
+    with pytest.raises(InputError, match="needs the twin of the arm; fit one with: rejoint identify"):
+        make_controller(PREDICTIVE, ARM)
