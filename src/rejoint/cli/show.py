@@ -11,6 +11,7 @@ from rejoint.cli.filming import show_filmed
 from rejoint.control.comparison.failure import failure
 from rejoint.control.comparison.recommend import Recommendation
 from rejoint.control.comparison.result import Comparison, PoseAccuracy
+from rejoint.runs.effort import Effort, cost
 
 if TYPE_CHECKING:
     from rejoint.control.deployment import Deployed
@@ -144,6 +145,14 @@ def verdict(terminal: Terminal, result: BeforeAfter | None) -> None:
     """Print what the whole repair came to."""
     if result is not None and result.sentence:
         terminal.result(result.sentence)
+
+
+def effort(terminal: Terminal, spent: Effort | None) -> None:
+    """Print what a repair cost, stage by stage."""
+    for stage in () if spent is None else spent.stages:
+        terminal.say(f"  {stage.name}: {cost(stage)}")
+    if spent is not None and spent.stages:
+        terminal.result(f"In all: {cost(spent)}.")
 
 
 def followed(terminal: Terminal, done: Followed) -> None:

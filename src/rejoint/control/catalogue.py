@@ -22,8 +22,20 @@ BASELINES: dict[str, Callable[[Arm], Controller]] = {
 }
 """Everything but the policy, from the simplest to the most demanding."""
 
-CONTROLLERS = (*BASELINES, "policy")
-"""Names that `make_controller` knows."""
+POLICY = "policy"
+"""Name of the policy among the controllers"""
+
+CONTROLLERS = (*BASELINES, POLICY)
+"""Names that `make_controller` knows, from the simplest to the most demanding."""
+
+ON_REQUEST = ("pid-sum", "pid-literal")
+"""Baselines that a real arm is driven with only where they are asked for: they are there to repeat the paper"""
+
+
+def contenders(*, real: bool, policy: bool) -> tuple[str, ...]:
+    """Return who takes part in a comparison where nobody is named, on a ``real`` arm or in virtual time."""
+    asked = ON_REQUEST if real else ()
+    return tuple(name for name in CONTROLLERS if name not in asked and (policy or name != POLICY))
 
 
 def make_controller(
@@ -35,7 +47,7 @@ def make_controller(
     what a worn arm of this size may have; ``policy`` is the
     file that the name ``policy`` needs. InputError names the alternatives.
     """
-    if name == "policy":
+    if name == POLICY:
         if policy is None:
             raise InputError("the controller 'policy' needs a policy file; train one or name its path")
         from rejoint.control.policy import load_policy  # ONNX Runtime is slow to import and not needed elsewhere

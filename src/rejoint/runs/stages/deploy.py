@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from rejoint.arms import Arm
+from rejoint.control.catalogue import POLICY
 from rejoint.control.controller import Controller
 from rejoint.control.deployment import REACHED, Deployed, Deployment, deployed_of
 from rejoint.control.deployment import deploy as deploy_to
@@ -30,7 +31,6 @@ from rejoint.runs.given import (
 )
 from rejoint.runs.run import Run, exclusive
 from rejoint.runs.stages.driving import (
-    POLICY,
     ControllerLike,
     calibration_of,
     correction_of,

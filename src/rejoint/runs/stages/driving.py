@@ -13,7 +13,7 @@ import numpy as np
 
 from rejoint.arms import Arm
 from rejoint.control.bands import standing_bands
-from rejoint.control.catalogue import BASELINES, make_controller
+from rejoint.control.catalogue import POLICY, contenders, make_controller
 from rejoint.control.comparison.recommend import recommend
 from rejoint.control.contract import check_controller_period
 from rejoint.control.controller import Controller
@@ -42,9 +42,6 @@ Controllers: TypeAlias = "Sequence[ControllerLike] | Mapping[str, ControllerLike
 """Controllers, or controllers by the name that they are to have in tables"""
 
 Factory = Callable[[Arm], Controller]
-
-POLICY = "policy"
-"""Name of the policy among the controllers"""
 
 
 def start_journal(run: Run, name: str, robot: Robot, label: str, rows: int = 0) -> Journal:
@@ -110,15 +107,16 @@ def recommended(run: Run) -> str:
 
 
 def make_factories(
-    given: Controllers, arm: Arm, period: Period | None, *, run: Run | None = None, twin: Twin | None = None
-) -> dict[str, Factory]:
+    given: Controllers, arm: Arm, period: Period | None, *, run: Run | None = None, twin: Twin | None = None,
+    real: bool = False,
+) -> dict[str, Factory]:  # fmt: skip
     """Return what makes each controller, by its name; the feed-forward believes the stiffness of ``twin``.
 
-    Nothing given means all baselines, and the policy of the run where there is one. A name, a policy or a control
+    Nothing given means the `contenders` for a ``real`` arm or one in virtual time. A name, a policy or a control
     period that does not fit is refused here, before anything moves.
     """
     if not given:
-        given = (*BASELINES, *((POLICY,) if run is not None and run.folder.policy.exists() else ()))
+        given = contenders(real=real, policy=run is not None and run.folder.policy.exists())
     named = given if isinstance(given, Mapping) else _unique(given)
     usual = np.nan if period is None else sum(period) / 2
     factories = {name: _factory(one, run, twin) for name, one in named.items()}
