@@ -1,25 +1,30 @@
 """Whether a race recommends what a comparison to the end does, and in how much of the arm's time.
 
-Emulated arms drawn about the worn one, each alone and in virtual time; one policy for all of them (a file, `--policy` of
-`python -m benchmarks.racing`; without one the classical controllers race among themselves). For each arm: ten targets
-open loop, as the diagnosis has them, then the race. The long way is every controller of the race at the same two sets,
-held for eight seconds, as on a real arm before there were races, and three repetitions of it.
+Emulated arms drawn about the worn one; one policy for all of them (a file, `--policy` of `python -m benchmarks.racing`;
+without one the classical ones race among themselves). What every controller does at every target is emulated side
+by side first, and the race is then told what it asks for; its arm's time is that of the trials that it asked for. The
+long way is all of them at the same targets, held for eight seconds, as on a real arm before there were races.
 """
 
 from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
-from rejoint.arms import Arm, mycobot280
+from rejoint.arms import mycobot280
 from rejoint.control.catalogue import contenders
 from rejoint.control.comparison.compare import Settings, compare
-from rejoint.control.comparison.racing import Race
+from rejoint.control.comparison.driven import Driven
+from rejoint.control.comparison.elimination import Elimination
+from rejoint.control.comparison.ledger import Ledger
+from rejoint.control.comparison.onearm import looks
+from rejoint.control.comparison.protocols import Crossings, Holds
+from rejoint.control.comparison.racing import Race, fewest
 from rejoint.control.comparison.recommend import Recommendation, recommend
 from rejoint.control.comparison.result import Comparison, Protocol
 from rejoint.control.comparison.targets import draw_targets
@@ -29,15 +34,18 @@ from rejoint.control.robot import Robot
 from rejoint.control.start import begin
 from rejoint.diagnosis.open_loop import DWELL
 from rejoint.robots import open_robot
-from rejoint.runs.effort import Meter
-from rejoint.runs.openloop import trials
+from rejoint.runs.openloop import DEFAULT, trials
 from rejoint.runs.stages.compare import RACE_PROTOCOL, RACE_SETS
 from rejoint.runs.stages.driving import make_factories
 
+ARM = mycobot280()
 PERIOD = (0.045, 0.055)
 """[s] about what a myCobot needs over TCP (docs/results.md)"""
-REPETITIONS = 3
-"""of the long way (chosen: what is left of the noise is small beside what targets differ)"""
+REPETITIONS = 2
+"""of the long way, the second with other noise"""
+WAY = 2.7
+"""[s] from the end of a trial to the beginning of the next: to the rest posture, and a second there (chosen: what it
+takes over TCP in the mean)"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,61 +54,117 @@ class Outcome:
 
     race: Recommendation
     long: Recommendation
-    minutes: float
+    seconds: float
     """of the arm's time for the race"""
-    targets: int
-    """at which the recommended controller was held"""
+    held: int
+    """targets at which the recommended controller was held"""
     worse: tuple[float, float]
     """by how much the race's controller is worse in the long way: settled [m], time to stay within 2 mm [s]"""
 
     @property
-    def tied(self) -> bool:
-        """Whether the long way could not tell the two apart either."""
-        return self.race.controller in (self.long.controller, *self.long.tied)
+    def verdict(self) -> str:
+        """``same``, ``tied`` where the long way could not tell the two apart either, or ``other``."""
+        if self.race.controller == self.long.controller:
+            return "same"
+        return "tied" if self.race.controller in self.long.tied else "OTHER"
+
+
+class _Asked(dict):  # type: ignore[type-arg]
+    """Trials as a ledger has them, which remembers those that were asked for."""
+
+    def get(self, key, default=None):  # type: ignore[no-untyped-def]
+        self.setdefault("asked", []).append(found := super().get(key, default))
+        return found
 
 
 def try_arm(number: int, policy: Path | None) -> Outcome:
     """Race on the worn arm drawn with the seed ``number``, and go the long way."""
-    arm = mycobot280()
-    names = contenders(real=True, policy=policy is not None)
-    given = {name: policy if name == "policy" and policy is not None else name for name in names}
-    factories = make_factories(given, arm, PERIOD)
+    names = [name for name in contenders(real=True, policy=policy is not None) if name != DEFAULT]
+    factories = make_factories({name: policy or name if name == "policy" else name for name in names}, ARM, PERIOD)
 
     def connect(count: int, seed: int) -> Robot:
-        return open_robot(f"emulated:worn?seed={number}", count=count, seed=seed, period=PERIOD, threads=2)
+        return open_robot(f"emulated:worn?seed={number}", count=count, seed=seed, period=PERIOD, threads=1)
 
-    targets, meter = draw_targets(arm, sets=RACE_SETS, seed=number), Meter()
-    before = open_loop(connect(1, number), targets[:1], arm)
+    targets = draw_targets(ARM, sets=RACE_SETS, seed=number)
+    known = Ledger.nowhere()
+    batched = Settings(seed=number, batched=True, protocol=RACE_PROTOCOL)
+    compare(connect, factories, targets, batched, ledger=known)
+    done = _Asked({one.key: one for driven in known.done.values() for one in _parts(driven, known)})
+    settings = replace(batched, batched=False, race=Race())
+    everyone = {DEFAULT: DefaultController, **factories}
     raced = compare(
-        lambda count, seed: meter.watch(connect(count, seed)), factories, targets,
-        Settings(seed=number, batched=False, protocol=RACE_PROTOCOL, race=Race()), measured=before, source="open loop",
+        connect, everyone, targets, settings, measured=open_loop(connect(1, number), targets[:1]),
+        ledger=Ledger(None, done), source="open loop",
     )  # fmt: skip
-    whole = compare(
-        connect,
-        factories,
-        targets,
-        Settings(seed=1000 + number, batched=True, repetitions=REPETITIONS, protocol=Protocol()),
-    )
-    best, long = recommend(raced), recommend(whole)
+    long = replace(batched, seed=1000 + number, repetitions=REPETITIONS, protocol=Protocol())
+    whole = compare(connect, factories, targets, long)
+    best, slow = recommend(raced), recommend(whole)
     return Outcome(
-        race=best, long=long, minutes=meter.moving / 60, targets=raced.row(best.controller).held,
-        worse=_worse(whole, best.controller, long.controller),
+        race=best, long=slow, seconds=sum(map(_seconds, done["asked"])), held=raced.row(best.controller).held,
+        worse=_worse(whole, best.controller, slow.controller),
     )  # fmt: skip
 
 
-def open_loop(robot: Robot, targets: np.ndarray, arm: Arm) -> tuple:
+def open_loop(robot: Robot, targets: np.ndarray) -> tuple[Driven, ...]:
     """Send the first set once, as the diagnosis does."""
     begin(robot)
-    log = run(robot, DefaultController(arm), targets, Schedule(dwell=DWELL)).log(0, "diagnosis/targets")
-    found = trials(arm, log, RACE_PROTOCOL)
-    assert found is not None
+    log = run(robot, DefaultController(ARM), targets, Schedule(dwell=DWELL)).log(0, "diagnosis/targets")
+    found = trials(ARM, log, RACE_PROTOCOL)
+    if found is None:
+        raise RuntimeError("the open loop was cut short")
     return found.driven
 
 
+def _parts(driven: Driven, known: Ledger) -> list[Driven]:
+    """Cut a batch of trials into those that a race asks for."""
+    results = driven.crossings or driven.holds
+    if results is None:
+        return []
+    found = []
+    for b, place in enumerate(driven.places):
+        stops = [0, *_stops(known, place[0]), driven.targets] if driven.holds is not None else [0, driven.targets]
+        for first, stop in pairwise(stops):
+            part = type(results)(**{item.name: _cut(getattr(results, item.name), item.name, b, slice(first, stop))
+                                    for item in fields(results)})  # fmt: skip
+            found.append(replace(
+                driven, places=(place,), first=first, crossings=part if isinstance(part, Crossings) else None,
+                holds=part if isinstance(part, Holds) else None,
+            ))  # fmt: skip
+    return found
+
+
+def _cut(values: np.ndarray, name: str, b: int, part: slice) -> np.ndarray:
+    return values[:, b : b + 1, part] if name in ("stay", "modelled") else values[b : b + 1, part]
+
+
+def _stops(known: Ledger, target_set: int) -> list[int]:
+    """Return where a race looks within a set: by who is left after the first crossings, as in `OneArm.race`."""
+    if target_set:
+        return looks(10, 0)
+    rules = Elimination(RACE_PROTOCOL)
+    crossings = [driven for driven in known.done.values() if driven.crossings is not None]
+    for driven in crossings:
+        assert driven.crossings is not None
+        rules.note(driven.controller, "crossing", (0, 0), driven.crossings.crossed[0], failed=False)
+    left = sum(not rules.out(driven.controller) for driven in crossings)
+    return looks(10, fewest(max(left - 1, 1), Race()))
+
+
+def _seconds(driven: Driven | None) -> float:
+    """[s] that a trial takes on one arm, with the way to its beginning."""
+    if driven is None:
+        raise RuntimeError("the race asked for a trial that was not emulated")
+    if driven.crossings is not None:
+        return WAY + float(np.nansum(driven.crossings.time))
+    return WAY + driven.targets * RACE_PROTOCOL.hold
+
+
 def _worse(whole: Comparison, ours: str, theirs: str) -> tuple[float, float]:
-    pick: Callable[[str, str], float] = lambda name, what: float(np.nanmean(  # noqa: E731
-        whole.row(name).outcomes.array(what)[-1 if what == "stay" else ...]))  # fmt: skip
-    return pick(ours, "settled") - pick(theirs, "settled"), pick(ours, "stay") - pick(theirs, "stay")
+    if ours not in whole.controllers:
+        return np.inf, np.inf
+    a, b = whole.row(ours).outcomes, whole.row(theirs).outcomes
+    settled = np.nanmean(a.array("settled")) - np.nanmean(b.array("settled"))
+    return float(settled), float(np.nanmean(a.array("stay")[-1]) - np.nanmean(b.array("stay")[-1]))
 
 
 def bench(arms: int, policy: Path | None, first: int = 0) -> None:
@@ -109,32 +173,28 @@ def bench(arms: int, policy: Path | None, first: int = 0) -> None:
     for number in range(first, first + arms):
         begun, one = time.perf_counter(), try_arm(number, policy)
         found.append(one)
-        same = "same" if one.race.controller == one.long.controller else "tied" if one.tied else "OTHER"
         print(
-            f"arm {number:3}: {same:5}  race {one.race.controller:12} after {one.targets:2} targets, "
-            f"{one.minutes:4.1f} min; "
-            f"long way {one.long.controller:12} tied with {', '.join(one.long.tied) or 'none'}; worse by "
-            f"{1e3 * one.worse[0]:+.2f} mm, {one.worse[1]:+.2f} s  ({time.perf_counter() - begun:.0f} s)",
+            f"arm {number:3}: {one.verdict:5}  race: {one.race.controller} after {one.held} targets, "
+            f"{one.seconds / 60:.1f} min; long way: {' or '.join((one.long.controller, *one.long.tied))}; worse by "
+            f"{1e3 * one.worse[0]:+.2f} mm, {one.worse[1]:+.2f} s  ({time.perf_counter() - begun:.0f} s to emulate)",
             flush=True,
-        )  # fmt: skip
-    same = sum(one.race.controller == one.long.controller for one in found)
-    minutes = np.array([one.minutes for one in found])
+        )
+    verdicts, minutes = [one.verdict for one in found], np.array([one.seconds for one in found]) / 60
     print(
-        f"\n{same} of {arms} the same, {sum(one.tied for one in found)} the same or one that the long way cannot tell "
-        "from it; "
-        f"{np.median(minutes):.1f} min of the arm's time in the median, {minutes.max():.1f} at most"
+        f"{verdicts.count('same')} of {arms} the same, {verdicts.count('tied')} that the long way cannot tell from its "
+        f"own; {np.median(minutes):.1f} min of the arm's time in the median, {minutes.max():.1f} at most"
     )
 
 
 def main() -> None:
-    """Four arms without a policy: in a minute or two."""
+    """Race on a few arms without a policy: in a minute or two."""
     bench(4, None)
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(prog="python -m benchmarks.racing")
     parser.add_argument("--arms", type=int, default=20)
-    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--first", type=int, default=0, help="seed of the first arm")
     parser.add_argument("--policy", type=Path)
     options = parser.parse_args()
     bench(options.arms, options.policy, options.first)

@@ -59,8 +59,8 @@ class OneArm:
         for place in self._places():
             self._drive_left("crossing", place)
             rivals = rivals or max(len(self.left) - 1, 1)
-            looks = [0, *_looks(count, racing.fewest(rivals, race) if not targets else 0), count]
-            for first, stop in pairwise(looks):
+            stops = [0, *looks(count, racing.fewest(rivals, race) if not targets else 0), count]
+            for first, stop in pairwise(stops):
                 self._drive_left("hold", place, first, stop - first)
                 targets += stop - first
                 self._drop_beaten(rivals, race)
@@ -168,7 +168,7 @@ class OneArm:
                 del session.controllers[name]
 
 
-def _looks(count: int, fewest: int) -> list[int]:
+def looks(count: int, fewest: int) -> list[int]:
     """Targets of a set of ``count`` after which the race is looked at: once before its end.
 
     That is when somebody can be beaten for the first time, ``fewest``; 0, where that was already, takes the middle.

@@ -256,7 +256,8 @@ class _Job:
                 lambda count, seed: meter.watch(self._open(count, seed)), self.factories, self.targets, self.settings,
                 on_progress=on_progress, on_trial=keep, ledger=ledger,
                 limits=guard_limits(self.run, self.arm, address_of(self.robot)), stance=stance_of(self.twin),
-                correction=self.correct, model=self.model, measured=() if before is None else before.driven, source=SOURCE,
+                correction=self.correct, model=self.model,
+                measured=() if before is None else before.driven, source=SOURCE,
             )  # fmt: skip
         if before is not None and self.run is not None:
             logs[before.log.label] = before.log
