@@ -1,9 +1,10 @@
 """Whether a race recommends what a comparison to the end does, and in how much of the arm's time.
 
 Emulated arms drawn about the worn one; one policy for all of them (a file, `--policy` of `python -m benchmarks.racing`;
-without one the classical ones race among themselves). What every controller does at every target is emulated side
-by side first, and the race is then told what it asks for; its arm's time is that of the trials that it asked for. The
-long way is all of them at the same targets, held for eight seconds, as on a real arm before there were races.
+without one the classical ones race among themselves). What every controller does at every target is emulated side by
+side first, twice with other noise, holding for eight seconds. The first time is the long way, as on a real arm before
+there were races. Of the second time the race is told what it asks for, the first five seconds of each hold; its arm's
+time is that of the trials that it asked for.
 """
 
 from __future__ import annotations
@@ -18,15 +19,15 @@ import numpy as np
 
 from rejoint.arms import mycobot280
 from rejoint.control.catalogue import contenders
-from rejoint.control.comparison.compare import Settings, compare
-from rejoint.control.comparison.driven import Driven
+from rejoint.control.comparison.compare import Settings, Trial, compare
+from rejoint.control.comparison.driven import Driven, measure
 from rejoint.control.comparison.elimination import Elimination
 from rejoint.control.comparison.ledger import Ledger
 from rejoint.control.comparison.onearm import looks
 from rejoint.control.comparison.protocols import Crossings, Holds
 from rejoint.control.comparison.racing import Race, fewest
 from rejoint.control.comparison.recommend import Recommendation, recommend
-from rejoint.control.comparison.result import Comparison, Protocol
+from rejoint.control.comparison.result import Comparison
 from rejoint.control.comparison.targets import draw_targets
 from rejoint.control.default import DefaultController
 from rejoint.control.loop import Schedule, run
@@ -41,8 +42,6 @@ from rejoint.runs.stages.driving import make_factories
 ARM = mycobot280()
 PERIOD = (0.045, 0.055)
 """[s] about what a myCobot needs over TCP (docs/results.md)"""
-REPETITIONS = 2
-"""of the long way, the second with other noise"""
 WAY = 2.7
 """[s] from the end of a trial to the beginning of the next: to the rest posture, and a second there (chosen: what it
 takes over TCP in the mean)"""
@@ -86,18 +85,21 @@ def try_arm(number: int, policy: Path | None) -> Outcome:
         return open_robot(f"emulated:worn?seed={number}", count=count, seed=seed, period=PERIOD, threads=1)
 
     targets = draw_targets(ARM, sets=RACE_SETS, seed=number)
-    known = Ledger.nowhere()
-    batched = Settings(seed=number, batched=True, protocol=RACE_PROTOCOL)
-    compare(connect, factories, targets, batched, ledger=known)
-    done = _Asked({one.key: one for driven in known.done.values() for one in _parts(driven, known)})
-    settings = replace(batched, batched=False, race=Race())
+    short: list[Driven] = []
+
+    def keep(trial: Trial) -> None:
+        if trial.repetition == 1:
+            short.append(_short(trial, targets))
+
+    twice = compare(connect, factories, targets, Settings(seed=number, batched=True, repetitions=2), on_trial=keep)
+    done = _Asked({part.key: part for driven in short for part in _parts(driven, short)})
+    settings = Settings(seed=number, batched=False, protocol=RACE_PROTOCOL, race=Race())
     everyone = {DEFAULT: DefaultController, **factories}
     raced = compare(
         connect, everyone, targets, settings, measured=open_loop(connect(1, number), targets[:1]),
         ledger=Ledger(None, done), source="open loop",
     )  # fmt: skip
-    long = replace(batched, seed=1000 + number, repetitions=REPETITIONS, protocol=Protocol())
-    whole = compare(connect, factories, targets, long)
+    whole = _once(twice)
     best, slow = recommend(raced), recommend(whole)
     return Outcome(
         race=best, long=slow, seconds=sum(map(_seconds, done["asked"])), held=raced.row(best.controller).held,
@@ -115,34 +117,67 @@ def open_loop(robot: Robot, targets: np.ndarray) -> tuple[Driven, ...]:
     return found.driven
 
 
-def _parts(driven: Driven, known: Ledger) -> list[Driven]:
-    """Cut a batch of trials into those that a race asks for."""
+def _short(trial: Trial, targets: np.ndarray) -> Driven:
+    """Measure a trial as a race does."""
+    whole, b = trial.recording, slice(trial.arm_index, trial.arm_index + 1)
+    arrays = {item.name: getattr(whole, item.name) for item in fields(whole)}
+    one = replace(whole, **{name: values[b] if name == "tripped" else values[:, b]
+                            for name, values in arrays.items() if isinstance(values, np.ndarray)})  # fmt: skip
+    if trial.kind == "hold":
+        one = replace(one, active=one.active & (one.since_target < RACE_PROTOCOL.hold + PERIOD[1]))
+    return measure(
+        ARM, one, targets[trial.target_set][None], RACE_PROTOCOL, controller=trial.controller, kind=trial.kind,
+        places=((trial.target_set, 0),),
+    )  # fmt: skip
+
+
+def _once(twice: Comparison) -> Comparison:
+    """Return the first of two repetitions."""
+    sets, _, count = twice.rows[0].outcomes.shape
+
+    def first(values: tuple) -> tuple:  # type: ignore[type-arg]
+        return tuple(np.array(values, dtype=object).reshape(sets, 2, count)[:, 0].ravel())
+
+    rows = []
+    for row in twice.rows:
+        found = {}
+        for item in fields(row.outcomes):
+            values = getattr(row.outcomes, item.name)
+            if item.name in ("stay", "stayed"):
+                found[item.name] = tuple(map(first, values))
+            elif item.name not in ("shape", "within"):
+                found[item.name] = first(values)
+        rows.append(replace(row, outcomes=replace(row.outcomes, shape=(sets, 1, count), **found)))
+    return replace(twice, rows=tuple(rows), repetitions=1)
+
+
+def _parts(driven: Driven, known: list[Driven]) -> list[Driven]:
+    """Cut a trial into those that a race asks for."""
     results = driven.crossings or driven.holds
     if results is None:
         return []
     found = []
-    for b, place in enumerate(driven.places):
-        stops = [0, *_stops(known, place[0]), driven.targets] if driven.holds is not None else [0, driven.targets]
-        for first, stop in pairwise(stops):
-            part = type(results)(**{item.name: _cut(getattr(results, item.name), item.name, b, slice(first, stop))
-                                    for item in fields(results)})  # fmt: skip
-            found.append(replace(
-                driven, places=(place,), first=first, crossings=part if isinstance(part, Crossings) else None,
-                holds=part if isinstance(part, Holds) else None,
-            ))  # fmt: skip
+    stops = [0, *(_stops(known, driven.places[0][0]) if driven.holds is not None else ()), driven.targets]
+    for first, stop in pairwise(stops):
+        part = type(results)(**{item.name: _cut(getattr(results, item.name), item.name, slice(first, stop))
+                                for item in fields(results)})  # fmt: skip
+        found.append(replace(
+            driven, first=first, crossings=part if isinstance(part, Crossings) else None,
+            holds=part if isinstance(part, Holds) else None,
+        ))  # fmt: skip
     return found
 
 
-def _cut(values: np.ndarray, name: str, b: int, part: slice) -> np.ndarray:
-    return values[:, b : b + 1, part] if name in ("stay", "modelled") else values[b : b + 1, part]
+def _cut(values: np.ndarray, name: str, part: slice) -> np.ndarray:
+    return values[:, :, part] if name in ("stay", "modelled") else values[:, part]
 
 
-def _stops(known: Ledger, target_set: int) -> list[int]:
+def _stops(known: list[Driven], target_set: int) -> list[int]:
     """Return where a race looks within a set: by who is left after the first crossings, as in `OneArm.race`."""
     if target_set:
         return looks(10, 0)
     rules = Elimination(RACE_PROTOCOL)
-    crossings = [driven for driven in known.done.values() if driven.crossings is not None]
+    crossings = [driven for driven in known if driven.crossings is not None and driven.places[0][0] == 0]
     for driven in crossings:
         assert driven.crossings is not None
         rules.note(driven.controller, "crossing", (0, 0), driven.crossings.crossed[0], failed=False)

@@ -52,12 +52,12 @@ class Effort:
 
 
 def cost(one: Stage | Effort) -> str:
-    """Say it in words: ``3.4 min, of them 3.3 min of the arm's time, in which its joints turned 12 times round``."""
+    """Say it in words: ``3.4 min, of them 3.3 min of the arm's time with 23.9 turns of its joints``."""
     time = f"{one.wall / 60:.1f} min"
     if not one.moving:
         return time
-    turns = f"in which its joints turned {one.travel / (2 * np.pi):.0f} times round, all together"
-    return f"{f'{time}, of them ' if one.wall else ''}{one.moving / 60:.1f} min of the arm's time, {turns}"
+    turns = f"{one.travel / (2 * np.pi):.1f} turns of its joints"
+    return f"{f'{time}, of them ' if one.wall else ''}{one.moving / 60:.1f} min of the arm's time with {turns}"
 
 
 @dataclass(eq=False)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from test_compare import ARM, PROTOCOL, SaggingRobot, factories
 
+import rejoint
 from rejoint.control.comparison import racing
 from rejoint.control.comparison.compare import Settings, compare
 from rejoint.control.comparison.elimination import MISSES
@@ -20,13 +21,19 @@ from rejoint.control.comparison.targets import draw_targets
 from rejoint.control.default import DefaultController
 from rejoint.control.integrator import IntegratorController
 from rejoint.control.loop import Schedule, run
+from rejoint.logs.runlog import write_log
+from rejoint.runs.effort import read_effort
 from rejoint.runs.openloop import trials
+from rejoint.runs.report.tables import comparison_table, comparison_view
+from rejoint.runs.run import Run
 from rejoint.system.errors import InputError, NoReplyError
 from rejoint.system.files import read_json, write_json
 
 RACE = Race()
 TARGETS = draw_targets(ARM, sets=2, count=10, seed=1)
 QUICK = replace(PROTOCOL, hold=1.5, window=0.3)
+SETTLING = replace(QUICK, hold=3.0)
+"""Long enough for an integrator to come to rest"""
 
 
 class Beside(IntegratorController):
@@ -44,7 +51,7 @@ def results(settled, stay=None, crossed=None):
     )  # fmt: skip
 
 
-def race(controllers, targets=TARGETS, *, measured=(), ledger=None, on_trial=None, **settings):
+def race(controllers, targets=TARGETS, *, measured=(), ledger=None, on_trial=None, protocol=QUICK):
     order = []
 
     def note(trial):
@@ -54,7 +61,7 @@ def race(controllers, targets=TARGETS, *, measured=(), ledger=None, on_trial=Non
 
     arm = SaggingRobot(1, 0)
     found = compare(
-        lambda *_: arm, controllers, targets, Settings(batched=False, protocol=QUICK, race=RACE, **settings),
+        lambda *_: arm, controllers, targets, Settings(batched=False, protocol=protocol, race=RACE),
         on_trial=note, measured=measured, source="the diagnosis", ledger=ledger,
     )  # fmt: skip
     return found, order
@@ -128,7 +135,7 @@ def test_nobody_is_looked_at_before_anybody_can_be_beaten(rivals):
 
 
 def test_a_beaten_one_is_stopped_and_the_others_too_once_it_is_decided():
-    found, order = race({"default": Beside, "integrator": IntegratorController})
+    found, order = race({"default": Beside, "integrator": IntegratorController}, protocol=SETTLING)
     row = found.row("default")
     count = fewest(1, RACE)
     assert row.out == f"was beaten by integrator (worse at {count} of {count} targets, better at 0)"
@@ -179,6 +186,34 @@ def test_what_was_measured_open_loop_is_not_driven_again():
     assert trials(ARM, log, replace(QUICK, hold=3.0)) is None, "held shorter than that"
 
 
+def test_a_real_arm_races_and_goes_on_from_its_diagnosis(tmp_path):
+    """Whoever opened it. The table says who was not driven again, who was stopped, and how many targets each had."""
+    log = run(SaggingRobot(1, 3), DefaultController(ARM), TARGETS[:1], Schedule(dwell=QUICK.hold)).log(0, "targets")
+    about = Run.create(tmp_path / "run", SaggingRobot.address, ARM, seed=2)
+    write_log(about.folder.log("targets"), log)
+    found = rejoint.compare(SaggingRobot(1, 0), run=about, protocol=QUICK).comparison
+    assert found.controllers == ("default", "integrator", "feedforward"), "the paper's PIDs only on request"
+    assert (found.race, found.most) == (RACE, (2, 1))
+    np.testing.assert_array_equal(found.targets[0], TARGETS[0])
+    assert about.comparison == found
+    assert about.folder.log("hold/default/0/0").exists(), "for the figures"
+    (spent,) = read_effort(about.folder).stages
+    assert spent.name == "compare"
+    assert spent.moving > sum(row.held for row in found.rows if not row.source) * QUICK.hold
+    _, rows = comparison_table(found)
+    assert rows[0][0] == "default (by diagnosis)"
+    assert rows[0][-1] == "stopped: missed 3 targets in a row"
+    view = comparison_view(found, "integrator")
+    assert "measured by the diagnosis" in view.rows[0].cells[0].note
+    assert [row.cells[4].note.splitlines()[-1] for row in view.rows] == [f"{row.held} targets" for row in found.rows]
+    assert "in a race of at most 20 targets" in view.notes[0]
+    assert any(note.startswith("Race: ") and "in 5 % of such races" in note for note in view.notes)
+    other = rejoint.compare(SaggingRobot(1, 0), ["default"], TARGETS[1, :3], run=about, protocol=QUICK).comparison
+    assert other.rows[0].source == "", "at other targets it is driven"
+    full = rejoint.compare(SaggingRobot(1, 0), ["integrator"], TARGETS[0, :2], full=True, protocol=QUICK).comparison
+    assert (full.race, full.most, full.rows[0].source) == (None, None, "")
+
+
 def test_an_interrupted_race_goes_on_where_it_was(tmp_path):
     controllers, targets = {"default": Beside, "integrator": IntegratorController}, TARGETS[:, :7]
     whole, order = race(controllers, targets)
@@ -197,7 +232,7 @@ def test_an_interrupted_race_goes_on_where_it_was(tmp_path):
 
 
 def test_a_raced_comparison_survives_its_file_and_older_ones_are_read(tmp_path):
-    found, _ = race({"default": Beside, "integrator": IntegratorController})
+    found, _ = race({"default": Beside, "integrator": IntegratorController}, TARGETS[:1, :5])
     write_json(tmp_path / "new.json", found)
     assert read_json(tmp_path / "new.json", Comparison) == found
     data = json.loads((tmp_path / "new.json").read_text())
