@@ -35,6 +35,7 @@ from rejoint.control.robot import Robot
 from rejoint.control.start import begin
 from rejoint.diagnosis.open_loop import DWELL
 from rejoint.robots import open_robot
+from rejoint.runs.effort import Meter
 from rejoint.runs.openloop import DEFAULT, trials
 from rejoint.runs.stages.compare import RACE_PROTOCOL, RACE_SETS
 from rejoint.runs.stages.driving import make_factories
@@ -92,17 +93,18 @@ def try_arm(number: int, policy: Path | None) -> Outcome:
             short.append(_short(trial, targets))
 
     twice = compare(connect, factories, targets, Settings(seed=number, batched=True, repetitions=2), on_trial=keep)
-    done = _Asked({part.key: part for driven in short for part in _parts(driven, short)})
+    before, meter = open_loop(connect(1, number), targets[:1]), Meter()
+    done = _Asked({part.key: part for driven in short for part in _parts(driven, [*short, *before])})
     settings = Settings(seed=number, batched=False, protocol=RACE_PROTOCOL, race=Race())
     everyone = {DEFAULT: DefaultController, **factories}
     raced = compare(
-        connect, everyone, targets, settings, measured=open_loop(connect(1, number), targets[:1]),
+        lambda count, seed: meter.watch(connect(count, seed)), everyone, targets, settings, measured=before,
         ledger=Ledger(None, done), source="open loop",
     )  # fmt: skip
     whole = _once(twice)
     best, slow = recommend(raced), recommend(whole)
     return Outcome(
-        race=best, long=slow, seconds=sum(map(_seconds, done["asked"])), held=raced.row(best.controller).held,
+        race=best, long=slow, seconds=meter.moving + sum(map(_seconds, done["asked"])), held=raced.row(best.controller).held,
         worse=_worse(whole, best.controller, slow.controller),
     )  # fmt: skip
 
@@ -187,8 +189,8 @@ def _stops(known: list[Driven], target_set: int) -> list[int]:
 
 def _seconds(driven: Driven | None) -> float:
     """[s] that a trial takes on one arm, with the way to its beginning."""
-    if driven is None:
-        raise RuntimeError("the race asked for a trial that was not emulated")
+    if driven is None:  # of the default, where it is still in the race: driven, and counted by the meter
+        return 0.0
     if driven.crossings is not None:
         return WAY + float(np.nansum(driven.crossings.time))
     return WAY + driven.targets * RACE_PROTOCOL.hold

@@ -6,7 +6,7 @@ import pytest
 from rejoint.arms import mycobot280
 from rejoint.control.loop import move
 from rejoint.robots import open_robot
-from rejoint.runs.effort import Effort, Meter, Stage, add, cost, metered, read_effort
+from rejoint.runs.effort import Effort, Meter, StageCost, add, cost, metered, read_effort
 from rejoint.runs.folder import RunFolder
 from rejoint.runs.run import Run
 
@@ -39,7 +39,7 @@ def test_attempts_add_up_and_a_stage_that_fails_has_cost_as_well(tmp_path):
     run = Run.create(tmp_path / "run", "tcp://10.0.0.2:9000", ARM)
     with metered(run.folder, "diagnose") as meter:
         meter.moving, meter.travel = 60.0, 2 * np.pi
-    add(run.folder, Stage(name="diagnose", wall=90.0))
+    add(run.folder, StageCost(name="diagnose", wall=90.0))
     with pytest.raises(OSError, match="gone"), metered(run.folder, "compare") as meter:  # noqa: PT012 - it fails later
         meter.moving = 30.0
         raise OSError("gone")
@@ -47,16 +47,16 @@ def test_attempts_add_up_and_a_stage_that_fails_has_cost_as_well(tmp_path):
         meter.moving = 12.0
     found = read_effort(run.folder)
     assert found.stages == (
-        Stage(name="diagnose", wall=90.0, moving=60.0, travel=2 * np.pi), Stage(name="compare", moving=42.0)
+        StageCost(name="diagnose", wall=90.0, moving=60.0, travel=2 * np.pi), StageCost(name="compare", moving=42.0)
     )  # fmt: skip
     assert (found.wall, found.moving) == (90.0, 102.0)
-    assert cost(found.stages[0]) == "1.5 min, of them 1.0 min of the arm's time with 1.0 turns of its joints"
-    assert cost(Stage(name="train", wall=30.0)) == "0.5 min"
+    assert cost(found.stages[0]) == "1.5 min; 1.0 min of the arm's time with 1.0 turns of its joints"
+    assert cost(StageCost(name="train", wall=30.0)) == "0.5 min"
 
 
 def test_nothing_is_written_where_there_is_no_run(tmp_path):
     folder = RunFolder(tmp_path / "none")
-    add(folder, Stage(name="train", wall=1.0))
+    add(folder, StageCost(name="train", wall=1.0))
     assert not folder.path.exists()
     assert read_effort(folder) is None
     assert Effort().moving == 0

@@ -79,9 +79,9 @@ def repair(
     from rejoint.runs.report.errors import before_after
 
     errors = before_after(read_contents(path), found.recommendation.controller)
-    show.verdict(terminal, errors)
     spent = read_effort(job.folder)
     show.effort(terminal, spent)
+    show.verdict(terminal, errors)
     terminal.result(str(page))
     terminal.finish({
         "run": str(path), "recommended": found.recommendation, "policy": str(job.folder.policy), "report": str(page),

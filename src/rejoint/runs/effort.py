@@ -17,7 +17,7 @@ from rejoint.system.files import read_json, write_json
 
 
 @dataclass(frozen=True, kw_only=True)
-class Stage:
+class StageCost:
     """What one stage cost, all its attempts together."""
 
     name: str
@@ -33,7 +33,7 @@ class Stage:
 class Effort:
     """What the stages of a run cost, in the order in which they began."""
 
-    stages: tuple[Stage, ...] = ()
+    stages: tuple[StageCost, ...] = ()
 
     @property
     def wall(self) -> float:
@@ -51,13 +51,13 @@ class Effort:
         return sum(stage.travel for stage in self.stages)
 
 
-def cost(one: Stage | Effort) -> str:
-    """Say it in words: ``3.4 min, of them 3.3 min of the arm's time with 23.9 turns of its joints``."""
+def cost(one: StageCost | Effort) -> str:
+    """Say it in words: ``3.4 min; 3.3 min of the arm's time with 23.9 turns of its joints``."""
     time = f"{one.wall / 60:.1f} min"
     if not one.moving:
         return time
     turns = f"{one.travel / (2 * np.pi):.1f} turns of its joints"
-    return f"{f'{time}, of them ' if one.wall else ''}{one.moving / 60:.1f} min of the arm's time with {turns}"
+    return f"{f'{time}; ' if one.wall else ''}{one.moving / 60:.1f} min of the arm's time with {turns}"
 
 
 @dataclass(eq=False)
@@ -102,10 +102,10 @@ def metered(folder: RunFolder | None, name: str) -> Iterator[Meter]:
         yield meter
     finally:
         if folder is not None and meter.moving > 0.0:
-            add(folder, Stage(name=name, moving=meter.moving, travel=meter.travel))
+            add(folder, StageCost(name=name, moving=meter.moving, travel=meter.travel))
 
 
-def add(folder: RunFolder, cost: Stage) -> None:
+def add(folder: RunFolder, cost: StageCost) -> None:
     """Add what a stage cost to the file of the run, if it is there: no stage fails for this."""
     if not folder.info.exists():
         return
@@ -113,9 +113,9 @@ def add(folder: RunFolder, cost: Stage) -> None:
         _add(folder, cost)
 
 
-def _add(folder: RunFolder, cost: Stage) -> None:
+def _add(folder: RunFolder, cost: StageCost) -> None:
     stages = {stage.name: stage for stage in (read_effort(folder) or Effort()).stages}
-    sofar = stages.get(cost.name, Stage(name=cost.name))
+    sofar = stages.get(cost.name, StageCost(name=cost.name))
     stages[cost.name] = replace(
         sofar, wall=sofar.wall + cost.wall, moving=sofar.moving + cost.moving, travel=sofar.travel + cost.travel
     )

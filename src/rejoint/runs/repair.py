@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Literal, TypeVar, get_args
 from rejoint.control.comparison.recommend import Recommendation, recommend
 from rejoint.control.comparison.result import Comparison
 from rejoint.control.comparison.targets import draw_targets
-from rejoint.runs.effort import Stage as Cost
-from rejoint.runs.effort import add
+from rejoint.runs.effort import StageCost, add
 from rejoint.runs.given import (
     FIRST_ROBOT,
     NO_GAUGE,
@@ -253,7 +252,7 @@ class _Chain:
         try:
             result = work(part(self._on_progress, number / total, (number + 1) / total))
         finally:
-            add(self.run.folder, Cost(name=name, wall=time.monotonic() - begun))
+            add(self.run.folder, StageCost(name=name, wall=time.monotonic() - begun))
         self._say(Stage(name=name, state="done", file=file, number=number + 1, total=total, result=result))
 
     def _kept(self, name: StageName) -> object:

@@ -73,6 +73,10 @@ def stake(wins: int, losses: int) -> float:
     return sum(comb(tossed + 1, i) for i in range(wins + 1)) / ((tossed + 1) * comb(tossed, wins))
 
 
+WAS_BEATEN = "was beaten by "
+"""How it begins to be said that a controller was"""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Beaten:
     """A controller that is out of a race."""
@@ -88,7 +92,7 @@ class Beaten:
     @property
     def why(self) -> str:
         """Such as ``was beaten by policy (worse at 8 of 8 targets)``."""
-        return f"was beaten by {self.by} (worse at {self.worse} of {self.targets} targets, better at {self.better})"
+        return f"{WAS_BEATEN}{self.by} (worse at {self.worse} of {self.targets} targets, better at {self.better})"
 
 
 def beaten(results: dict[str, Results], rivals: int, race: Race) -> list[Beaten]:

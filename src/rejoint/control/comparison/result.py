@@ -12,7 +12,7 @@ import numpy as np
 
 from rejoint.arms import Array
 from rejoint.control.accuracy import NOT_KNOWN, TrueError
-from rejoint.control.comparison.racing import Race
+from rejoint.control.comparison.racing import WAS_BEATEN, Race
 from rejoint.system.errors import InputError
 from rejoint.system.statistics import Estimate, Spread
 
@@ -159,6 +159,11 @@ class ControllerRow:
     did not drive counts neither for nor against it. Empty where it was driven to the end"""
     source: str = ""
     """where its first results are from if they were not driven for this comparison, such as ``the diagnosis``"""
+
+    @property
+    def beaten(self) -> bool:
+        """Whether it is ``out`` because another one was better, and not because it failed."""
+        return self.out.startswith(WAS_BEATEN)
 
     @property
     def held(self) -> int:
