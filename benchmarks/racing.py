@@ -104,8 +104,8 @@ def try_arm(number: int, policy: Path | None) -> Outcome:
     whole = _once(twice)
     best, slow = recommend(raced), recommend(whole)
     return Outcome(
-        race=best, long=slow, seconds=meter.moving + sum(map(_seconds, done["asked"])), held=raced.row(best.controller).held,
-        worse=_worse(whole, best.controller, slow.controller),
+        race=best, long=slow, seconds=meter.moving + sum(map(_seconds, done["asked"])),
+        held=raced.row(best.controller).held, worse=_worse(whole, best.controller, slow.controller),
     )  # fmt: skip
 
 
