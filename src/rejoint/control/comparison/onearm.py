@@ -64,11 +64,15 @@ class OneArm:
                 self._drive_left("hold", place, first, stop - first)
                 targets += stop - first
                 self._drop_beaten(rivals, race)
-                if len(self.left) < 2 and targets >= race.least:
+                if self._decided(targets, race):
                     break
-            if len(self.left) < 2:
+            if self._decided(targets, race):
                 break
         self._session.progress.skip_rest()
+
+    def _decided(self, targets: int, race: Race) -> bool:
+        """Tell whether one is left, or none, and has had enough ``targets``."""
+        return not self.left or (len(self.left) == 1 and targets >= race.least)
 
     @property
     def left(self) -> list[str]:
