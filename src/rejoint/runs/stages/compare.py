@@ -63,8 +63,7 @@ SETS, REPETITIONS = 10, 6
 """Target sets and repetitions where arms are emulated or all is driven (Park et al. 2024: six repetitions)"""
 
 RACE_SETS = 2
-"""Target sets of a race at most (chosen: with one, half of the close races end otherwise than a comparison of sixty
-trials does; with two, one in ten)"""
+"""Target sets of a race at most (chosen: those of the diagnosis, and as many again where it is close)"""
 
 RACE_PROTOCOL = Protocol(hold=DWELL)
 """A race holds each target as long as the diagnosis does, so that both measure the same"""
