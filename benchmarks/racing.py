@@ -54,6 +54,8 @@ class Outcome:
 
     race: Recommendation
     long: Recommendation
+    again: Recommendation
+    """of the long way with other noise: what it agrees with itself in is all that a race can agree with it in"""
     seconds: float
     """of the arm's time for the race"""
     held: int
@@ -63,10 +65,15 @@ class Outcome:
 
     @property
     def verdict(self) -> str:
-        """``same``, ``tied`` where the long way could not tell the two apart either, or ``other``."""
-        if self.race.controller == self.long.controller:
-            return "same"
-        return "tied" if self.race.controller in self.long.tied else "OTHER"
+        """Whether the race recommends what the long way does."""
+        return _verdict(self.race, self.long)
+
+
+def _verdict(one: Recommendation, long: Recommendation) -> str:
+    """Return ``same``, ``tied`` where the long way could not tell the two apart, or ``OTHER``."""
+    if one.controller == long.controller:
+        return "same"
+    return "tied" if one.controller in long.tied else "OTHER"
 
 
 class _Asked(dict):  # type: ignore[type-arg]
@@ -101,11 +108,11 @@ def try_arm(number: int, policy: Path | None) -> Outcome:
         lambda count, seed: meter.watch(connect(count, seed)), everyone, targets, settings, measured=before,
         ledger=Ledger(None, done), source="open loop",
     )  # fmt: skip
-    whole = _once(twice)
+    whole = _once(twice, 0)
     best, slow = recommend(raced), recommend(whole)
     return Outcome(
-        race=best, long=slow, seconds=meter.moving + sum(map(_seconds, done["asked"])),
-        held=raced.row(best.controller).held, worse=_worse(whole, best.controller, slow.controller),
+        race=best, long=slow, again=recommend(_once(twice, 1)),
+        seconds=meter.moving + sum(map(_seconds, done["asked"])), held=raced.row(best.controller).held, worse=_worse(whole, best.controller, slow.controller),
     )  # fmt: skip
 
 
@@ -133,12 +140,12 @@ def _short(trial: Trial, targets: np.ndarray) -> Driven:
     )  # fmt: skip
 
 
-def _once(twice: Comparison) -> Comparison:
-    """Return the first of two repetitions."""
+def _once(twice: Comparison, repetition: int) -> Comparison:
+    """Return one of two repetitions."""
     sets, _, count = twice.rows[0].outcomes.shape
 
-    def first(values: tuple) -> tuple:  # type: ignore[type-arg]
-        return tuple(np.array(values, dtype=object).reshape(sets, 2, count)[:, 0].ravel())
+    def pick(values: tuple) -> tuple:  # type: ignore[type-arg]
+        return tuple(np.array(values, dtype=object).reshape(sets, 2, count)[:, repetition].ravel())
 
     rows = []
     for row in twice.rows:
@@ -146,9 +153,9 @@ def _once(twice: Comparison) -> Comparison:
         for item in fields(row.outcomes):
             values = getattr(row.outcomes, item.name)
             if item.name in ("stay", "stayed"):
-                found[item.name] = tuple(map(first, values))
+                found[item.name] = tuple(map(pick, values))
             elif item.name not in ("shape", "within"):
-                found[item.name] = first(values)
+                found[item.name] = pick(values)
         rows.append(replace(row, outcomes=replace(row.outcomes, shape=(sets, 1, count), **found)))
     return replace(twice, rows=tuple(rows), repetitions=1)
 
@@ -212,14 +219,17 @@ def bench(arms: int, policy: Path | None, first: int = 0) -> None:
         found.append(one)
         print(
             f"arm {number:3}: {one.verdict:5}  race: {one.race.controller} after {one.held} targets, "
-            f"{one.seconds / 60:.1f} min; long way: {' or '.join((one.long.controller, *one.long.tied))}; worse by "
+            f"{one.seconds / 60:.1f} min; long way: {' or '.join((one.long.controller, *one.long.tied))}, "
+            f"again {' or '.join((one.again.controller, *one.again.tied))}; worse by "
             f"{1e3 * one.worse[0]:+.2f} mm, {one.worse[1]:+.2f} s  ({time.perf_counter() - begun:.0f} s to emulate)",
             flush=True,
         )
+    again = [_verdict(one.again, one.long) for one in found]
     verdicts, minutes = [one.verdict for one in found], np.array([one.seconds for one in found]) / 60
     print(
         f"{verdicts.count('same')} of {arms} the same, {verdicts.count('tied')} that the long way cannot tell from its "
-        f"own; {np.median(minutes):.1f} min of the arm's time in the median, {minutes.max():.1f} at most"
+        f"own (the long way with other noise: {again.count('same')} and {again.count('tied')}); "
+        f"{np.median(minutes):.1f} min of the arm's time in the median, {minutes.max():.1f} at most"
     )
 
 
