@@ -112,7 +112,8 @@ def try_arm(number: int, policy: Path | None) -> Outcome:
     best, slow = recommend(raced), recommend(whole)
     return Outcome(
         race=best, long=slow, again=recommend(_once(twice, 1)),
-        seconds=meter.moving + sum(map(_seconds, done["asked"])), held=raced.row(best.controller).held, worse=_worse(whole, best.controller, slow.controller),
+        seconds=meter.moving + sum(map(_seconds, done["asked"])), held=raced.row(best.controller).held,
+        worse=_worse(whole, best.controller, slow.controller),
     )  # fmt: skip
 
 
