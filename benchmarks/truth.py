@@ -83,9 +83,10 @@ def main(arms: int = 6, masses: float = 0.15, seed: int = 0) -> None:
         inside.append(np.mean(np.abs(off[known]) < 1.96 * np.sqrt(np.diag(twin.covariance))[known]))
         scales.append(np.abs(off[: arm.joints]))
         residual.append(np.degrees(twin.held_out.twin.joint))
+        listed = ", ".join(f"{100 * value:.0f}" for value in scales[-1])
         print(
             f"arm {number}: {known.sum()} identified, {100 * inside[-1]:.0f} % of them within 95 % intervals; "
-            f"stiffness off by {', '.join(f'{100 * value:.0f}' for value in scales[-1])} %; held out {residual[-1]:.3f} deg",
+            f"stiffness off by {listed} %; held out {residual[-1]:.3f} deg",
             flush=True,
         )
     loaded = np.array([1, 2])

@@ -15,6 +15,7 @@ from rejoint.cli import show
 from rejoint.cli.console import Terminal
 from rejoint.cli.measuring import gauge_by_word
 from rejoint.diagnosis.calibration.gauges import TouchGauge
+from rejoint.runs.effort import read_effort
 from rejoint.runs.run import Run, newest_or_new
 from rejoint.system.errors import UnsavedError
 from rejoint.system.extras import require
@@ -42,8 +43,11 @@ def repair(
     targets: opt.Targets = None,
     controllers: opt.Controllers = "all",
     calibrate: opt.Calibrate = None,
-    sets: Annotated[int | None, typer.Option(help="Target sets to compare on (3 emulated, 1 real).", min=1)] = None,
+    sets: Annotated[
+        int | None, typer.Option(help="Target sets to compare on (3 emulated, at most 2 real).", min=1)
+    ] = None,
     repetitions: Annotated[int | None, typer.Option(help="Repetitions of each (2 emulated, 1 real).", min=1)] = None,
+    full: opt.Full = False,
     period: opt.Period = None,
     seed: opt.Seed = 0,
     quick: opt.Quick = False,
@@ -65,7 +69,7 @@ def repair(
     with _Narrator(terminal, asking=isinstance(gauge, TouchGauge)) as narrator:
         found = rejoint.repair(
             robot, run=job, preset=preset, controllers=opt.controller_names(controllers), targets=targets, sets=sets,
-            repetitions=repetitions, period=opt.period_seconds(period), quick=quick, gauge=gauge,
+            repetitions=repetitions, full=full, period=opt.period_seconds(period), quick=quick, gauge=gauge,
             on_stage=narrator.tell, on_progress=narrator.progress,
         )  # fmt: skip
     page = Path(os.path.relpath(found.page))
@@ -75,11 +79,13 @@ def repair(
     from rejoint.runs.report.errors import before_after
 
     errors = before_after(read_contents(path), found.recommendation.controller)
+    spent = read_effort(job.folder)
+    show.effort(terminal, spent)
     show.verdict(terminal, errors)
     terminal.result(str(page))
     terminal.finish({
         "run": str(path), "recommended": found.recommendation, "policy": str(job.folder.policy), "report": str(page),
-        "errors": errors,
+        "errors": errors, "effort": spent,
     })  # fmt: skip
 
 

@@ -71,8 +71,10 @@ Camera = Annotated[
     ),
 ]
 Targets = Annotated[Path | None, typer.Option(help="CSV file of targets in mm with the header x,y,z.")]
-Controllers = Annotated[
-    str, typer.Option(help="Comma-separated controllers, or 'all'. The policy takes part where there is one.")
+Controllers = Annotated[str, typer.Option(help="Comma-separated controllers, or 'all': those of docs/commands.md.")]
+Full = Annotated[
+    bool,
+    typer.Option("--full", help="On a real arm, drive every controller to all targets instead of letting them race."),
 ]
 Period = Annotated[
     str | None, typer.Option(help="Control period in ms, such as 50 or 20-30; by default what the robot suits.")

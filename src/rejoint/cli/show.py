@@ -11,6 +11,7 @@ from rejoint.cli.filming import show_filmed
 from rejoint.control.comparison.failure import failure
 from rejoint.control.comparison.recommend import Recommendation
 from rejoint.control.comparison.result import Comparison, PoseAccuracy
+from rejoint.runs.effort import Effort, cost
 
 if TYPE_CHECKING:
     from rejoint.control.deployment import Deployed
@@ -115,7 +116,8 @@ def comparison(terminal: Terminal, result: Comparison, advice: Recommendation) -
     headers, rows = comparison_table(result)
     sets, count = len(result.targets), len(result.targets[0])
     trials = f"{plural(sets, 'set')} of {plural(count, 'target')}, {plural(result.repetitions, 'repetition')}"
-    title = f"{result.robot}: {trials}"
+    most = "" if result.most is None else f", in a race of at most {plural(result.most[0] * result.most[1], 'set')}"
+    title = f"{result.robot}: {trials}{most}"
     terminal.table(title, headers, rows, bold=result.controllers.index(advice.controller))
     for line in filter(None, map(failure, result.rows)):
         if not any(line in reason for reason in advice.why):
@@ -144,6 +146,14 @@ def verdict(terminal: Terminal, result: BeforeAfter | None) -> None:
     """Print what the whole repair came to."""
     if result is not None and result.sentence:
         terminal.result(result.sentence)
+
+
+def effort(terminal: Terminal, spent: Effort | None) -> None:
+    """Print what a repair cost, stage by stage."""
+    for stage in () if spent is None else spent.stages:
+        terminal.say(f"  {stage.name}: {cost(stage)}")
+    if spent is not None and spent.stages:
+        terminal.result(f"In all: {cost(spent)}.")
 
 
 def followed(terminal: Terminal, done: Followed) -> None:

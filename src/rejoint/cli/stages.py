@@ -14,6 +14,7 @@ from rejoint.cli import offline, show
 from rejoint.cli import options as opt
 from rejoint.cli.console import Terminal, results_of
 from rejoint.control.deployment import REACHED
+from rejoint.runs.effort import read_effort
 from rejoint.runs.folder import LOGS, RunFolder, locked
 from rejoint.runs.run import Run, newest_or_new
 from rejoint.runs.stages.follow import TRACKER, WITHIN
@@ -67,7 +68,9 @@ def diagnose(
     terminal.result(f"Next: rejoint identify {path}")
     open_loop = found.diagnosis.open_loop
     told = None if open_loop is None else open_loop.true_error
-    terminal.finish({"run": str(path), "diagnosis": found.diagnosis, "true_error": told})
+    terminal.finish({
+        "run": str(path), "diagnosis": found.diagnosis, "true_error": told, "effort": read_effort(RunFolder(path)),
+    })  # fmt: skip
 
 
 def identify(
@@ -138,7 +141,6 @@ def train(
     job = Run.open(run).seeded(seed)
     trainer = None if learner == "ppo" else _off_policy(learner, preset, job.seed)
     from rejoint.runs.report.sections.training import draw_training
-    from rejoint.runs.report.words import once
 
     if not job.folder.twin.exists():
         terminal.say(f"{run} has no twin.toml: training on broad ranges instead of on this arm.")
@@ -150,7 +152,7 @@ def train(
         terminal.say(f"Curves: {draw_training(job.folder)}")
     show.training(terminal, result)
     robot = "ROBOT" if job.robot.startswith(LOGS) else job.robot  # logs cannot be driven
-    terminal.result(f"Next: rejoint compare {robot} {run}{once(robot)}")
+    terminal.result(f"Next: rejoint compare {robot} {run}")
     terminal.finish(result)
 
 
@@ -167,14 +169,19 @@ def compare(
     run: opt.Run,
     targets: opt.Targets = None,
     controllers: opt.Controllers = "all",
-    sets: Annotated[int, typer.Option(help="Target sets of ten targets each.", min=1)] = 10,
-    repetitions: Annotated[int, typer.Option(help="Repetitions of every target set.", min=1)] = 6,
+    sets: Annotated[
+        int | None, typer.Option(help="Target sets of ten targets each (10; on a real arm at most 2).", min=1)
+    ] = None,
+    repetitions: Annotated[
+        int | None, typer.Option(help="Repetitions of every target set (6; on a real arm 1).", min=1)
+    ] = None,
+    full: opt.Full = False,
     calibration: opt.Calibration = None,
     period: opt.Period = None,
     seed: opt.RunSeed = None,
     json: opt.Json = False,
 ) -> None:
-    """Try every controller on the same arm with the same targets; on a real arm, who misses three in a row is out.
+    """Try every controller on the same arm with the same targets; on a real arm they race: who is beaten is out.
 
     Example: `rejoint compare emulated:worn runs/mine --sets 10 --repetitions 6`
     """
@@ -182,13 +189,14 @@ def compare(
     with terminal.unsaved(partial(show.stage, terminal, "compare")), terminal.progress("comparing") as update:
         found = rejoint.compare(
             robot, opt.controller_names(controllers), targets, run=run, sets=sets, repetitions=repetitions,
-            calibration=calibration, period=opt.period_seconds(period), seed=seed, on_progress=update,
+            full=full, calibration=calibration, period=opt.period_seconds(period), seed=seed, on_progress=update,
         )  # fmt: skip
     show.stage(terminal, "compare", found)
     terminal.result(f"Next: rejoint report {run}")
     terminal.finish({
         "run": str(run), "recommended": found.recommendation, "comparison": results_of(found.comparison, "outcomes"),
         "true_error": {row.controller: row.hold.true_error for row in found.comparison.rows},
+        "effort": read_effort(RunFolder(run)),
     })  # fmt: skip
 
 

@@ -23,11 +23,25 @@ BASELINES: dict[str, Callable[[Arm], Controller]] = {
 }
 """Everything that was not learned, from the simplest to the most demanding."""
 
+POLICY = "policy"
+"""Name of the policy among the controllers"""
 PREDICTIVE = "predictive"
 """Name of the controller that plans on the arm's own twin (`rejoint.twin.predictive`)"""
 
-CONTROLLERS = (*BASELINES, SHELF, "policy", PREDICTIVE)
+CONTROLLERS = (*BASELINES, SHELF, POLICY, PREDICTIVE)
 """Names of controllers, from the simplest to the most demanding."""
+
+ON_REQUEST = ("pid-sum", "pid-literal")
+"""Baselines that a real arm is driven with only where they are asked for: they are there to repeat the paper"""
+
+
+def contenders(*, real: bool, shelf: bool, policy: bool, twin: bool) -> tuple[str, ...]:
+    """Return who takes part in a comparison where nobody is named, on a ``real`` arm or in virtual time.
+
+    ``shelf``, ``policy`` and ``twin`` tell whether there is one for this arm.
+    """
+    missing = {SHELF: not shelf, POLICY: not policy, PREDICTIVE: not twin}
+    return tuple(name for name in CONTROLLERS if not missing.get(name) and not (real and name in ON_REQUEST))
 
 
 def make_controller(
@@ -39,7 +53,7 @@ def make_controller(
     what a worn arm of this size may have; ``policy`` is the
     file that the name ``policy`` needs. InputError names the alternatives.
     """
-    if name == "policy":
+    if name == POLICY:
         if policy is None:
             raise InputError("the controller 'policy' needs a policy file; train one or name its path")
         from rejoint.control.policy import load_policy  # ONNX Runtime is slow to import and not needed elsewhere

@@ -129,6 +129,11 @@ class RunFolder:
         return self.path / "comparison.json"
 
     @property
+    def effort(self) -> Path:
+        """What the stages cost: the arm's time, its joints' travel."""
+        return self.path / "effort.json"
+
+    @property
     def trials(self) -> Path:
         """Trials of a comparison that is not done yet."""
         return self.path / "comparison.trials"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -11,6 +12,7 @@ from typing import TYPE_CHECKING, Literal, TypeVar, get_args
 from rejoint.control.comparison.recommend import Recommendation, recommend
 from rejoint.control.comparison.result import Comparison
 from rejoint.control.comparison.targets import draw_targets
+from rejoint.runs.effort import StageCost, add
 from rejoint.runs.given import (
     FIRST_ROBOT,
     NO_GAUGE,
@@ -132,6 +134,7 @@ def repair(
     repetitions: int | None = None,
     period: Period | None = None,
     seed: int | None = None,
+    full: bool = False,
     quick: bool = False,
     gauge: GaugeLike | None = None,
     on_progress: Progress = no_progress,
@@ -159,7 +162,9 @@ def repair(
     period
         as for `compare`
     sets, repetitions
-        as for `compare`; by default 3 and 2 for an emulated arm, 1 and 1 for a real one
+        as for `compare`; by default 3 and 2 for an emulated arm, at most 2 and 1 for a real one
+    full
+        as for `compare`
     seed
         of everything random; by default that of the run, else 0
     quick
@@ -209,12 +214,12 @@ def repair(
     chain.do("calibrate", lambda update: calibrate(robot, run=found, gauge=meter, period=period, on_progress=update))
     chain.do("identify", lambda update: identify(run=found, quick=quick, on_progress=update))
     chain.do("train", lambda update: train(run=found, preset=preset, quick=quick, on_progress=update))
-    few = (1, 1) if quick or not emulated else (3, 2)
+    few = (1, 1) if quick else (3, 2) if emulated else (None, None)
     if quick and targets is None:
         targets = draw_targets(found.arm, sets=1, count=QUICK_TARGETS, seed=found.seed)
     chain.do("compare", lambda update: compare(
-        robot, controllers, targets, run=found, sets=sets or few[0], repetitions=repetitions or few[1], period=period,
-        calibration=NO_GAUGE if gauge == NO_GAUGE else None, on_progress=update,
+        robot, controllers, targets, run=found, sets=sets or few[0], repetitions=repetitions or few[1], full=full,
+        period=period, calibration=NO_GAUGE if gauge == NO_GAUGE else None, on_progress=update,
     ))  # fmt: skip
     chain.do("report", lambda _: report(found))
     finish(found)
@@ -243,7 +248,11 @@ class _Chain:
             )
             return
         self._say(Stage(name=name, state="started", file=file, number=number + 1, total=total))
-        result = work(part(self._on_progress, number / total, (number + 1) / total))
+        begun = time.monotonic()
+        try:
+            result = work(part(self._on_progress, number / total, (number + 1) / total))
+        finally:
+            add(self.run.folder, StageCost(name=name, wall=time.monotonic() - begun))
         self._say(Stage(name=name, state="done", file=file, number=number + 1, total=total, result=result))
 
     def _kept(self, name: StageName) -> object:

@@ -65,7 +65,7 @@ def test_on_one_arm_trials_that_are_done_are_not_driven_again(tmp_path):
     labels = {(trial.controller, trial.kind, trial.target_set, trial.repetition) for trial in driven}
     done = set(Ledger.begin(path, "one").done)
     assert len(done) == len(driven) + 5
-    assert {(name, kind, ((s, r),)) for name, kind, s, r in labels} | set(first.done) == done
+    assert {(name, kind, ((s, r),), 0) for name, kind, s, r in labels} | set(first.done) == done
     for row in result.rows:
         if not row.out:
             assert np.isfinite(row.outcomes.array("crossed")).all()

@@ -62,15 +62,13 @@ def test_what_needs_no_option_gets_none(tmp_path, arm):
     )
 
 
-@pytest.mark.parametrize(
-    ("robot", "options"), [("emulated:worn", ""), ("tcp://10.0.0.2:9000", " --sets 1 --repetitions 1")]
-)
-def test_nobody_is_sent_to_a_comparison_of_hours(tmp_path, diagnosis, robot, options):
+@pytest.mark.parametrize("robot", ["emulated:worn", "tcp://10.0.0.2:9000"])
+def test_a_comparison_that_is_to_be_made_needs_no_options(tmp_path, diagnosis, robot):
     folder = RunFolder(tmp_path)
     write_json(folder.info, RunInfo(robot=robot, arm="mycobot280", seed=0, version="0", created="now"))
     write_json(folder.diagnosis, diagnosis)
     line = commands(read_contents(tmp_path))["compare"].line
-    assert line == f"rejoint compare {robot} {tmp_path}{options}"
+    assert line == f"rejoint compare {robot} {tmp_path}"
     assert f"To do it: {line}" in Page(write_report(tmp_path)).words
 
 

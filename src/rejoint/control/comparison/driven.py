@@ -15,6 +15,8 @@ from rejoint.control.recording import Recording
 
 Places = tuple[tuple[int, int], ...]
 """Trials (target set, repetition)"""
+Key = tuple[str, str, Places, int]
+"""Controller, protocol, trials, index of the first target"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -36,22 +38,33 @@ class Driven:
     """runs that ended early"""
     failed: bool = False
     """whether the controller gave a command that is not a number"""
+    first: int = 0
+    """index of its first target in the set: in a race, a set is held in parts"""
 
     @property
-    def key(self) -> tuple[str, str, Places]:
+    def key(self) -> Key:
         """What tells it from the others of its comparison."""
-        return self.controller, self.kind, self.places
+        return self.controller, self.kind, self.places, self.first
+
+    @property
+    def targets(self) -> int:
+        """Number of its targets."""
+        found = self.crossings.crossed if self.crossings is not None else self.holds.settled  # type: ignore[union-attr]
+        return int(found.shape[1])
 
 
 def measure(
     arm: Arm, recording: Recording, targets: Array, protocol: Protocol, *, controller: str, kind: Kind, places: Places,
-    failed: bool = False, model: ToolModel | None = None,
+    failed: bool = False, model: ToolModel | None = None, first: int = 0,
 ) -> Driven:  # fmt: skip
-    """Measure a recording of a protocol with ``targets`` (B, K, 3) [m], one arm per trial in ``places``."""
+    """Measure a recording of a protocol with ``targets`` (B, K, 3) [m], one arm per trial in ``places``.
+
+    ``first`` is the index of the first of them in its set.
+    """
     crossing = kind == "crossing"
     counts = {reason: int(np.count_nonzero(recording.reasons & np.uint16(reason.value))) for reason in Reason}
     return Driven(
-        controller=controller, kind=kind, places=places, failed=failed,
+        controller=controller, kind=kind, places=places, failed=failed, first=first,
         crossings=measure_crossings(arm, recording, targets, protocol) if crossing else None,
         holds=None if crossing else measure_holds(arm, recording, targets, protocol, model),
         cycles=int(recording.active.sum()), ended=_ended(recording, kind, places),

@@ -86,6 +86,10 @@ class Elimination:
         """Why a controller is driven no further; empty while it is."""
         return self._out.get(name, "")
 
+    def drop(self, name: str, why: str) -> None:
+        """Drive a controller no further, because it ``was beaten``, say."""
+        self._out.setdefault(name, why)
+
     def watch(self, name: str, controller: Controller, arm: Arm, kind: Kind) -> Watched:
         """Put a controller on trial."""
         return Watched(controller, arm, self._protocol, kind, self._missed.get(name, 0))

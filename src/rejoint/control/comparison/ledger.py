@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from rejoint.control.comparison.driven import Driven, Places
+from rejoint.control.comparison.driven import Driven, Key
 from rejoint.control.comparison.protocols import Crossings, Holds
 from rejoint.control.comparison.result import Ended
 from rejoint.system.errors import FileError
@@ -29,7 +29,7 @@ LEDGER_MOST = 256 * MEGABYTE
 class Ledger:
     """Finished trials of one comparison; `begin` finds those of an interrupted one."""
 
-    def __init__(self, path: Path | None, done: dict[tuple[str, str, Places], Driven]) -> None:
+    def __init__(self, path: Path | None, done: dict[Key, Driven]) -> None:
         self.path, self.done = path, done
 
     @classmethod
@@ -89,7 +89,8 @@ def _lines(path: Path) -> Iterator[Any]:
 
 
 def _encode(driven: Driven) -> dict[str, Any]:
-    plain = {name: getattr(driven, name) for name in ("controller", "kind", "places", "cycles", "reasons", "failed")}
+    names = ("controller", "kind", "places", "first", "cycles", "reasons", "failed")
+    plain = {name: getattr(driven, name) for name in names}
     results = driven.crossings or driven.holds
     return {
         **plain,
@@ -103,7 +104,7 @@ def _decode(entry: dict[str, Any]) -> Driven:
     crossing = entry["kind"] == "crossing"
     return Driven(
         controller=entry["controller"], kind=entry["kind"], cycles=entry["cycles"], reasons=entry["reasons"],
-        failed=entry["failed"], places=tuple((int(s), int(r)) for s, r in entry["places"]),
+        failed=entry["failed"], first=entry.get("first", 0), places=tuple((int(s), int(r)) for s, r in entry["places"]),
         ended=tuple(Ended(**one) for one in entry["ended"]),
         crossings=Crossings(**results) if crossing else None, holds=None if crossing else Holds(**results),
     )  # fmt: skip

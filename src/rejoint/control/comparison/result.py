@@ -12,6 +12,7 @@ import numpy as np
 
 from rejoint.arms import Array
 from rejoint.control.accuracy import NOT_KNOWN, TrueError
+from rejoint.control.comparison.racing import WAS_BEATEN, Race
 from rejoint.system.errors import InputError
 from rejoint.system.statistics import Estimate, Spread
 
@@ -156,6 +157,18 @@ class ControllerRow:
     out: str = ""
     """why the controller was not driven to the end of the comparison, such as ``3 missed targets in a row``; what it
     did not drive counts neither for nor against it. Empty where it was driven to the end"""
+    source: str = ""
+    """where its first results are from if they were not driven for this comparison, such as ``the diagnosis``"""
+
+    @property
+    def beaten(self) -> bool:
+        """Whether it is ``out`` because another one was better, and not because it failed."""
+        return self.out.startswith(WAS_BEATEN)
+
+    @property
+    def held(self) -> int:
+        """Number of targets at which it was held."""
+        return sum(value is not None for value in self.outcomes.settled)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -210,6 +223,10 @@ class Comparison:
     """sentences: which controllers did not take part, and why"""
     calibration: str = ""
     """date of the calibration by which all controllers were aimed; empty where there was none"""
+    race: Race | None = None
+    """when it counted as decided, if it was driven no longer than that"""
+    most: tuple[int, int] | None = None
+    """target sets and repetitions after which such a race would have ended undecided"""
 
     def row(self, controller: str) -> ControllerRow:
         """Return the row of a controller; InputError names those there are."""

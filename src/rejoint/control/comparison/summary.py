@@ -9,6 +9,7 @@ from rejoint.arms import Array
 from rejoint.control.accuracy import mean_modelled
 from rejoint.control.comparison import iso
 from rejoint.control.comparison.driven import Driven, Places
+from rejoint.control.comparison.protocols import Kind
 from rejoint.control.comparison.result import (
     Comparison,
     ControllerRow,
@@ -37,13 +38,13 @@ class Tally:
         self.away, self.away_true = _unknown(2, (*shape, 3))
         self.modelled = _unknown(3, shape)
         self.held = np.zeros(shape, dtype=bool)
-        self.cycles, self.out = 0, ""
+        self.cycles, self.out, self.source = 0, "", ""
         self.ended: list[Ended] = []
         self.reasons: dict[str, int] = {}
 
     def add(self, driven: Driven) -> None:
         """Take over what was driven."""
-        at = _index(driven.places)
+        at = _index(driven.places, driven.first, driven.targets)
         if driven.crossings is not None:
             found = driven.crossings
             self.crossed[at], self.crossing_error[at] = found.crossed, found.error
@@ -60,6 +61,19 @@ class Tally:
         for reason, cycles in driven.reasons.items():
             self.reasons[reason] = self.reasons.get(reason, 0) + cycles
 
+    def has(self, kind: Kind, place: tuple[int, int], first: int, count: int) -> bool:
+        """Tell whether ``count`` targets of a trial (set, repetition), from its ``first`` on, are there."""
+        known = self.held if kind == "hold" else np.isfinite(self.crossed)
+        return bool(known[place][first : first + count].all())
+
+    def cut(self, sets: int, repetitions: int) -> None:
+        """Forget all trials from these numbers of sets and repetitions on."""
+        for name, value in vars(self).items():
+            if isinstance(value, np.ndarray):
+                lead = (slice(None),) if name in ("stay", "modelled") else ()
+                setattr(self, name, value[(*lead, slice(sets), slice(repetitions))])
+        self.shape = (sets, repetitions, self.shape[2])
+
     def row(self, controller: str) -> ControllerRow:
         """Statistics of everything collected."""
         _, labels = cluster(self.shape)
@@ -72,6 +86,7 @@ class Tally:
             outcomes=self._outcomes(),
             ended=tuple(self.ended),
             out=self.out,
+            source=self.source,
         )
 
     def _crossing_row(self, labels: Labels) -> CrossingRow:
@@ -144,6 +159,16 @@ def summarise(robot: Robot, seed: int, batched: bool, targets: Array, tallies: d
     )
 
 
+def cut_to_driven(tallies: dict[str, Tally]) -> int:
+    """Forget the sets and repetitions to which a race never came; returns how many sets are left."""
+    found = [np.isfinite(tally.crossed).any(axis=-1) | tally.held.any(axis=-1) for tally in tallies.values()]
+    driven = np.logical_or.reduce(found)
+    sets, repetitions = (int(np.flatnonzero(driven.any(axis=axis))[-1]) + 1 for axis in (1, 0))
+    for tally in tallies.values():
+        tally.cut(sets, repetitions)
+    return sets
+
+
 def _pose_accuracy(away: Array) -> PoseAccuracy | None:
     """Accuracy of the poses (S, K) from what R cycles attained of each, ``away`` (S, R, K, 3) [m] from where it is."""
     places = np.moveaxis(away, 1, 2)  # (S, K, R, 3)
@@ -159,9 +184,10 @@ def _unknown(count: int, shape: tuple[int, ...]) -> Array:
     return np.full((count, *shape), np.nan)
 
 
-def _index(places: Places) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def _index(places: Places, first: int, count: int) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
+    """Index of ``count`` targets of trials, from their ``first`` on, in arrays (S, R, K)."""
     sets, repetitions = np.array(places).T
-    return sets, repetitions
+    return sets[:, None], repetitions[:, None], np.arange(first, first + count)[None]
 
 
 def _values(array: Array) -> Values:

@@ -18,6 +18,7 @@ from rejoint.diagnosis.calibration.measurementfile import read_measurements
 from rejoint.diagnosis.calibration.measurements import Measurements
 from rejoint.diagnosis.diagnosis import Diagnosis
 from rejoint.logs.runlog import RunLog, read_log
+from rejoint.runs.effort import Effort, read_effort
 from rejoint.runs.folder import RunFolder, RunInfo, read_info
 from rejoint.runs.report.sections.training import Curves, read_curves
 from rejoint.system.errors import FileError, InputError
@@ -57,6 +58,8 @@ class Contents:
     """one trial of the paper's protocol per controller"""
     hold: Mapping[str, RunLog]
     """one trial of the hold protocol per controller"""
+    effort: Effort | None = None
+    """what the stages cost"""
 
 
 def read_contents(path: Path) -> Contents:
@@ -82,7 +85,7 @@ def read_contents(path: Path) -> Contents:
         folder=folder, arm=arm, info=info, diagnosis=diagnosis, twin=twin, judgement=judgement, curves=curves,
         contract=contract, comparison=comparison, calibration=calibration, measurements=measurements,
         crossing=_trials(folder, "crossing", known),
-        hold=_trials(folder, "hold", known),
+        hold=_trials(folder, "hold", known), effort=read_effort(folder),
     )  # fmt: skip
 
 

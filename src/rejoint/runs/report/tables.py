@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from rejoint.control.comparison.racing import Race
 from rejoint.control.comparison.result import Comparison, ControllerRow, HoldRow, PoseAccuracy, Stay
 from rejoint.runs.report.numerals import NEVER, UNKNOWN, interval, number, spread
 from rejoint.runs.report.palette import LOOKS, look_of
@@ -41,7 +42,10 @@ PAPER_TARGETS = 10
 
 def comparison_table(comparison: Comparison) -> tuple[list[str], list[list[str]]]:
     """Return headers and rows of plain text, first column the controllers' names on the command line."""
-    rows = [[row.controller, *(cell.text for cell in _cells(row, comparison))] for row in comparison.rows]
+    rows = [
+        [f"{row.controller}{' (by diagnosis)' if row.source else ''}", *(cell.text for cell in _cells(row, comparison))]
+        for row in comparison.rows
+    ]
     return ["controller", *_headers(comparison)], rows
 
 
@@ -50,7 +54,7 @@ def comparison_view(comparison: Comparison, best: str) -> Table:
     rows = tuple(
         Row(
             cells=(
-                Cell(row.controller, CONTROLLERS.get(row.controller, "")),
+                Cell(row.controller, _what(row)),
                 *_cells(row, comparison),
             ),
             look=LOOKS.index(look_of(row.controller)),
@@ -63,6 +67,11 @@ def comparison_view(comparison: Comparison, best: str) -> Table:
         caption="Every controller on the same arm with the same targets",
         headers=("controller", *_headers(comparison)), rows=rows, notes=_notes(comparison),
     )  # fmt: skip
+
+
+def _what(row: ControllerRow) -> str:
+    """Say what a controller does, and where its results are from if it was not driven for this table."""
+    return "\n".join(filter(None, (CONTROLLERS.get(row.controller, ""), row.source and f"measured by {row.source}")))
 
 
 def _headers(comparison: Comparison) -> list[str]:
@@ -88,7 +97,7 @@ def _cells(row: ControllerRow, comparison: Comparison) -> list[Cell]:
         Cell(number(success.value * PERCENT, 3), _small_print(likely, paper.success)),
         Cell(_spread(crossing.error, MM), _small_print("", paper.error)),
         Cell(_mean(crossing.cycle_time, 1.0, 3), _small_print(_range(crossing.cycle_time, 1.0), cycle)),
-        Cell(_mean(hold.settled, MM, 3), _range(hold.settled, MM)),
+        Cell(_mean(hold.settled, MM, 3), _small_print(_range(hold.settled, MM), "", _held(row, comparison))),
         _true(hold),
         _stays(hold.stays),
         Cell(_mean(hold.oscillation, MM, 2)),
@@ -104,8 +113,13 @@ def _true(hold: HoldRow) -> Cell:
     return Cell(f"{number(found.value * MM, 2)}, {found.how}", found.range)
 
 
-def _small_print(own: str, paper: str) -> str:
-    return "\n".join(part for part in (own, f"paper: {paper}" if paper else "") if part)
+def _small_print(own: str, paper: str, more: str = "") -> str:
+    return "\n".join(part for part in (own, f"paper: {paper}" if paper else "", more) if part)
+
+
+def _held(row: ControllerRow, comparison: Comparison) -> str:
+    """Say how many targets a controller had in a race."""
+    return "" if comparison.race is None else f"{plural(row.held, 'target')}"
 
 
 def _mean(value: Spread | None, factor: float, digits: int) -> str:
@@ -151,6 +165,10 @@ def _without(comparison: Comparison) -> str:
 def _notes(comparison: Comparison) -> tuple[str, ...]:
     protocol, sets = comparison.protocol, len(comparison.targets)
     how = "side by side on equal emulated arms" if comparison.batched else "interleaved on the same arm"
+    if comparison.most is not None:
+        how += (
+            f", in a race of at most {plural(comparison.most[0] * comparison.most[1] * _count(comparison), 'target')}"
+        )
     notes = [
         f"{plural(sets, 'set')} of {plural(_count(comparison), 'target')}, "
         f"{plural(comparison.repetitions, 'repetition')}, {how}. Small print: 95 % intervals, resampled over "
@@ -161,6 +179,13 @@ def _notes(comparison: Comparison) -> tuple[str, ...]:
         f"Settled error: mean over the last {protocol.window:g} s of {protocol.hold:g} s at each target. Time to stay "
         f"within a distance: median over the holds, and the share that does; “{NEVER}” where fewer than half do. "
         "Oscillation: root mean square around the settled position. Guard: share of all control cycles, by reason.",
+    ]
+    if comparison.race is not None:
+        notes.append(_race(comparison.race))
+    notes += [
+        f"{row.controller} was not driven again where {row.source} had measured it, open loop."
+        for row in comparison.rows
+        if row.source
     ]
     if comparison.arm == PAPER_ARM:
         notes.append(
@@ -178,6 +203,17 @@ def _notes(comparison: Comparison) -> tuple[str, ...]:
         aimed = f"All controllers were aimed by the calibration of {comparison.calibration.replace('T', ' ')}."
         notes.append(f"{aimed} Encoder errors are distances from the aim, true errors from the target.")
     return tuple(notes)
+
+
+def _race(race: Race) -> str:
+    """Say when a controller was stopped, and how sure that is."""
+    return (
+        "Race: a controller is better at a target if it alone reaches it, or else settles nearer by more than "
+        f"{race.nearer * MM:g} mm, or else stays within the narrowest distance sooner by more than {race.sooner:g} s. "
+        "Who is the worse one too often for chance is beaten, and driven no further; in "
+        f"{race.error * PERCENT:g} % of such races at most that befalls the best one, however often one looks. The "
+        "numbers of a beaten one are of few targets, and of those at which it lost."
+    )
 
 
 def poses_view(comparison: Comparison) -> Table | None:

@@ -50,12 +50,8 @@ def sentence(text: str) -> str:
     return f"{text[:1].upper()}{text[1:].removesuffix('.')}."
 
 
-def once(robot: str) -> str:
-    """Return the options with which `rejoint compare` is done in minutes on a real arm: its defaults take hours there.
-
-    Empty for an arm in virtual time, which costs nothing. What is no address, such as ROBOT, stands for a real arm.
-    """
+def is_virtual(robot: str) -> bool:
+    """Tell an arm in virtual time from a real one, as which counts what is no address, such as ROBOT."""
     with suppress(AddressError):
-        if place_of(robot).virtual:
-            return ""
-    return " --sets 1 --repetitions 1"
+        return place_of(robot).virtual
+    return False

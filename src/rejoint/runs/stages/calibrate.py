@@ -19,6 +19,7 @@ from rejoint.diagnosis.calibration.measurementfile import read_measurements, wri
 from rejoint.diagnosis.calibration.measurements import Measurements
 from rejoint.diagnosis.calibration.postures import suggest
 from rejoint.diagnosis.calibration.procedure import measure, reversals
+from rejoint.runs.effort import metered
 from rejoint.runs.given import (
     ArmLike,
     CalibrationLike,
@@ -159,7 +160,11 @@ def calibrate(
             if about is not None:
                 require_space(about.path)
             assert robot is not None  # noqa: S101 - for the type checker; one of the two is given
-            with opened(robot, chosen, seed, period) as connection:
+            with (
+                metered(about.folder if about else None, "calibrate") as meter,
+                opened(robot, chosen, seed, period) as opening,
+            ):
+                connection = meter.watch(opening)
                 about = about and about.begin()
                 share = part(on_progress, 0.0, 0.95)
                 if isinstance(gauge, CameraGauge):

@@ -7,15 +7,20 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from rejoint.arms import Arm, Array
 from rejoint.control.comparison.compare import Settings, Trial
 from rejoint.control.comparison.compare import compare as compare_controllers
 from rejoint.control.comparison.ledger import Ledger
+from rejoint.control.comparison.racing import Race
 from rejoint.control.comparison.recommend import Recommendation, recommend
 from rejoint.control.comparison.result import Comparison, Protocol
 from rejoint.control.robot import Robot
+from rejoint.diagnosis.open_loop import DWELL
 from rejoint.logs.runlog import RunLog, write_log
 from rejoint.robots import open_robot
+from rejoint.runs.effort import metered
 from rejoint.runs.given import (
     ArmLike,
     CalibrationLike,
@@ -33,6 +38,7 @@ from rejoint.runs.given import (
     is_batchable,
     period_of,
 )
+from rejoint.runs.openloop import DEFAULT, OpenLoopTrials, open_loop
 from rejoint.runs.run import Run, exclusive
 from rejoint.runs.stages.driving import (
     Controllers,
@@ -52,6 +58,18 @@ if TYPE_CHECKING:
     from rejoint.control.correction import Modelled
     from rejoint.diagnosis.calibration.calibration import Calibration
     from rejoint.twin.twin import Twin
+
+SETS, REPETITIONS = 10, 6
+"""Target sets and repetitions where arms are emulated or all is driven (Park et al. 2024: six repetitions)"""
+
+RACE_SETS = 2
+"""Target sets of a race at most (chosen: those of the diagnosis, and as many again where it is close)"""
+
+RACE_PROTOCOL = Protocol(hold=DWELL)
+"""A race holds each target as long as the diagnosis does, so that both measure the same"""
+
+SOURCE = "the diagnosis"
+"""Whence the first row of a race is"""
 
 THREADS = 2
 """of emulated arms that move side by side (chosen: results do not depend on it)"""
@@ -79,18 +97,21 @@ def compare(
     arm: ArmLike | None = None,
     twin: TwinLike | None = None,
     calibration: CalibrationLike | None = None,
-    sets: int = 10,
-    repetitions: int = 6,
+    sets: int | None = None,
+    repetitions: int | None = None,
     protocol: Protocol | None = None,
     period: Period | None = None,
     seed: int | None = None,
+    full: bool = False,
     on_progress: Progress = no_progress,
 ) -> Compared:
     """Try controllers on the same arm, with the same targets, from the same start, and recommend one.
 
-    Emulated arms are tried side by side; on a real one the trials take turns, and a controller that misses three
-    targets in a row is out. While an arm moves, Ctrl-C and SIGTERM first bring it to a hold; then `Interrupted` is
-    raised, which is a KeyboardInterrupt. In a run, the same call then goes on after the last finished trial.
+    Emulated arms are tried side by side; on a real one the controllers race: the trials take turns, who misses three
+    targets in a row or is beaten beyond doubt is driven no further, and it ends when one is left, or after all sets.
+    What the diagnosis of the run measured open loop is not driven again: it is what ``default`` does. While an arm
+    moves, Ctrl-C and SIGTERM first bring it to a hold; then `Interrupted` is raised, which is a KeyboardInterrupt. In a
+    run, the same call then goes on after the last finished trial.
 
     Parameters
     ----------
@@ -99,10 +120,11 @@ def compare(
     controllers
         names of baselines (``default``, ``pid-sum``, ``pid-literal``, ``integrator``, ``feedforward``), ``shelf``,
         ``predictive``, policies, their files, or controllers of your own; a mapping names them. None given: all
-        baselines, the policy that comes with the package (``shelf``) where it suits, the policy of the run, and
-        predictive control where there is a twin
+        baselines, on a real arm without the paper's PIDs (``pid-sum``, ``pid-literal``), the policy that comes with the
+        package (``shelf``) where it suits, the policy of the run, and predictive control where there is a twin
     targets
-        (K, 3) or (S, K, 3) [m], or a CSV file in mm with the header ``x,y,z``; by default drawn, ten in a set
+        (K, 3) or (S, K, 3) [m], or a CSV file in mm with the header ``x,y,z``; by default drawn, ten in a set; in a
+        race the first ten are those of the diagnosis
     run
         run, or its folder, with the policy and the twin, into which results are written; without one nothing is
     arm
@@ -114,15 +136,18 @@ def compare(
         what lies behind the encoders, or its file: all controllers are aimed by it; ``none`` for no correction. By
         default that of ``run``
     sets
-        number of target sets that are drawn
+        number of target sets that are drawn; by default 10, in a race at most 2
     repetitions
-        number of times that each set is driven to by each controller
+        number of times that each set is driven to by each controller; by default 6, in a race 1
     protocol
-        thresholds [m] and times [s] of a trial; by default those of Park et al. 2024, and holds of eight seconds
+        thresholds [m] and times [s] of a trial; by default those of Park et al. 2024, and holds of eight seconds, in a
+        race of five, as in the diagnosis
     period
         [s] interval of the control periods; by default what the robot suits
     seed
         of targets and an emulated arm's noise; by default that of the run, else 0
+    full
+        no race: a real arm is driven to all targets with every controller that does not miss three in a row
     on_progress
         called with the share that is done and what is being tried
 
@@ -150,18 +175,24 @@ def compare(
     chosen = arm_of(robot, arm) if about is None else about.arm
     seed = seed or 0 if about is None else about.seed
     with exclusive(about):
-        points = as_targets(targets, chosen, sets=sets, seed=seed)
+        real = not is_batchable(robot)
+        race = Race() if real and not full else None
+        points = as_targets(targets, chosen, sets=sets or (SETS if race is None else RACE_SETS), seed=seed)
         known = as_twin(twin) if twin is not None else None if about is None else about.twin
-        factories = make_factories(controllers, chosen, period_of(robot, period), run=about, twin=known)
+        factories = make_factories(controllers, chosen, period_of(robot, period), run=about, twin=known, real=real)
         settings = Settings(
-            repetitions=repetitions, seed=seed, batched=is_batchable(robot), protocol=protocol or Protocol(),
-            leave_out=not controllers,
+            repetitions=repetitions or (REPETITIONS if race is None else 1), seed=seed, batched=not real,
+            protocol=protocol or (Protocol() if race is None else RACE_PROTOCOL), leave_out=not controllers, race=race,
         )  # fmt: skip
+        before = None if race is None or about is None else open_loop(about, address_of(robot), settings.protocol)
+        if before is not None and targets is None:
+            points[0] = before.targets
         job = _Job(
             robot=robot, arm=chosen, run=about, factories=factories, targets=points, settings=settings, period=period,
             twin=known, correct=correction_of(calibration, about, chosen, address_of(robot)),
             model=calibration_of(calibration, about, chosen, address_of(robot)),
             file=str(targets) if isinstance(targets, Path | str) else "",
+            before=before if before is not None and np.array_equal(points[0], before.targets) else None,
         )  # fmt: skip
         return job.drive(on_progress)
 
@@ -182,6 +213,8 @@ class _Job:
     model: Calibration | None
     file: str
     """of the targets; empty where there is none"""
+    before: OpenLoopTrials | None
+    """what the diagnosis measured at the first set; None where that is not known, or not wanted"""
 
     def drive(self, on_progress: Progress) -> Compared:
         """Compare; in a run, go on after the trials that are done there, and write what comes out."""
@@ -208,21 +241,27 @@ class _Job:
     def _drive(self, ledger: Ledger, earlier: list[Path], on_progress: Progress) -> Compared:
         """Drive all trials; logs of an ``earlier`` comparison make room for the first of this one."""
         logs: dict[str, RunLog] = {}
+        before = self.before if DEFAULT in self.factories else None
 
         def keep(trial: Trial) -> None:
             while earlier:
                 set_aside(earlier.pop())
-            if (trial.target_set, trial.repetition) == (0, 0):  # one of each suffices for the figures
+            if (trial.target_set, trial.repetition, trial.first) == (0, 0, 0):  # one of each suffices for the figures
                 logs[trial.label] = trial.log()
                 if self.run is not None:
                     write_log(self.run.folder.log(trial.label), logs[trial.label])
 
-        with noted():
+        with noted(), metered(self.run.folder if self.run else None, "compare") as meter:
             result = compare_controllers(
-                self._open, self.factories, self.targets, self.settings, on_progress=on_progress, on_trial=keep,
-                ledger=ledger, limits=guard_limits(self.run, self.arm, address_of(self.robot)),
-                stance=stance_of(self.twin), correction=self.correct, model=self.model,
+                lambda count, seed: meter.watch(self._open(count, seed)), self.factories, self.targets, self.settings,
+                on_progress=on_progress, on_trial=keep, ledger=ledger,
+                limits=guard_limits(self.run, self.arm, address_of(self.robot)), stance=stance_of(self.twin),
+                correction=self.correct, model=self.model,
+                measured=() if before is None else before.driven, source=SOURCE,
             )  # fmt: skip
+        if before is not None and self.run is not None:
+            logs[before.log.label] = before.log
+            write_log(self.run.folder.log(before.log.label), before.log)
         by = "" if self.model is None else self.model.date
         result = replace(result, targets_file=self.file, period=self.period, calibration=by)
         return Compared(comparison=result, recommendation=recommend(result), logs=logs)
@@ -237,6 +276,6 @@ class _Job:
         files = [digest(path.read_bytes()).decode() for path in (run.folder.policy, run.folder.twin) if path.exists()]
         about = (
             __version__, address_of(self.robot), repr(self.arm), repr(self.settings), tuple(self.factories),
-            self.period, files, self.targets.tolist(), repr(self.correct),
+            self.period, files, self.targets.tolist(), repr(self.correct), self.before is None,
         )  # fmt: skip
         return digest(repr(about).encode()).decode()

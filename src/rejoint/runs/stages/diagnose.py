@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, cast
 from rejoint.arms import Arm
 from rejoint.control.robot import Robot
 from rejoint.logs.runlog import RunLog, write_log
+from rejoint.runs.effort import metered
 from rejoint.runs.folder import RunFolder
 from rejoint.runs.given import (
     FIRST_ROBOT,
@@ -133,8 +134,12 @@ def diagnose(
     with exclusive(about):
         try:
             reference = _reference(chosen, healthy)
-            with noted(), opened(robot, chosen, seed, period) as connection:
-                return _drive(connection, about, reference, seed, quick=quick, on_progress=on_progress)
+            with (
+                noted(),
+                metered(about.folder if about else None, "diagnose") as meter,
+                opened(robot, chosen, seed, period) as connection,
+            ):
+                return _drive(meter.watch(connection), about, reference, seed, quick=quick, on_progress=on_progress)
         except BaseException:
             if about is not None:  # a robot that does not answer, or is not ready, leaves no folder behind
                 remove_if_empty(about)

@@ -13,7 +13,7 @@ import numpy as np
 
 from rejoint.arms import Arm
 from rejoint.control.bands import standing_bands
-from rejoint.control.catalogue import BASELINES, PREDICTIVE, make_controller
+from rejoint.control.catalogue import POLICY, PREDICTIVE, contenders, make_controller
 from rejoint.control.comparison.recommend import recommend
 from rejoint.control.contract import check_controller_period
 from rejoint.control.controller import Controller
@@ -43,9 +43,6 @@ Controllers: TypeAlias = "Sequence[ControllerLike] | Mapping[str, ControllerLike
 """Controllers, or controllers by the name that they are to have in tables"""
 
 Factory = Callable[[Arm], Controller]
-
-POLICY = "policy"
-"""Name of the policy among the controllers"""
 
 
 def start_journal(run: Run, name: str, robot: Robot, label: str, rows: int = 0) -> Journal:
@@ -111,19 +108,18 @@ def recommended(run: Run) -> str:
 
 
 def make_factories(
-    given: Controllers, arm: Arm, period: Period | None, *, run: Run | None = None, twin: Twin | None = None
-) -> dict[str, Factory]:
+    given: Controllers, arm: Arm, period: Period | None, *, run: Run | None = None, twin: Twin | None = None,
+    real: bool = False,
+) -> dict[str, Factory]:  # fmt: skip
     """Return what makes each controller, by its name; the feed-forward believes the stiffness of ``twin``.
 
-    Nothing given means all baselines, the policy from the shelf where it suits, that of the run where there is one, and
-    predictive control where there is a twin.
-    A name, a policy or a control period that does not fit is refused here, before anything moves.
+    Nothing given means the `contenders` for a ``real`` arm or one in virtual time. A name, a policy or a control
+    period that does not fit is refused here, before anything moves.
     """
     usual = np.nan if period is None else sum(period) / 2
     if not given:
-        own = (POLICY,) if run is not None and run.folder.policy.exists() else ()
-        shelf = (SHELF,) if _on_shelf(arm, usual) else ()
-        given = (*BASELINES, *shelf, *own, *((PREDICTIVE,) if twin is not None else ()))
+        own = run is not None and run.folder.policy.exists()
+        given = contenders(real=real, shelf=_on_shelf(arm, usual), policy=own, twin=twin is not None)
     named = given if isinstance(given, Mapping) else _unique(given)
     factories = {name: _factory(one, run, twin, usual) for name, one in named.items()}
     for make in factories.values():

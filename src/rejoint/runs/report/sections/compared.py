@@ -30,7 +30,16 @@ def comparison_section(comparison: Comparison, best: str, healthy: Series | None
     poses = poses_view(comparison)
     parts = (
         Part(tables=(comparison_view(comparison, best), *((poses,) if poses is not None else ()))),
-        *((Part(heading="What failed, and why", lines=failed),) if failed else ()),
+        *(
+            (
+                Part(
+                    heading="What failed, and why" if comparison.race is None else "Who was stopped, and why",
+                    lines=failed,
+                ),
+            )
+            if failed
+            else ()
+        ),
         Part(heading="Error per target", figures=(per_target,)),
         Part(heading="Accuracy and speed", figures=means, columns=2),
     )

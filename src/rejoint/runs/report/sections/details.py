@@ -9,11 +9,12 @@ from importlib import metadata
 
 from rejoint.control.comparison.result import Comparison
 from rejoint.robots import DEFAULT_ARM
+from rejoint.runs.effort import Effort, cost
 from rejoint.runs.folder import LOGS
 from rejoint.runs.report.contents import Contents
 from rejoint.runs.report.numerals import UNKNOWN
 from rejoint.runs.report.view import Cell, Command, Part, Row, Section, Table
-from rejoint.runs.report.words import once
+from rejoint.runs.report.words import is_virtual
 from rejoint.system.version import __version__
 
 KEY, SHORT, HEADING = "details", "Details", "Details"
@@ -33,6 +34,7 @@ _FILES = (
     ("policy.onnx", "the trained policy with its contract"),
     ("training/curves.parquet", "training curves, one row per update"),
     ("comparison.json", "every controller: results per target, statistics"),
+    ("effort.json", "the arm's time and its joints' travel, stage by stage"),
     ("logs/*.parquet", "run logs: time, positions, commands, targets"),
     ("figures/*.png", "the figures of this page"),
 )
@@ -67,6 +69,11 @@ def _facts(contents: Contents) -> tuple[tuple[str, str], ...]:
         if info is None or comparison.robot != info.robot:
             facts.append(("robot of the comparison", comparison.robot))
         facts.append(("seed of the comparison", str(comparison.seed)))
+    facts += [
+        (f"cost of {stage.name}", cost(stage))
+        for stage in (contents.effort or Effort()).stages
+        if stage.wall or stage.moving
+    ]
     facts += [("report made with", f"rejoint {__version__}"), ("Python", platform.python_version())]
     return (*facts, ("packages on the machine of this report", _versions(_PACKAGES)))
 
@@ -131,7 +138,7 @@ def _compare(contents: Contents, robot: str, run: str) -> str:
     """Return the command of the comparison that was made, or of the one that is to be made."""
     info, comparison = contents.info, contents.comparison
     if comparison is None:
-        return f"rejoint compare {robot} {run}{once('ROBOT' if info is None else info.robot)}"
+        return f"rejoint compare {robot} {run}"
     other = info is None or comparison.seed != info.seed
     seed = f" --seed {comparison.seed}" if other else ""
     known = contents.calibration
@@ -142,8 +149,8 @@ def _compare(contents: Contents, robot: str, run: str) -> str:
 def _gauge(contents: Contents, robot: str) -> str:
     """Return the option by which the tool is measured; an arm in virtual time tells by itself."""
     if contents.calibration is not None and contents.calibration.source == "camera":
-        return " --camera 0" if once(robot) else " --camera emulated"
-    return " --touch" if once(robot) else ""
+        return " --camera emulated" if is_virtual(robot) else " --camera 0"
+    return "" if is_virtual(robot) else " --touch"
 
 
 def _asked(contents: Contents) -> str:
@@ -156,7 +163,7 @@ def _asked(contents: Contents) -> str:
 
 def _measured(contents: Contents, robot: str) -> str:
     """Return the option of `rejoint repair` that says what measured the tool, where it is not what it does anyway."""
-    found, virtual = contents.calibration, not once(robot)
+    found, virtual = contents.calibration, is_virtual(robot)
     if found is None:
         return " --calibrate none" if virtual else ""
     return (
@@ -168,11 +175,13 @@ def _measured(contents: Contents, robot: str) -> str:
 
 def _options(comparison: Comparison) -> str:
     """Return everything that a comparison was asked for, since what is left out is another comparison."""
-    drawn = f" --sets {len(comparison.targets)}"
+    sets, repetitions = comparison.most or (len(comparison.targets), comparison.repetitions)
+    drawn = f" --sets {sets}"
     targets = f" --targets {shlex.quote(comparison.targets_file)}" if comparison.targets_file else drawn
     names = shlex.quote(",".join(comparison.controllers))
     period = "" if comparison.period is None else f" --period {_milliseconds(comparison.period)}"
-    return f"{targets} --repetitions {comparison.repetitions} --controllers {names}{period}"
+    whole = "" if comparison.batched or comparison.race is not None else " --full"
+    return f"{targets} --repetitions {repetitions} --controllers {names}{period}{whole}"
 
 
 def _milliseconds(period: tuple[float, float]) -> str:

@@ -1,0 +1,77 @@
+"""What the diagnosis measured open loop, as trials of the default controller: it is not driven again for a comparison.
+
+An arm that is told once where to go does the same whoever tells it. The diagnosis holds each target for as long as a
+race does; a target that the arm does not cross in that time counts as missed, although a comparison waits longer (it
+has come to rest by then), and so the time for all targets stays unknown.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rejoint.arms import Arm, Array
+from rejoint.control.comparison.driven import Driven, measure
+from rejoint.control.comparison.result import Protocol
+from rejoint.control.default import DefaultController
+from rejoint.control.recording import Recording
+from rejoint.logs.runlog import RunLog, read_log
+from rejoint.runs.run import Run
+
+DEFAULT = DefaultController.name
+"""Name of the controller"""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class OpenLoopTrials:
+    """Ten targets, each sent once."""
+
+    targets: Array
+    """(K, 3) [m]"""
+    driven: tuple[Driven, ...]
+    """as under both protocols of a comparison, at its first set"""
+    log: RunLog
+    """as that of a trial of the hold protocol"""
+
+
+def open_loop(run: Run, robot: str, protocol: Protocol) -> OpenLoopTrials | None:
+    """Return what the diagnosis of a run found; None where it was of another robot, or does not suit the protocol."""
+    path = run.folder.log("targets")
+    if robot != run.robot or not path.exists():
+        return None
+    return trials(run.arm, read_log(path), protocol)
+
+
+def trials(arm: Arm, log: RunLog, protocol: Protocol) -> OpenLoopTrials | None:
+    """Judge the log of an open-loop run as the comparison judges its own; None where its holds are too short."""
+    recording, targets = _recording(log)
+    judged = replace(protocol, dwell=min(protocol.dwell, protocol.hold))
+    found = tuple(
+        measure(arm, recording, targets[None], judged, controller=DEFAULT, kind=kind, places=((0, 0),))
+        for kind in ("crossing", "hold")
+    )
+    crossings, holds = found[0].crossings, found[1].holds
+    if crossings is None or holds is None or not np.isfinite(holds.settled).all():
+        return None
+    crossings.time[crossings.crossed == 0.0] = np.nan
+    return OpenLoopTrials(targets=targets, driven=found, log=replace(log, label=f"hold/{DEFAULT}/0/0"))
+
+
+def _recording(log: RunLog) -> tuple[Recording, Array]:
+    """Return a log as what the control loop would have recorded, and its targets (K, 3) [m] in their order."""
+    known = np.isfinite(log.target).all(axis=1)
+    rows = np.flatnonzero(known)
+    target, time = log.target[rows], log.time[rows]
+    index = np.concatenate([[0], np.cumsum((target[1:] != target[:-1]).any(axis=1))])
+    first = np.searchsorted(index, np.arange(index[-1] + 1))
+    begun = time[np.maximum(first - 1, 0)]  # a target comes into force after the last row of the one before
+    count = len(rows)
+    return Recording(
+        arm=log.arm, joint_names=log.joint_names, robot=log.robot, controller=DEFAULT, time=time[:, None],
+        position=log.position[rows][:, None], command=log.command[rows][:, None], target=target[:, None],
+        aim=target[:, None].copy(), target_index=index[:, None].astype(np.intp),
+        since_target=(time - begun[index])[:, None], true_tcp=log.true_tcp[rows][:, None],
+        active=np.ones((count, 1), dtype=bool), reasons=np.zeros((count, 1), dtype=np.uint16),
+        load=np.full((count, 1, log.position.shape[1]), np.nan), tripped=np.zeros(1, dtype=np.uint16),
+    ), target[first]  # fmt: skip
