@@ -10,9 +10,11 @@ from typing import TYPE_CHECKING
 from rejoint.arms import Arm, Array
 from rejoint.control.comparison.compare import Settings, Trial
 from rejoint.control.comparison.compare import compare as compare_controllers
+from rejoint.control.comparison.holding import Holding, found_errors, vary_directions
 from rejoint.control.comparison.ledger import Ledger
 from rejoint.control.comparison.recommend import Recommendation, recommend
 from rejoint.control.comparison.result import Comparison, Protocol
+from rejoint.control.default import DefaultController
 from rejoint.control.robot import Robot
 from rejoint.logs.runlog import RunLog, write_log
 from rejoint.robots import open_robot
@@ -83,6 +85,7 @@ def compare(
     repetitions: int = 6,
     protocol: Protocol | None = None,
     period: Period | None = None,
+    directions: bool = False,
     seed: int | None = None,
     on_progress: Progress = no_progress,
 ) -> Compared:
@@ -119,6 +122,9 @@ def compare(
         thresholds [m] and times [s] of a trial; by default those of Park et al. 2024, and holds of eight seconds
     period
         [s] interval of the control periods; by default what the robot suits
+    directions
+        whether the recommended controller also comes to five poses from three directions, in as many cycles as there
+        are repetitions: vAP after ISO 9283 (on a real arm two minutes a cycle)
     seed
         of targets and an emulated arm's noise; by default that of the run, else 0
     on_progress
@@ -159,7 +165,7 @@ def compare(
             robot=robot, arm=chosen, run=about, factories=factories, targets=points, settings=settings, period=period,
             twin=known, correct=correction_of(calibration, about, chosen, address_of(robot)),
             model=calibration_of(calibration, about, chosen, address_of(robot)),
-            file=str(targets) if isinstance(targets, Path | str) else "",
+            file=str(targets) if isinstance(targets, Path | str) else "", directions=directions,
         )  # fmt: skip
         return job.drive(on_progress)
 
@@ -180,6 +186,7 @@ class _Job:
     model: Calibration | None
     file: str
     """of the targets; empty where there is none"""
+    directions: bool
 
     def drive(self, on_progress: Progress) -> Compared:
         """Compare; in a run, go on after the trials that are done there, and write what comes out."""
@@ -223,7 +230,24 @@ class _Job:
             )  # fmt: skip
         by = "" if self.model is None else self.model.date
         result = replace(result, targets_file=self.file, period=self.period, calibration=by)
+        with noted():
+            result = self._beside(result)
         return Compared(comparison=result, recommendation=recommend(result), logs=logs)
+
+    def _beside(self, result: Comparison) -> Comparison:
+        """Drive what stands beside the controllers: the arm as it was found, and poses from several directions."""
+        how = Holding(
+            open_robot=self._open, batched=self.settings.batched, seed=self.settings.seed, stance=stance_of(self.twin),
+            limits=guard_limits(self.run, self.arm, address_of(self.robot)), correction=self.correct, model=self.model,
+        )  # fmt: skip
+        protocol, own = self.settings.protocol, self.factories.get(DefaultController.name)
+        if self.correct is not None and own is not None:
+            result = replace(result, as_found=found_errors(how, own, self.targets[0], protocol))
+        if self.directions:
+            best = recommend(result).controller
+            found = vary_directions(how, best, self.factories[best], self.arm, self.settings.repetitions, protocol)
+            result = replace(result, directions=found)
+        return result
 
     def _open(self, count: int, seed: int) -> Robot:
         if not isinstance(self.robot, str):
