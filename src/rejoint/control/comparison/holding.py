@@ -26,8 +26,6 @@ INSET = 0.1
 """Share of the region's diagonals by which its outer poses lie inside (ISO 9283)"""
 AWAY = 0.03
 """[m] along an axis of the base from which a pose is come to, on an arm of the reach of a myCobot 280 (chosen)"""
-SETTLE = 4.0
-"""[s] at each place (chosen: controllers that bring worn arms near have done so after two to three)"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -115,7 +113,7 @@ def vary_directions(
     side = np.where(poses > middle, -1.0, 1.0)
     starts = poses[None] + AWAY * length_size(arm) * np.eye(3)[:, None] * side[None]  # (3, P, 3)
     way = np.stack([starts, np.broadcast_to(poses, starts.shape)], axis=2).reshape(-1, 3)
-    held = how.hold(controller, np.tile(way, (cycles, 1, 1)), replace(protocol, hold=max(SETTLE, 2 * protocol.window)))
+    held = how.hold(controller, np.tile(way, (cycles, 1, 1)), protocol)
     encoders, tool = (_variation(one[:, 1::2].reshape(cycles, 3, len(poses), 3)) for one in (held.away, held.away_true))
     if encoders is None:
         return None

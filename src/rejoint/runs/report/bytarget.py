@@ -63,7 +63,7 @@ def _table(comparison: Comparison, best: str, before: TargetErrors, after: Targe
     how = " What is modelled has its 95 % interval by the calibration in small print." if modelled else ""
     note = (
         "First set of targets; small print: x, y and z in mm. Before: the arm's own controller, sent once, not "
-        f"corrected. After: means over {comparison.repetitions} of the trials of the table above.{how}"
+        f"corrected, once. After: means over {comparison.repetitions} of the trials of the table above.{how}"
     )
     return Table(caption="Errors before and after", headers=headers, rows=tuple(rows), notes=(note,))
 

@@ -49,7 +49,8 @@ def _facts(contents: Contents) -> tuple[tuple[str, str], ...]:
     calibrated = UNKNOWN
     if calibration is not None:
         used = "used" if calibration.used else "not used: it does not clearly help"
-        calibrated = f"{_date(calibration.date)}, {calibration.points} measurements with {measured_with(calibration.source)}, {used}"
+        how = measured_with(calibration.source)
+        calibrated = f"{_date(calibration.date)}, {calibration.points} measurements with {how}, {used}"
     info = contents.info
     return (
         ("Robot", UNKNOWN if info is None else info.robot), ("Date", UNKNOWN if info is None else _date(info.created)),
@@ -140,9 +141,8 @@ def _pose_rows(whose: str, poses: PoseAccuracy | None) -> tuple[Row, Row]:
 
 
 def _direction_rows(contents: Contents) -> tuple[Row, Row]:
-    names = tuple(
-        f"vAP, multi-directional variation of accuracy {whose}" for whose in ("by the encoders", "of the tool")
-    )
+    name = "vAP, multi-directional variation of accuracy"
+    names = (f"{name} by the encoders", f"{name} of the tool")
     found = None if contents.comparison is None else contents.comparison.directions
     if found is None:
         return _row(names[0], None, "", ""), _row(names[1], None, "", "")

@@ -124,7 +124,7 @@ def compare(
         [s] interval of the control periods; by default what the robot suits
     directions
         whether the recommended controller also comes to five poses from three directions, in as many cycles as there
-        are repetitions: vAP after ISO 9283 (on a real arm two minutes a cycle)
+        are repetitions: vAP after ISO 9283 (on a real arm four minutes a cycle)
     seed
         of targets and an emulated arm's noise; by default that of the run, else 0
     on_progress

@@ -59,13 +59,8 @@ def _facts(contents: Contents) -> tuple[tuple[str, str], ...]:
     info, comparison = contents.info, contents.comparison
     facts = []
     if info is not None:
-        facts += [
-            ("robot", info.robot),
-            ("arm", info.arm),
-            ("seed", str(info.seed)),
-            ("begun", day_and_time(info.created)),
-        ]
-        facts.append(("made with", f"rejoint {info.version}"))
+        facts += [("robot", info.robot), ("arm", info.arm), ("seed", str(info.seed))]
+        facts += [("begun", day_and_time(info.created)), ("made with", f"rejoint {info.version}")]
     else:
         facts += [("robot", UNKNOWN), ("arm", contents.arm.name)]
     if comparison is not None:
