@@ -61,7 +61,7 @@ def test_one_number_for_one_property_of_a_joint(whole):
     same = [quantity for quantity in QUANTITIES if quantity.parameter]
     assert [quantity.parameter for quantity in same] == ["stiffness", "coulomb", "offset"]
     for quantity in same:
-        places = [place for place in page.places if re.search(rf" / {quantity.name} \[.*/ J1$", place)]
+        places = [place for place in page.places if re.search(rf" / {quantity.name} \[.*/ joint1$", place)]
         assert len(places) == 1
         assert places[0].startswith(TWIN)
         assert f"joint-{quantity.name.replace(' ', '-')}" not in figures
@@ -197,10 +197,10 @@ STIFFNESS = f"{JOINTS} / stiffness [N m/rad]"
         ("open_loop.targets.3.error_mm", 66.0, {"picture": "target 4 66,"}),
         ("findings.0.tcp_mm", 33.0, {"diagnosis / Findings, the worst at the tool first / joint3 / at the tool [mm]":
                                      "33"}),
-        ("measurement.joints.2.stiffness_nm_per_rad.value", 5.5, {f"{STIFFNESS} / J3": "5.5", "picture": "J3 5.5"}),
-        ("measurement.joints.2.stiffness_nm_per_rad.low", 2.0, {f"{STIFFNESS} / J3 / small": "2.0 to 9.9"}),
-        ("measurement.joints.4.lag_s.value", 0.077, {f"{JOINTS} / lag [ms] / J5": "77", "picture": "J5 77"}),
-        ("healthy.joints.2.stiffness_nm_per_rad.high", 55.0, {f"{STIFFNESS}, healthy / J3 / small": "34 to 55"}),
+        ("measurement.joints.2.stiffness_nm_per_rad.value", 5.5, {f"{STIFFNESS} / joint3": "5.5", "picture": "joint3 5.5"}),
+        ("measurement.joints.2.stiffness_nm_per_rad.low", 2.0, {f"{STIFFNESS} / joint3 / small": "2.0 to 9.9"}),
+        ("measurement.joints.4.lag_s.value", 0.077, {f"{JOINTS} / lag [ms] / joint5": "77", "picture": "joint5 77"}),
+        ("healthy.joints.2.stiffness_nm_per_rad.high", 55.0, {f"{STIFFNESS}, healthy / joint3 / small": "34 to 55"}),
         ("healthy.error_mm.value", 4.4, {"verdict / dd": "a healthy arm: 4.4 mm"}),
     ],
     ids=lambda value: value if isinstance(value, str) else "",

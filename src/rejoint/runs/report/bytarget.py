@@ -47,7 +47,7 @@ def _table(comparison: Comparison, best: str, before: TargetErrors, after: Targe
     rows = [
         Row(
             cells=(
-                Cell(str(k + 1), ", ".join(f"{MM * value:.0f}" for value in comparison.targets[0][k])),
+                Cell(f"target {k + 1}"),
                 *(cell for one in (before, after) for cell in (_encoders(one.encoders[k]), _tool(one.true[k]))),
             )
         )
@@ -62,7 +62,7 @@ def _table(comparison: Comparison, best: str, before: TargetErrors, after: Targe
     modelled = any(error.how == "modelled" for error in after.true)
     how = " What is modelled has its 95 % interval by the calibration in small print." if modelled else ""
     note = (
-        "First set of targets; small print: x, y and z in mm. Before: the arm's own controller, sent once, not "
+        "First set of targets. Before: the arm's own controller, sent once, not "
         f"corrected, once. After: means over {comparison.repetitions} of the trials of the table above.{how}"
     )
     return Table(caption="Errors before and after", headers=headers, rows=tuple(rows), notes=(note,))
