@@ -82,7 +82,7 @@ class Beside:
     """A correction that aims 10 mm beside every target."""
 
     def aim(self, target, start, where):  # noqa: ARG002 - the same beside each
-        return target + [0.0, 0.01, 0.0]
+        return target + np.array([0.0, 0.01, 0.0])
 
     def again(self, target, inputs):  # noqa: ARG002 - once is enough
         return None

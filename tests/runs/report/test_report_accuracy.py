@@ -18,6 +18,7 @@ from rejoint.diagnosis.calibration.procedure import reversals
 from rejoint.runs.exports import export_run
 from rejoint.runs.folder import RunFolder
 from rejoint.runs.report.contents import read_contents
+from rejoint.runs.report.datasheet import write_datasheet
 from rejoint.runs.report.displaced import arrow_scale
 from rejoint.runs.report.errors import before_after
 from rejoint.runs.report.words import day_and_time
@@ -137,9 +138,10 @@ def test_variation_by_direction_stands_on_the_page_and_the_data_sheet(tmp_path):
     found = DirectionVariation(controller="integrator", poses=5, cycles=4, encoders=some, tool=None)
     write_json(RunFolder(tmp_path).comparison, dataclasses.replace(with_poses(arm), directions=found))
     words = shown(tmp_path)[0].words.replace("\N{NO-BREAK SPACE}", " ")
-    assert "vAP of integrator: 1.5 mm by the encoders (1.1 to 1.9)" in words
+    low, high = (f"{1e3 * end:.1f}" for end in (some.mean.low, some.mean.high))
+    assert f"vAP of integrator: 1.5 mm by the encoders ({low} to {high})" in words
     assert "5 poses, 4 cycles from each direction, where the norm asks for 30" in words
-    rows = {row[0]: row[1:] for row in Page(export_run(tmp_path, "datasheet")[0]).rows}
+    rows = {row[0]: row[1:] for row in Page(write_datasheet(tmp_path, tmp_path / "sheet.html")).rows}
     name = "vAP, multi-directional variation of accuracy"
     assert rows[f"{name} by the encoders"][0] == "1.50"
     assert rows[f"{name} by the encoders"][2:] == ["5", "4 cycles, 3 directions"]
