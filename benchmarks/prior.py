@@ -27,8 +27,6 @@ from rejoint.research.evaluation.family import ArmFamily
 from rejoint.robots.emulated import EmulatedRobot
 
 FIRST, TARGETS = 10, 4
-LATER = (1, 3, 5)
-"""Points of the second calibration"""
 WORN_ON, BUMPED = 1.3, np.radians(2.0)
 CHANGES = ("nothing", "worn on", "bumped")
 
@@ -49,6 +47,7 @@ def main() -> None:
     """Print a table for each change."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.prior", description="Calibrating for a second time.")
     parser.add_argument("--arms", type=int, default=20)
+    parser.add_argument("--points", type=int, nargs="+", default=[3], help="of the second calibration")
     options, _ = parser.parse_known_args()
     arm, family = mycobot280(), ArmFamily(arms=options.arms, targets=TARGETS, seed=0)
     plan = suggest(arm, FIRST, visits=2, sigma=SIGMA)
@@ -56,10 +55,10 @@ def main() -> None:
     first = [fit(arm, begun.first(i, FIRST)) for i in range(options.arms)]
     targets = draw_targets(arm, sets=options.arms, count=TARGETS, seed=11)
     for change in CHANGES:
-        measured = measure(changed(change, family), suggest(arm, max(LATER), visits=1, sigma=SIGMA, seed=1), 1)
+        measured = measure(changed(change, family), suggest(arm, max(options.points), visits=1, sigma=SIGMA, seed=1), 1)
         print(f"{change}, {options.arms} arms")
         say("first calibration as it is", change, first, family, targets)
-        for count in LATER:
+        for count in options.points:
             alone = [fit(arm, measured.first(i, count)) for i in range(options.arms)]
             after = [fit(arm, measured.first(i, count), prior=first[i]) for i in range(options.arms)]
             say(f"{count} points alone", change, alone, family, targets)

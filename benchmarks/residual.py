@@ -33,7 +33,7 @@ def left(found: Calibration, position: Array, approach: Array, point: Array) -> 
 
 
 def smooth(place: Array, rest: Array, noise: Array, at: Array) -> Array:
-    """Predict (N, 3) [m] at places ``at`` (N, 3) from ``rest`` (M, 3) at ``place`` (M, 3), of variances ``noise`` (M,)."""
+    """Predict (N, 3) [m] ``at`` places (N, 3) from ``rest`` (M, 3) at ``place`` (M, 3) of variances ``noise`` (M,)."""
     best, chosen = -np.inf, np.zeros((len(at), 3))
     for amplitude in AMPLITUDES:
         for length in LENGTHS:
@@ -52,7 +52,7 @@ def kernel(one: Array, other: Array, amplitude: float, length: float) -> Array:
 
 
 def helps(place: Array, rest: Array, noise: Array) -> bool:
-    """Tell whether the map predicts each point better from the others than nothing does, by a standard error and more."""
+    """Tell whether the map predicts each point from the others clearly better than nothing does."""
     rows = np.arange(len(place))
     gain = np.array([
         np.linalg.norm(rest[k])

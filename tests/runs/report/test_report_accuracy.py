@@ -148,6 +148,25 @@ def test_variation_by_direction_stands_on_the_page_and_the_data_sheet(tmp_path):
     assert rows[f"{name} of the tool"][0] == "not known"
 
 
+def test_what_was_done_names_the_calibration_and_what_measured(run_folder, arm):
+    told = make_calibration(arm)[0]
+    write_calibration(run_folder.calibration, dataclasses.replace(told, source="emulated"))
+    words = shown(run_folder.path)[0].words.replace("\N{NO-BREAK SPACE}", " ")
+    assert "The tool was measured from outside 8 times, with the emulator's own knowledge of its tool" in words
+    assert f"it was {1e3 * told.before:.1f} mm from where the encoders see it" in words
+
+
+def test_a_finding_that_the_tool_does_not_feel_costs_nothing(run_folder, diagnosis):
+    first = diagnosis.findings[0]
+    turned = dataclasses.replace(first, joint="joint6", tcp_mm=0.01, sentence="joint6 is soft, 0.0 mm at the tool.")
+    write_json(run_folder.diagnosis, dataclasses.replace(diagnosis, findings=(first, turned)))
+    page = shown(run_folder.path)[0]
+    assert "Worn, but the tip of the tool does not feel it: joint6 (soft)." in page.words
+    assert "joint6 is soft, 0.0 mm" not in page.words
+    assert not any("Findings" in place and "joint6" in place for place in page.places)
+    assert any("Findings" in place and "joint3" in place for place in page.places)
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [("2026-11-21T11:33:31+0000", "21 November 2026, 11:33"), ("2026-01-05 07:02:00", "5 January 2026, 07:02"),
