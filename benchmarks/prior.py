@@ -48,13 +48,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.prior", description="Calibrating for a second time.")
     parser.add_argument("--arms", type=int, default=20)
     parser.add_argument("--points", type=int, nargs="+", default=[3], help="of the second calibration")
+    parser.add_argument("--changes", nargs="+", default=list(CHANGES), choices=CHANGES)
     options, _ = parser.parse_known_args()
     arm, family = mycobot280(), ArmFamily(arms=options.arms, targets=TARGETS, seed=0)
     plan = suggest(arm, FIRST, visits=2, sigma=SIGMA)
     begun = measure(changed("nothing", family), plan, family.seed)
     first = [fit(arm, begun.first(i, FIRST)) for i in range(options.arms)]
     targets = draw_targets(arm, sets=options.arms, count=TARGETS, seed=11)
-    for change in CHANGES:
+    for change in options.changes:
         measured = measure(changed(change, family), suggest(arm, max(options.points), visits=1, sigma=SIGMA, seed=1), 1)
         print(f"{change}, {options.arms} arms")
         say("first calibration as it is", change, first, family, targets)
