@@ -119,6 +119,7 @@ def test_one_wear_is_named_and_nothing_else(found, name, expected):
     assert diagnosis.condition in ("worn", "bad")
     assert expected[0] in diagnosis.verdict
     assert diagnosis.findings[0].sentence.startswith(expected[0])
+    assert all(finding.felt == ("nothing that" not in finding.sentence) for finding in diagnosis.findings)
 
 
 @pytest.mark.parametrize("name", ["offset joints", "worn, with offsets"])

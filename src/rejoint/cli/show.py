@@ -10,7 +10,7 @@ from rejoint.cli.console import Terminal
 from rejoint.cli.filming import show_filmed
 from rejoint.control.comparison.failure import failure
 from rejoint.control.comparison.recommend import Recommendation
-from rejoint.control.comparison.result import Comparison, PoseAccuracy
+from rejoint.control.comparison.result import Comparison, DirectionVariation, PoseAccuracy
 from rejoint.runs.effort import Effort, cost
 
 if TYPE_CHECKING:
@@ -131,10 +131,20 @@ def comparison(terminal: Terminal, result: Comparison, advice: Recommendation) -
         terminal.result(
             f"ISO 9283 with {advice.controller}, {plural(cycles, 'cycle')} (the norm asks for 30): {'; '.join(shown)}."
         )
+    if result.directions is not None:
+        terminal.result(_varied(result.directions))
     tie = f" (a tie with {', '.join(advice.tied)})" if advice.tied else ""
     terminal.result(f"Recommended: {advice.controller}{tie}")
     for reason in advice.why:
         terminal.result(f"  - {reason}")
+
+
+def _varied(found: DirectionVariation) -> str:
+    tool = "not known" if found.tool is None else f"{1e3 * found.tool.mean.value:.2f} mm"
+    return (
+        f"vAP (ISO 9283) with {found.controller}, {found.poses} poses from three directions, {found.cycles} times each "
+        f"(the norm asks for 30): by the encoders {1e3 * found.encoders.mean.value:.2f} mm, of the tool {tool}."
+    )
 
 
 def _poses(what: str, found: PoseAccuracy) -> str:

@@ -178,6 +178,9 @@ def compare(
     full: opt.Full = False,
     calibration: opt.Calibration = None,
     period: opt.Period = None,
+    directions: Annotated[
+        bool, typer.Option("--directions", help="Also come to five poses from three directions: vAP (ISO 9283).")
+    ] = False,
     seed: opt.RunSeed = None,
     json: opt.Json = False,
 ) -> None:
@@ -189,7 +192,8 @@ def compare(
     with terminal.unsaved(partial(show.stage, terminal, "compare")), terminal.progress("comparing") as update:
         found = rejoint.compare(
             robot, opt.controller_names(controllers), targets, run=run, sets=sets, repetitions=repetitions,
-            full=full, calibration=calibration, period=opt.period_seconds(period), seed=seed, on_progress=update,
+            full=full, calibration=calibration, period=opt.period_seconds(period), directions=directions, seed=seed,
+            on_progress=update,
         )  # fmt: skip
     show.stage(terminal, "compare", found)
     terminal.result(f"Next: rejoint report {run}")

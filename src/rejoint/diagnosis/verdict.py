@@ -27,6 +27,9 @@ BAD_MM = 3.0
 """Error at the tool from which a finding is called bad: what the whole of a healthy myCobot shows (3.09 mm, Park et
 al. 2024, section IV-B); goes with the reach."""
 
+FELT_MM = 0.05
+"""Error at the tool below which a finding costs nothing there (chosen: it would be printed as 0.0)"""
+
 RINGING_RATIO = 0.4
 """Damping ratio below which a joint is said to ring without a reference: 25 % overshoot (second order)."""
 
@@ -79,6 +82,11 @@ class Finding:
     """what it means at the tool, in the ten target postures"""
     sentence: str
 
+    @property
+    def felt(self) -> bool:
+        """Whether it costs anything at the tool: what turns the tool about its tip does not."""
+        return self.tcp_mm >= FELT_MM
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Case:
@@ -119,10 +127,11 @@ class _Case:
         reference = getattr(self.healthy, quantity, None)
         if not isinstance(reference, Estimate):
             reference = None
+        cost = f"{tcp * 1e3:.1f} mm at the tool." if tcp * 1e3 >= FELT_MM else "nothing that the tip of the tool feels."
         return Finding(
             joint=self.row.joint, kind=kind, severity="bad" if tcp * 1e3 >= self.bad_mm else "worn", quantity=quantity,
             measured=measured, healthy=reference, tcp_mm=tcp * 1e3,
-            sentence=f"{self.row.joint} {sentence} {tcp * 1e3:.1f} mm at the tool.",
+            sentence=f"{self.row.joint} {sentence} {cost}",
         )  # fmt: skip
 
     def beyond(self, quantity: str) -> bool:

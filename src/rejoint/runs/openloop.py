@@ -12,8 +12,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rejoint.arms import Arm, Array
+from rejoint.control.accuracy import ToolModel
 from rejoint.control.comparison.driven import Driven, measure
-from rejoint.control.comparison.result import Protocol
+from rejoint.control.comparison.holding import errors_of
+from rejoint.control.comparison.protocols import Holds
+from rejoint.control.comparison.result import Protocol, TargetErrors
 from rejoint.control.default import DefaultController
 from rejoint.control.recording import Recording
 from rejoint.logs.runlog import RunLog, read_log
@@ -31,31 +34,40 @@ class OpenLoopTrials:
     """(K, 3) [m]"""
     driven: tuple[Driven, ...]
     """as under both protocols of a comparison, at its first set"""
+    holds: Holds
+    """the second of them"""
     log: RunLog
     """as that of a trial of the hold protocol"""
 
+    def errors(self) -> TargetErrors:
+        """Errors of the arm as it was found."""
+        return errors_of(self.holds.settled, self.holds.settled_true, self.holds.modelled)
 
-def open_loop(run: Run, robot: str, protocol: Protocol) -> OpenLoopTrials | None:
-    """Return what the diagnosis of a run found; None where it was of another robot, or does not suit the protocol."""
+
+def open_loop(run: Run, robot: str, protocol: Protocol, model: ToolModel | None = None) -> OpenLoopTrials | None:
+    """Return what the diagnosis of a run found; None where it was of another robot, or does not suit the protocol.
+
+    ``model`` says how far the tool was from its targets, where nobody knows.
+    """
     path = run.folder.log("targets")
     if robot != run.robot or not path.exists():
         return None
-    return trials(run.arm, read_log(path), protocol)
+    return trials(run.arm, read_log(path), protocol, model)
 
 
-def trials(arm: Arm, log: RunLog, protocol: Protocol) -> OpenLoopTrials | None:
+def trials(arm: Arm, log: RunLog, protocol: Protocol, model: ToolModel | None = None) -> OpenLoopTrials | None:
     """Judge the log of an open-loop run as the comparison judges its own; None where its holds are too short."""
     recording, targets = _recording(log)
     judged = replace(protocol, dwell=min(protocol.dwell, protocol.hold))
     found = tuple(
-        measure(arm, recording, targets[None], judged, controller=DEFAULT, kind=kind, places=((0, 0),))
+        measure(arm, recording, targets[None], judged, controller=DEFAULT, kind=kind, places=((0, 0),), model=model)
         for kind in ("crossing", "hold")
     )
     crossings, holds = found[0].crossings, found[1].holds
     if crossings is None or holds is None or not np.isfinite(holds.settled).all():
         return None
     crossings.time[crossings.crossed == 0.0] = np.nan
-    return OpenLoopTrials(targets=targets, driven=found, log=replace(log, label=f"hold/{DEFAULT}/0/0"))
+    return OpenLoopTrials(targets=targets, driven=found, holds=holds, log=replace(log, label=f"hold/{DEFAULT}/0/0"))
 
 
 def _recording(log: RunLog) -> tuple[Recording, Array]:

@@ -219,7 +219,8 @@ def repair(
         targets = draw_targets(found.arm, sets=1, count=QUICK_TARGETS, seed=found.seed)
     chain.do("compare", lambda update: compare(
         robot, controllers, targets, run=found, sets=sets or few[0], repetitions=repetitions or few[1], full=full,
-        period=period, calibration=NO_GAUGE if gauge == NO_GAUGE else None, on_progress=update,
+        period=period, calibration=NO_GAUGE if gauge == NO_GAUGE else None, directions=emulated and not quick,
+        on_progress=update,
     ))  # fmt: skip
     chain.do("report", lambda _: report(found))
     finish(found)

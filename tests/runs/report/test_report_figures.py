@@ -169,7 +169,8 @@ def test_no_two_looks_share_colour_marker_or_line():
 
 
 @pytest.mark.parametrize(
-    "names", [("J1", "J2", "J3", "J4", "J5", "J6"), ("shoulder_pan", "shoulder_lift", "elbow") * 2]
+    "names",
+    [("joint1", "joint2", "joint3", "joint4", "joint5", "joint6"), ("shoulder_pan", "shoulder_lift", "elbow") * 2],
 )
 def test_names_of_joints_do_not_run_into_each_other(names):
     figure = by_joint("lag [ms]", names, series(count=6))
@@ -177,7 +178,7 @@ def test_names_of_joints_do_not_run_into_each_other(names):
     labels = figure.axes[0].get_xticklabels()
     assert [label.get_text() for label in labels] == list(names)
     level = labels[0].get_rotation() == 0.0
-    assert level == (names[0] == "J1")
+    assert level == (names[0] == "joint1")
     boxes = [label.get_window_extent() for label in labels]
     if level:
         assert all(left.x1 < right.x0 for left, right in itertools.pairwise(boxes))

@@ -61,7 +61,7 @@ def test_one_number_for_one_property_of_a_joint(whole):
     same = [quantity for quantity in QUANTITIES if quantity.parameter]
     assert [quantity.parameter for quantity in same] == ["stiffness", "coulomb", "offset"]
     for quantity in same:
-        places = [place for place in page.places if re.search(rf" / {quantity.name} \[.*/ J1$", place)]
+        places = [place for place in page.places if re.search(rf" / {quantity.name} \[.*/ joint1$", place)]
         assert len(places) == 1
         assert places[0].startswith(TWIN)
         assert f"joint-{quantity.name.replace(' ', '-')}" not in figures
@@ -76,12 +76,14 @@ def test_the_table_of_joints_holds_every_measurement_and_the_healthy_range(tmp_p
         for i, (row, well) in enumerate(zip(diagnosis.measurement.joints, diagnosis.healthy.joints, strict=True), 1):
             found, healthy = getattr(row, quantity.field), getattr(well, quantity.field)
             shown_rows += 1
-            assert rounds(places[f"{name} / J{i}"], quantity.factor * found.value)
+            assert rounds(places[f"{name} / joint{i}"], quantity.factor * found.value)
             if found.low is None:
-                assert f"{name} / J{i} / small" not in places
+                assert f"{name} / joint{i} / small" not in places
             else:
-                shows(places, f"{name} / J{i}", *(quantity.factor * e for e in (found.value, found.low, found.high)))
-            text = places[f"{name}, healthy / J{i} / small"]
+                shows(
+                    places, f"{name} / joint{i}", *(quantity.factor * e for e in (found.value, found.low, found.high))
+                )
+            text = places[f"{name}, healthy / joint{i} / small"]
             if healthy.low is None:
                 assert text == "not known"
             else:
@@ -97,7 +99,7 @@ def test_the_table_of_the_twin_holds_every_parameter_and_says_which_are_not_iden
         unit, factor = SHOWN.get(p.name, (p.unit.replace("^2", "²"), 1.0))
         values, lows, highs = (np.atleast_1d(getattr(one, p.name)) * factor for one in (twin.parameters, low, high))
         for i in range(len(values)):
-            cell = f"{TWIN} / {NAMES[p.name]} [{unit}] / J{i + 1}"
+            cell = f"{TWIN} / {NAMES[p.name]} [{unit}] / joint{i + 1}"
             assert rounds(places[cell], values[i])
             if known[f"{p.name}.joint{i + 1}" if p.per_joint else p.name]:
                 shows(places, cell, values[i], lows[i], highs[i])
@@ -197,10 +199,11 @@ STIFFNESS = f"{JOINTS} / stiffness [N m/rad]"
         ("open_loop.targets.3.error_mm", 66.0, {"picture": "target 4 66,"}),
         ("findings.0.tcp_mm", 33.0, {"diagnosis / Findings, the worst at the tool first / joint3 / at the tool [mm]":
                                      "33"}),
-        ("measurement.joints.2.stiffness_nm_per_rad.value", 5.5, {f"{STIFFNESS} / J3": "5.5", "picture": "J3 5.5"}),
-        ("measurement.joints.2.stiffness_nm_per_rad.low", 2.0, {f"{STIFFNESS} / J3 / small": "2.0 to 9.9"}),
-        ("measurement.joints.4.lag_s.value", 0.077, {f"{JOINTS} / lag [ms] / J5": "77", "picture": "J5 77"}),
-        ("healthy.joints.2.stiffness_nm_per_rad.high", 55.0, {f"{STIFFNESS}, healthy / J3 / small": "34 to 55"}),
+        ("measurement.joints.2.stiffness_nm_per_rad.value", 5.5,
+         {f"{STIFFNESS} / joint3": "5.5", "picture": "joint3 5.5"}),
+        ("measurement.joints.2.stiffness_nm_per_rad.low", 2.0, {f"{STIFFNESS} / joint3 / small": "2.0 to 9.9"}),
+        ("measurement.joints.4.lag_s.value", 0.077, {f"{JOINTS} / lag [ms] / joint5": "77", "picture": "joint5 77"}),
+        ("healthy.joints.2.stiffness_nm_per_rad.high", 55.0, {f"{STIFFNESS}, healthy / joint3 / small": "34 to 55"}),
         ("healthy.error_mm.value", 4.4, {"verdict / dd": "a healthy arm: 4.4 mm"}),
     ],
     ids=lambda value: value if isinstance(value, str) else "",

@@ -62,8 +62,8 @@ def test_full_report(run_folder, comparison):
     assert f"Use the controller “{best}”" in page.words
     assert [name for name, row in shown.items() if "recommended" in row[0]] == [best]
     assert not any(attributes.get("class") == "missing" for _, attributes in page.tags)
-    assert "Stiffness of J1 and delay cannot be told apart (correlation +0.95)." in page.words
-    assert "Stiffness of J3 and J6." in page.words, "named as not identified"
+    assert "Stiffness of joint1 and delay cannot be told apart (correlation +0.95)." in page.words
+    assert "Stiffness of joint3 and joint6." in page.words, "named as not identified"
 
     # PNG files beside the page, and curves under the promised name.
     names = {file.name for file in run_folder.figures.glob("*.png")}

@@ -17,6 +17,7 @@ from rejoint.system.errors import InputError
 from rejoint.system.statistics import Estimate, Spread
 
 Values = tuple[float | None, ...]
+_SEVERAL = ("stay", "stayed", "modelled")  # fields of `Outcomes` with more than one value for each target
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -120,10 +121,12 @@ class Outcomes:
     """[s] per distance; the length of the hold where the error does not stay below it"""
     stayed: tuple[Values, ...]
     """per distance: 1 where the error stays below it, else 0; None where the target was not held"""
+    modelled: tuple[Values, ...] = ()
+    """[m] true error by a calibration, value and ends of its interval; empty where there is none, or it is known"""
 
     def array(self, name: str) -> Array:
-        """Return one field as (S, R, K), or (W, S, R, K) for ``stay`` and ``stayed``; NaN for None."""
-        return np.array(getattr(self, name), dtype=float).reshape((-1, *self.shape) if "stay" in name else self.shape)
+        """Return one field as (S, R, K), or (W, S, R, K) for ``stay``, ``stayed`` and ``modelled``; NaN for None."""
+        return np.array(getattr(self, name), dtype=float).reshape((-1, *self.shape) if name in _SEVERAL else self.shape)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -197,6 +200,30 @@ class Protocol:
 
 
 @dataclass(frozen=True, kw_only=True)
+class TargetErrors:
+    """Errors at each of K targets."""
+
+    encoders: Values
+    """[m] encoder error, from the aim"""
+    true: tuple[TrueError, ...]
+    """of the tool, from the target, and how it is known"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class DirectionVariation:
+    """Multi-directional variation of pose accuracy, vAP after ISO 9283: poses come to along three axes of the base."""
+
+    controller: str
+    poses: int
+    cycles: int
+    """that each pose was attained from each direction; the norm asks for 30"""
+    encoders: Spread
+    """[m] over the poses, by the encoders"""
+    tool: Spread | None
+    """[m] of the tool itself; None where nobody knows it"""
+
+
+@dataclass(frozen=True, kw_only=True)
 class Comparison:
     """Every controller on the same arm with the same targets."""
 
@@ -227,6 +254,11 @@ class Comparison:
     """when it counted as decided, if it was driven no longer than that"""
     most: tuple[int, int] | None = None
     """target sets and repetitions after which such a race would have ended undecided"""
+    as_found: TargetErrors | None = None
+    """errors at the first target set of an arm driven by its own controller without any aim; None where that was not
+    driven beside a comparison that was aimed"""
+    directions: DirectionVariation | None = None
+    """of the recommended controller; None where that was not asked for"""
 
     def row(self, controller: str) -> ControllerRow:
         """Return the row of a controller; InputError names those there are."""

@@ -139,6 +139,7 @@ class Tally:
             oscillation=_values(self.oscillation),
             stay=tuple(_values(part) for part in stay),
             stayed=tuple(_values(part) for part in stayed),
+            modelled=tuple(_values(part) for part in self.modelled) if np.isfinite(self.modelled).any() else (),
         )
 
 

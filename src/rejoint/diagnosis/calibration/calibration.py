@@ -40,7 +40,7 @@ class Calibration:
     frame_name: str
     """``base``, or the name of the frame whose pose was fitted along"""
     source: str
-    """what measured: ``touch``, ``camera`` or ``tracker``"""
+    """what measured: ``touch``, ``camera``, ``tracker``, or ``emulated``: an emulator told"""
     date: str
     """when, as the caller says it"""
     points: int

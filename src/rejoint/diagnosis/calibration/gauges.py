@@ -43,7 +43,7 @@ class Gauge(Protocol):
     """Measures the tool of an arm that stands still."""
 
     source: str
-    """``touch``, ``camera`` or ``tracker``"""
+    """``touch``, ``camera``, ``tracker``, or ``emulated`` where nothing measured: an emulator told"""
     frame: str
     """``base`` where points are in the frame of the arm's base, else a name"""
     sigma: float
@@ -59,7 +59,7 @@ class EmulatedGauge:
 
     sigma: float = NOISE
     seed: int = 0
-    source: str = "touch"
+    source: str = "emulated"
     frame: str = "base"
     _rng: np.random.Generator = field(init=False)
 

@@ -171,7 +171,7 @@ def try_condition(
         on_progress((2 + step) * share, f"{condition.name}: {points} points")
         found = [fit(arm, measured.first(i, points)) for i in range(family.arms)]
         robot = open_condition(arm, condition, family, threads)
-        tried.append(_try(robot, found, controller, targets, points))
+        tried.append(try_found(robot, found, controller, targets, points))
     named, accused = find_wrong(arm, measured, family)
     seeds = np.array([family.wear_seed(i) for i in range(family.arms)], dtype=float)
     return Trials(condition=condition, wear_seed=seeds, before=before, tried=tuple(tried), named=named, accused=accused)
@@ -205,10 +205,11 @@ def find_wrong(arm: Arm, measured: Measured, family: ArmFamily) -> tuple[NDArray
     return named, accused
 
 
-def _try(
+def try_found(
     robot: EmulatedRobot, found: Sequence[Calibration], controller: Callable[[Arm], Controller], targets: Array,
     points: int,
 ) -> Tried:  # fmt: skip
+    """Send all arms, aimed by what was ``found`` of each, to ``targets`` (A, K, 3) [m]."""
     arm, aims = robot.arm, np.empty_like(targets)
     for i, calibration in enumerate(found):
         came = arm.rest

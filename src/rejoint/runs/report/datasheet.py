@@ -16,7 +16,7 @@ from rejoint.runs.report.contents import Contents, read_contents
 from rejoint.runs.report.errors import found
 from rejoint.runs.report.numerals import UNKNOWN, interval, number
 from rejoint.runs.report.view import Cell, Row, Table
-from rejoint.runs.report.words import joint_label
+from rejoint.runs.report.words import measured_with
 from rejoint.system.files import write_whole
 from rejoint.system.statistics import Spread, spread
 from rejoint.system.version import __version__
@@ -49,7 +49,8 @@ def _facts(contents: Contents) -> tuple[tuple[str, str], ...]:
     calibrated = UNKNOWN
     if calibration is not None:
         used = "used" if calibration.used else "not used: it does not clearly help"
-        calibrated = f"{_date(calibration.date)}, {calibration.points} measurements ({calibration.source}), {used}"
+        how = measured_with(calibration.source)
+        calibrated = f"{_date(calibration.date)}, {calibration.points} measurements with {how}, {used}"
     info = contents.info
     return (
         ("Robot", UNKNOWN if info is None else info.robot), ("Date", UNKNOWN if info is None else _date(info.created)),
@@ -83,7 +84,7 @@ def _accuracy(contents: Contents) -> Table:
         _spread("Encoder error, repaired", None if hold is None else hold.settled),
         _true("True error, repaired", TrueError() if hold is None else hold.true_error, _held(best)),
         *_pose_rows("by the encoders", poses), *_pose_rows("of the tool", tool),
-        _row("vAP, multi-directional variation of accuracy", None, "", ""),
+        *_direction_rows(contents),
         _spread("Reversal value at the tool, ISO 230-2", _reversal(contents)),
         *_left_out(contents),
     )  # fmt: skip
@@ -139,6 +140,16 @@ def _pose_rows(whose: str, poses: PoseAccuracy | None) -> tuple[Row, Row]:
     return _spread(names[0], poses.accuracy, how), _spread(names[1], poses.repeatability, how)
 
 
+def _direction_rows(contents: Contents) -> tuple[Row, Row]:
+    name = "vAP, multi-directional variation of accuracy"
+    names = (f"{name} by the encoders", f"{name} of the tool")
+    found = None if contents.comparison is None else contents.comparison.directions
+    if found is None:
+        return _row(names[0], None, "", ""), _row(names[1], None, "", "")
+    how = f"{found.cycles} cycle{'s' * (found.cycles != 1)}, 3 directions"
+    return _spread(names[0], found.encoders, how), _spread(names[1], found.tool, how)
+
+
 def _reversal(contents: Contents) -> Spread | None:
     if contents.calibration is None or contents.measurements is None:
         return None
@@ -167,7 +178,7 @@ def _joints(contents: Contents) -> Table:
     for i, name in enumerate(arm.joint_names):
         play = None if calibration is None else float(np.degrees(calibration.displacement.play[i]))
         limits = f"{np.degrees(arm.lower[i]):.0f} to {np.degrees(arm.upper[i]):.0f}"
-        cells = (Cell(joint_label(name)), Cell(limits), Cell(number(float(np.degrees(arm.max_speed[i])), 3)))
+        cells = (Cell(name), Cell(limits), Cell(number(float(np.degrees(arm.max_speed[i])), 3)))
         rows.append(Row(cells=(*cells, Cell(number(play, 2)))))
     step = number(float(np.degrees(arm.encoder_step)), 2, "deg")
     return Table(

@@ -9,7 +9,7 @@ from rejoint.control.comparison.result import Comparison, ControllerRow, HoldRow
 from rejoint.runs.report.numerals import NEVER, UNKNOWN, interval, number, spread
 from rejoint.runs.report.palette import LOOKS, look_of
 from rejoint.runs.report.view import Cell, Row, Table
-from rejoint.runs.report.words import CONTROLLERS, plural
+from rejoint.runs.report.words import CONTROLLERS, day_and_time, plural
 from rejoint.system.statistics import FEWEST_CLUSTERS, Spread
 
 MM, PERCENT = 1e3, 1e2
@@ -200,7 +200,7 @@ def _notes(comparison: Comparison) -> tuple[str, ...]:
             else "The true position of the tool is not known on this robot: it has to be measured from outside."
         )
     if comparison.calibration:
-        aimed = f"All controllers were aimed by the calibration of {comparison.calibration.replace('T', ' ')}."
+        aimed = f"All controllers were aimed by the calibration of {day_and_time(comparison.calibration)}."
         notes.append(f"{aimed} Encoder errors are distances from the aim, true errors from the target.")
     return tuple(notes)
 
@@ -230,9 +230,28 @@ def poses_view(comparison: Comparison) -> Table | None:
         "AP: distance from the target to the mean of the places attained; RP: mean distance of these places from their "
         "mean, and three standard deviations of it. Means over the targets as poses; small print: 95 % intervals. "
         f"{plural(cycles, 'cycle')} for each pose, where the norm asks for 30.",
+        *_directions(comparison),
     )
     headers = ("controller", "AP, encoders [mm]", "RP, encoders [mm]", "AP, tool [mm]", "RP, tool [mm]")
     return Table(caption="Accuracy after ISO 9283", headers=headers, rows=rows, notes=notes)
+
+
+def _directions(comparison: Comparison) -> tuple[str, ...]:
+    """Say how far the place attained varies with the direction of approach, vAP."""
+    found = comparison.directions
+    if found is None:
+        return ()
+    ends = (("by the encoders", found.encoders), ("of the tool", found.tool))
+    said = [f"{_mean(one, MM, 2)} mm {whose}{_in_brackets(_range(one, MM, 2))}" for whose, one in ends if one]
+    return (
+        f"vAP of {found.controller}: {' and '.join(said)}, the largest distance between the mean places attained from "
+        f"three directions; mean over {plural(found.poses, 'pose')}, {plural(found.cycles, 'cycle')} from each "
+        "direction, where the norm asks for 30.",
+    )
+
+
+def _in_brackets(text: str) -> str:
+    return f" ({text})" if text else ""
 
 
 def _pose_cells(found: PoseAccuracy | None) -> tuple[Cell, Cell]:

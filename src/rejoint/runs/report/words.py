@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from contextlib import suppress
+from datetime import datetime
 
 from rejoint.robots import place_of
 from rejoint.system.errors import AddressError
+
+MONTHS = (
+    "January", "February", "March", "April", "May", "June", "July", "August", "September", "October", "November",
+    "December",
+)  # fmt: skip
 
 CONTROLLERS = {
     "default": "target sent once, as the arm does by itself",
@@ -22,10 +27,27 @@ CONTROLLERS = {
 """What each controller does"""
 
 
-def joint_label(name: str) -> str:
-    """Return a short label: ``joint3`` becomes ``J3``, ``elbow_joint`` becomes ``elbow``, other names stay."""
-    match = re.fullmatch(r"joint_?(\d+)", name)
-    return f"J{match[1]}" if match else name.removesuffix("_joint") or name
+SOURCES = {
+    "touch": "touch, typed in by hand",
+    "camera": "a camera that sees a board",
+    "tracker": "a tracker",
+    "emulated": "the emulator's own knowledge of its tool, and the noise of a ruler",
+}
+"""What measured where the tool is"""
+
+
+def measured_with(source: str) -> str:
+    """Say what measured; sources of other programs stay as they are."""
+    return SOURCES.get(source, source)
+
+
+def day_and_time(text: str) -> str:
+    """Say a date in ISO 8601 as ``21 November 2026, 11:57``; what is none stays as it is."""
+    try:
+        when = datetime.fromisoformat(text)
+    except ValueError:
+        return text
+    return f"{when.day} {MONTHS[when.month - 1]} {when.year}, {when:%H:%M}"
 
 
 def listed(words: Sequence[str], last: str) -> str:

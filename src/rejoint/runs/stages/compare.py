@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,6 +13,7 @@ import numpy as np
 from rejoint.arms import Arm, Array
 from rejoint.control.comparison.compare import Settings, Trial
 from rejoint.control.comparison.compare import compare as compare_controllers
+from rejoint.control.comparison.holding import Holding, found_errors, vary_directions
 from rejoint.control.comparison.ledger import Ledger
 from rejoint.control.comparison.racing import Race
 from rejoint.control.comparison.recommend import Recommendation, recommend
@@ -49,6 +51,7 @@ from rejoint.runs.stages.driving import (
     make_factories,
     stance_of,
 )
+from rejoint.system.errors import GuardTripError
 from rejoint.system.files import digest, require_space, saving, set_aside, write_json
 from rejoint.system.progress import Progress, no_progress, paced
 from rejoint.system.stopping import noted
@@ -101,6 +104,7 @@ def compare(
     repetitions: int | None = None,
     protocol: Protocol | None = None,
     period: Period | None = None,
+    directions: bool = False,
     seed: int | None = None,
     full: bool = False,
     on_progress: Progress = no_progress,
@@ -144,6 +148,9 @@ def compare(
         race of five, as in the diagnosis
     period
         [s] interval of the control periods; by default what the robot suits
+    directions
+        whether the recommended controller also comes to five poses from three directions, in as many cycles as there
+        are repetitions: vAP after ISO 9283 (on a real arm four minutes a cycle)
     seed
         of targets and an emulated arm's noise; by default that of the run, else 0
     full
@@ -184,14 +191,17 @@ def compare(
             repetitions=repetitions or (REPETITIONS if race is None else 1), seed=seed, batched=not real,
             protocol=protocol or (Protocol() if race is None else RACE_PROTOCOL), leave_out=not controllers, race=race,
         )  # fmt: skip
-        before = None if race is None or about is None else open_loop(about, address_of(robot), settings.protocol)
+        model = calibration_of(calibration, about, chosen, address_of(robot))
+        before = (
+            None if race is None or about is None else open_loop(about, address_of(robot), settings.protocol, model)
+        )
         if before is not None and targets is None:
             points[0] = before.targets
         job = _Job(
             robot=robot, arm=chosen, run=about, factories=factories, targets=points, settings=settings, period=period,
             twin=known, correct=correction_of(calibration, about, chosen, address_of(robot)),
-            model=calibration_of(calibration, about, chosen, address_of(robot)),
-            file=str(targets) if isinstance(targets, Path | str) else "",
+            model=model,
+            file=str(targets) if isinstance(targets, Path | str) else "", directions=directions,
             before=before if before is not None and np.array_equal(points[0], before.targets) else None,
         )  # fmt: skip
         return job.drive(on_progress)
@@ -215,6 +225,7 @@ class _Job:
     """of the targets; empty where there is none"""
     before: OpenLoopTrials | None
     """what the diagnosis measured at the first set; None where that is not known, or not wanted"""
+    directions: bool
 
     def drive(self, on_progress: Progress) -> Compared:
         """Compare; in a run, go on after the trials that are done there, and write what comes out."""
@@ -252,19 +263,43 @@ class _Job:
                     write_log(self.run.folder.log(trial.label), logs[trial.label])
 
         with noted(), metered(self.run.folder if self.run else None, "compare") as meter:
+
+            def watched(count: int, seed: int) -> Robot:
+                return meter.watch(self._open(count, seed))
+
             result = compare_controllers(
-                lambda count, seed: meter.watch(self._open(count, seed)), self.factories, self.targets, self.settings,
-                on_progress=on_progress, on_trial=keep, ledger=ledger,
-                limits=guard_limits(self.run, self.arm, address_of(self.robot)), stance=stance_of(self.twin),
-                correction=self.correct, model=self.model,
+                watched, self.factories, self.targets, self.settings, on_progress=on_progress, on_trial=keep,
+                ledger=ledger, limits=guard_limits(self.run, self.arm, address_of(self.robot)),
+                stance=stance_of(self.twin), correction=self.correct, model=self.model,
                 measured=() if before is None else before.driven, source=SOURCE,
             )  # fmt: skip
+            result = self._beside(result, before, watched)
         if before is not None and self.run is not None:
             logs[before.log.label] = before.log
             write_log(self.run.folder.log(before.log.label), before.log)
         by = "" if self.model is None else self.model.date
         result = replace(result, targets_file=self.file, period=self.period, calibration=by)
         return Compared(comparison=result, recommendation=recommend(result), logs=logs)
+
+    def _beside(
+        self, result: Comparison, before: OpenLoopTrials | None, opened: Callable[[int, int], Robot]
+    ) -> Comparison:
+        """Add what stands beside the controllers: the arm as it was found, and poses from several directions."""
+        how = Holding(
+            open_robot=opened, batched=self.settings.batched, seed=self.settings.seed, stance=stance_of(self.twin),
+            limits=guard_limits(self.run, self.arm, address_of(self.robot)), correction=self.correct, model=self.model,
+        )  # fmt: skip
+        protocol, own = self.settings.protocol, self.factories.get(DEFAULT)
+        with suppress(GuardTripError):  # neither is worth a comparison that is decided
+            if self.correct is not None and before is not None:
+                result = replace(result, as_found=before.errors())
+            elif self.correct is not None and own is not None:
+                result = replace(result, as_found=found_errors(how, own, self.targets[0], protocol))
+            if self.directions:
+                best = recommend(result).controller
+                found = vary_directions(how, best, self.factories[best], self.arm, self.settings.repetitions, protocol)
+                result = replace(result, directions=found)
+        return result
 
     def _open(self, count: int, seed: int) -> Robot:
         if not isinstance(self.robot, str):

@@ -14,7 +14,7 @@ from rejoint.runs.report.displaced import arrow_scale, arrows
 from rejoint.runs.report.gallery import Gallery
 from rejoint.runs.report.numerals import UNKNOWN, interval, number
 from rejoint.runs.report.view import Cell, Part, Picture, Row, Section, Table
-from rejoint.runs.report.words import joint_label, listed, plural
+from rejoint.runs.report.words import day_and_time, listed, measured_with, plural
 from rejoint.system.statistics import NORMAL95
 
 KEY, SHORT, HEADING = "tool", "Where the tool is", "Where the tool is"
@@ -47,7 +47,7 @@ def _summary(found: Calibration, measured: Measurements | None) -> Part:
         f"from where this calibration says it is, each point predicted without its own posture. {verdict}"
     )
     tilt = np.degrees(np.arccos(np.clip(found.displacement.gravity @ GRAVITY / (GRAVITY @ GRAVITY), -1.0, 1.0)))
-    facts = [("measured with", found.source), ("on", found.date.replace("T", " ") or UNKNOWN)]
+    facts = [("measured with", measured_with(found.source)), ("on", day_and_time(found.date) or UNKNOWN)]
     if measured is not None:
         facts.append(("postures", str(len(np.unique(measured.posture)))))
         facts.append(("standard deviation of a coordinate", number(float(measured.sigma.mean()) * MM, 2, "mm")))
@@ -131,7 +131,7 @@ def _joints(found: Calibration) -> Part:
     columns = (("offset", np.degrees(1.0)), ("compliance", np.degrees(1.0)), ("play", np.degrees(1.0)))
     rows = []
     for i, name in enumerate(found.arm.joint_names):
-        cells = [Cell(joint_label(name))]
+        cells = [Cell(name)]
         for kind, unit in columns:
             value, half = getattr(own, kind)[i] * unit, NORMAL95 * sigma[found.layout.at(kind)][i] * unit
             low = value - half if kind == "offset" else max(value - half, 0.0)
@@ -151,7 +151,7 @@ def _floating(found: Calibration, position: Array) -> tuple[Part, ...]:
     what = preload(found, position)
     if not what.joints:
         return ()
-    names = listed([joint_label(name) for name in what.joints], "and")
+    names = listed(what.joints, "and")
     chance = number(what.chance * MM, 2, "mm")
     lines = [
         f"{names} carry no weight and lie in their play where chance left them: {chance} at the tool, root mean square "

@@ -8,6 +8,7 @@ from rejoint.arms import Array
 from rejoint.control.comparison.failure import failure
 from rejoint.control.comparison.recommend import NO_INTERVAL
 from rejoint.control.comparison.result import Comparison, ControllerRow
+from rejoint.runs.report.bytarget import by_target
 from rejoint.runs.report.figures import Series, error_per_target, intervals
 from rejoint.runs.report.gallery import Gallery
 from rejoint.runs.report.numerals import number
@@ -41,6 +42,7 @@ def comparison_section(comparison: Comparison, best: str, healthy: Series | None
             else ()
         ),
         Part(heading="Error per target", figures=(per_target,)),
+        *by_target(comparison, best, gallery),
         Part(heading="Accuracy and speed", figures=means, columns=2),
     )
     return Section(key=KEY, short=SHORT, heading=HEADING, parts=parts)

@@ -14,7 +14,7 @@ from rejoint.runs.folder import LOGS
 from rejoint.runs.report.contents import Contents
 from rejoint.runs.report.numerals import UNKNOWN
 from rejoint.runs.report.view import Cell, Command, Part, Row, Section, Table
-from rejoint.runs.report.words import is_virtual
+from rejoint.runs.report.words import day_and_time, is_virtual
 from rejoint.system.version import __version__
 
 KEY, SHORT, HEADING = "details", "Details", "Details"
@@ -61,8 +61,8 @@ def _facts(contents: Contents) -> tuple[tuple[str, str], ...]:
     info, comparison = contents.info, contents.comparison
     facts = []
     if info is not None:
-        facts += [("robot", info.robot), ("arm", info.arm), ("seed", str(info.seed)), ("begun", info.created)]
-        facts.append(("made with", f"rejoint {info.version}"))
+        facts += [("robot", info.robot), ("arm", info.arm), ("seed", str(info.seed))]
+        facts += [("begun", day_and_time(info.created)), ("made with", f"rejoint {info.version}")]
     else:
         facts += [("robot", UNKNOWN), ("arm", contents.arm.name)]
     if comparison is not None:
@@ -142,8 +142,9 @@ def _compare(contents: Contents, robot: str, run: str) -> str:
     other = info is None or comparison.seed != info.seed
     seed = f" --seed {comparison.seed}" if other else ""
     known = contents.calibration
+    directions = " --directions" if comparison.directions is not None else ""
     plain = " --calibration none" if known is not None and known.used and not comparison.calibration else ""
-    return f"rejoint compare {shlex.quote(comparison.robot)} {run}{_options(comparison)}{plain}{seed}"
+    return f"rejoint compare {shlex.quote(comparison.robot)} {run}{_options(comparison)}{plain}{directions}{seed}"
 
 
 def _gauge(contents: Contents, robot: str) -> str:

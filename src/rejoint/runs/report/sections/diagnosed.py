@@ -121,17 +121,24 @@ def _open_loop(diagnosis: Diagnosis, found: OpenLoop, gallery: Gallery) -> Pictu
 def _findings(diagnosis: Diagnosis) -> Part:
     if not diagnosis.findings:
         return Part(heading="Findings", texts=("No joint shows wear that its encoder can see.",))
-    rows = tuple(_finding(finding) for finding in diagnosis.findings)
+    rows = tuple(_finding(finding) for finding in diagnosis.findings if finding.felt)
+    unfelt = [f"{finding.joint} ({_kind(finding)})" for finding in diagnosis.findings if not finding.felt]
+    lines = (f"Worn, but the tip of the tool does not feel it: {listed(unfelt, 'and')}.",) if unfelt else ()
+    if not rows:
+        return Part(heading="Findings", lines=lines)
     headers = ("joint", "finding", "at the tool [mm]", "in words")
     table = Table(caption="Findings, the worst at the tool first", headers=headers, rows=rows, words=True)
-    return Part(heading="Findings", tables=(table,))
+    return Part(heading="Findings", lines=lines, tables=(table,))
+
+
+def _kind(finding: Finding) -> str:
+    return KINDS.get(finding.kind, finding.kind.replace("_", " "))
 
 
 def _finding(finding: Finding) -> Row:
-    kind = KINDS.get(finding.kind, finding.kind.replace("_", " "))
     return Row(
         cells=(
-            Cell(finding.joint), Cell(kind, finding.severity), Cell(number(finding.tcp_mm, 2)),
+            Cell(finding.joint), Cell(_kind(finding), finding.severity), Cell(number(finding.tcp_mm, 2)),
             Cell(finding.sentence),
         )
     )  # fmt: skip

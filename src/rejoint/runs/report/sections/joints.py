@@ -14,7 +14,7 @@ from rejoint.runs.report.figures import Series, by_joint
 from rejoint.runs.report.gallery import Gallery
 from rejoint.runs.report.numerals import UNKNOWN, interval, number
 from rejoint.runs.report.view import Cell, Picture, Row, Table
-from rejoint.runs.report.words import joint_label, sentence
+from rejoint.runs.report.words import sentence
 from rejoint.system.statistics import Estimate
 
 DEG = float(np.degrees(1.0))
@@ -71,7 +71,7 @@ def joint_pictures(
     shown: Sequence[Quantity], joints: Sequence[JointMetrics], healthy: Sequence[JointMetrics] | None, gallery: Gallery
 ) -> tuple[Picture, ...]:
     """Draw every quantity that was measured for at least one joint."""
-    labels = [joint_label(row.joint) for row in joints]
+    labels = [row.joint for row in joints]
     pictures = []
     for quantity in shown:
         measured = _series(quantity, joints, "this arm", palette.BLUE)
@@ -105,7 +105,7 @@ def joint_table(
         if healthy is not None:
             ranges = [_range(quantity, _estimate(quantity, row)) for row in healthy]
             rows.append(Row(cells=(Cell("", "healthy"), *(Cell("", text) for text in ranges))))
-    headers = ("quantity", *(joint_label(row.joint) for row in joints))
+    headers = ("quantity", *(row.joint for row in joints))
     notes = ("Small print: 95 % interval of the measurement; range within which an arm counts as healthy.",)
     return Table(caption="Measured values per joint", headers=headers, rows=tuple(rows), notes=notes)
 

@@ -14,7 +14,6 @@ from rejoint.runs.report.numerals import number
 from rejoint.runs.report.palette import Look
 from rejoint.runs.report.trust import MM, Score, answer, scores
 from rejoint.runs.report.view import Cell, Part, Picture, Row, Section, Table
-from rejoint.runs.report.words import joint_label
 from rejoint.twin.judgement import NO_TWIN, Error, Judgement
 
 KEY, SHORT, HEADING = "trust", "Which fit to trust", "Which fit to trust"
@@ -128,7 +127,7 @@ def _over_time(judgement: Judgement, looks: dict[str, Look], gallery: Gallery) -
     time, shaded = np.array(trace.time), np.array(trace.contact, dtype=bool)
     series = [Series(label=name, look=looks[name], value=np.array(gap) * MM) for name, gap in trace.tcp.items()]
     residual: Array = np.degrees(np.array(trace.joints))
-    joints = [joint_label(name) for name in judgement.joint_names]
+    joints = list(judgement.joint_names)
     worst = ", ".join(
         f"{name} {number(float(np.abs(row).max()), 2)}" for name, row in zip(joints, residual, strict=True)
     )

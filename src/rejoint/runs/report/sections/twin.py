@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from rejoint.arms import Array
@@ -13,7 +11,7 @@ from rejoint.runs.report.gallery import Gallery
 from rejoint.runs.report.numerals import interval, number
 from rejoint.runs.report.prediction import correlations
 from rejoint.runs.report.view import Cell, Part, Picture, Row, Section, Table
-from rejoint.runs.report.words import joint_label, listed, plural, sentence
+from rejoint.runs.report.words import listed, plural, sentence
 from rejoint.system.statistics import NORMAL95
 from rejoint.twin.parameters import (
     ARM_PARAMETERS,
@@ -78,7 +76,7 @@ def _prediction(twin: Twin, gallery: Gallery) -> Part:
 
 
 def _parameters(twin: Twin, belief: Prior, gallery: Gallery) -> Part:
-    joints = [joint_label(name) for name in twin.joint_names]
+    joints = list(twin.joint_names)
     pictures = tuple(_picture(p, twin, belief, gallery) for p in JOINT_PARAMETERS)
     text = (
         "Filled: identified, with its 95 % interval. Hollow: the motion says no more than was believed before. "
@@ -93,7 +91,7 @@ def _picture(p: Parameter, twin: Twin, belief: Prior, gallery: Gallery) -> Pictu
     unit, factor = _unit(p)
     low, high = twin.interval
     known = _known(twin, p)
-    joints = [joint_label(name) for name in twin.joint_names]
+    joints = list(twin.joint_names)
     n = len(joints)
 
     def of(parameters: TwinParameters) -> Array:
@@ -158,7 +156,7 @@ def _together(twin: Twin, gallery: Gallery) -> tuple[Part, ...]:
     sigma = np.sqrt(np.diag(twin.covariance))[chosen]
     matrix = twin.covariance[np.ix_(chosen, chosen)] / np.outer(sigma, sigma)
     strong = ", ".join(f"{_name(a)} and {_name(b)} {value:+.2f}" for a, b, value in twin.correlations[:5])
-    kinds, joints = [NAMES[kind] for _, kind, _ in parts], [joint_label(j) if j else "arm" for *_, j in parts]
+    kinds, joints = [NAMES[kind] for _, kind, _ in parts], [j or "arm" for *_, j in parts]
     picture = gallery.show(
         "twin-correlations", correlations(kinds, joints, matrix),
         alt=f"Correlations of the {len(parts)} identified parameters; strongest: {strong or 'none above 0.9'}.",
@@ -169,9 +167,9 @@ def _together(twin: Twin, gallery: Gallery) -> tuple[Part, ...]:
 
 
 def _doubts(twin: Twin) -> Part:
-    lines = list(_unknown(twin, joint_label))
+    lines = list(_unknown(twin))
     if twin.unknown_scale:
-        where = listed([joint_label(name) for name in twin.unknown_scale], "and")
+        where = listed(twin.unknown_scale, "and")
         lines.append(f"Torques and inertia of {where} are known up to a common factor only: gravity loads them little.")
     for one, other, value in twin.correlations:
         lines.append(sentence(f"{_name(one)} and {_name(other)} cannot be told apart (correlation {value:+.2f})"))
@@ -179,7 +177,7 @@ def _doubts(twin: Twin) -> Part:
     return Part(heading="What could not be identified", lines=tuple(lines))
 
 
-def _unknown(twin: Twin, label: Callable[[str], str]) -> list[str]:
+def _unknown(twin: Twin) -> list[str]:
     lines = []
     for p in PARAMETERS:
         missing = [name.split(".")[-1] for name in twin.unknown if name.split(".")[0] == p.name]
@@ -187,7 +185,7 @@ def _unknown(twin: Twin, label: Callable[[str], str]) -> list[str]:
             lines.append(sentence(f"{NAMES[p.name]} of the arm"))
         elif missing:
             whole = len(missing) == len(twin.joint_names)
-            where = "any joint" if whole else listed([label(name) for name in missing], "and")
+            where = "any joint" if whole else listed(missing, "and")
             lines.append(sentence(f"{NAMES[p.name]} of {where}"))
     if not lines:
         lines.append(f"Every one of the {plural(len(twin.names), 'parameter')} was narrowed by the data.")
@@ -196,4 +194,4 @@ def _unknown(twin: Twin, label: Callable[[str], str]) -> list[str]:
 
 def _name(element: str) -> str:
     name, _, joint = element.partition(".")
-    return f"{NAMES[name]} of {joint_label(joint)}" if joint else NAMES[name]
+    return f"{NAMES[name]} of {joint}" if joint else NAMES[name]

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from rejoint.control.comparison.failure import failure
 from rejoint.control.comparison.recommend import NO_INTERVAL, Recommendation, difference
 from rejoint.control.comparison.result import Comparison, ControllerRow
+from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.diagnosis.diagnosis import ringing_most
 from rejoint.runs.folder import LOGS
 from rejoint.runs.report.contents import Contents
@@ -15,7 +16,7 @@ from rejoint.runs.report.numerals import UNKNOWN, interval, number
 from rejoint.runs.report.sections.diagnosed import error_range, mean_error
 from rejoint.runs.report.trust import answer
 from rejoint.runs.report.view import KeyNumber, Page, Section, Summary
-from rejoint.runs.report.words import listed, plural, sentence
+from rejoint.runs.report.words import day_and_time, listed, measured_with, plural, sentence
 from rejoint.system.statistics import Spread, above_zero
 
 MM, PERCENT = 1e3, 1e2
@@ -34,7 +35,7 @@ STAGES = ("diagnose", "calibrate", "identify", "train", "compare")
 def page_of(contents: Contents, advice: Recommendation | None, sections: tuple[Section, ...], *, footer: str) -> Page:
     """Put the verdict on top of the sections."""
     robot = UNKNOWN if contents.info is None else contents.info.robot
-    begun = "" if contents.info is None else f", {contents.info.created.replace('T', ' ')}"
+    begun = "" if contents.info is None else f", {day_and_time(contents.info.created)}"
     return Page(
         title=f"Repair report: {contents.arm.name}",
         subtitle=f"{_source(robot)}{begun}",
@@ -177,8 +178,8 @@ def _turn(missing: str) -> int:
 def _wrong(contents: Contents) -> tuple[str, ...]:
     if contents.diagnosis is None:
         return ()
-    worst = contents.diagnosis.findings[:4]
-    ringing = ringing_most(contents.diagnosis.findings)
+    felt = tuple(finding for finding in contents.diagnosis.findings if finding.felt)
+    worst, ringing = felt[:4], ringing_most(felt)
     shown = worst if ringing is None or ringing in worst else (*worst, ringing)
     return tuple(finding.sentence for finding in shown) or ("No joint shows wear that its encoder can see.",)
 
@@ -191,6 +192,8 @@ def _done(contents: Contents) -> tuple[str, ...]:
         )
     elif contents.diagnosis is not None and contents.diagnosis.evidence is not None:
         lines.append(f"Every joint was measured in logs of {plural(contents.diagnosis.evidence.motions, 'motion')}.")
+    if contents.calibration is not None:
+        lines.append(_calibrated(contents.calibration))
     if contents.twin is not None:
         held = contents.twin.held_out
         lines.append(
@@ -213,6 +216,17 @@ def _done(contents: Contents) -> tuple[str, ...]:
             f"the first crossing, and held.{_stopped(comparison)}"
         )
     return tuple(lines)
+
+
+def _calibrated(found: Calibration) -> str:
+    """Say what was measured from outside, and what became of it."""
+    errors = f"{number(found.before * MM, 2, 'mm')} from where the encoders see it"
+    left = f"{number(found.after * MM, 2, 'mm')} from where the calibration does"
+    used = "Targets are aimed at by it." if found.used else "That does not clearly help, so nothing is corrected."
+    return (
+        f"The tool was measured from outside {plural(found.points, 'time')}, with {measured_with(found.source)}: it "
+        f"was {errors}, and {left}, each measurement predicted without its own posture. {used}"
+    )
 
 
 def _stopped(comparison: Comparison) -> str:

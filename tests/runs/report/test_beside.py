@@ -1,0 +1,42 @@
+"""What a comparison drives besides its controllers: the arm as it was found, and poses from three directions."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from report_samples import make_calibration
+
+import rejoint
+from rejoint.arms import mycobot280
+from rejoint.control.comparison.result import Protocol
+
+SHORT = Protocol(dwell=1.0, hold=1.0, window=0.3)
+
+
+@pytest.mark.parametrize("used", [True, False])
+def test_an_aimed_comparison_tells_how_the_arm_was_found(used):
+    arm = mycobot280()
+    targets = arm.targets.sample(np.random.default_rng(0), (1, 2))
+    calibration = replace(make_calibration(arm)[0], used=used)
+    found = rejoint.compare(
+        "emulated:worn", ["default"], targets, repetitions=1, protocol=SHORT, calibration=calibration
+    ).comparison
+    assert (found.as_found is not None) is used
+    if used:
+        aimed = found.row("default").outcomes.array("settled_true").ravel()
+        alone = rejoint.compare("emulated:worn", ["default"], targets, repetitions=1, protocol=SHORT).comparison
+        told = alone.row("default").outcomes.array("settled_true").ravel()
+        as_found = [error.value for error in found.as_found.true]
+        np.testing.assert_allclose(as_found, told, rtol=1e-9, err_msg="the same drive, from the same start")
+        assert (np.abs(aimed - as_found) > 1e-4).all()
+
+
+def test_directions_are_driven_where_they_are_asked_for():
+    arm = mycobot280()
+    targets = arm.targets.sample(np.random.default_rng(0), (1, 1))
+    found = rejoint.compare(
+        "emulated:worn", ["feedforward"], targets, repetitions=1, protocol=SHORT, directions=True
+    ).comparison
+    assert (found.directions.controller, found.directions.poses, found.directions.cycles) == ("feedforward", 5, 1)
+    assert found.directions.tool.mean.value > found.directions.encoders.mean.value / 2 > 0.0
+    assert found.as_found is None
