@@ -12,6 +12,7 @@ import numpy as np
 
 from rejoint.arms import Arm, Array
 from rejoint.control.robot import JointState, Mask, Robot
+from rejoint.control.servogains import ServoGains
 from rejoint.robots.bus import Bus, Reading
 from rejoint.robots.family import DEFAULT_ARM, Family, Opening, Place
 from rejoint.robots.health import Health, believed
@@ -109,6 +110,18 @@ class BusRobot:
         """Make the arm hold where it is. The power stays on."""
         self._link.ask(self._bus.stop)
         self._command = None
+
+    def servo_gains(self) -> ServoGains | None:
+        """Return the gains of the servos' own loops; None where nobody knows them."""
+        return self._bus.servo_gains()
+
+    def tune(self, gains: ServoGains) -> None:
+        """Bring these gains in small steps to what is given, see `Bus.tune`."""
+        self._link.ask(lambda: self._bus.tune(gains))
+
+    def keep(self, gains: ServoGains) -> None:
+        """Bring these gains to what is given and keep them without power, see `Bus.keep`."""
+        self._link.ask(lambda: self._bus.keep(gains))
 
     def relay(self, command: int, payload: bytes) -> bytes | None:
         """Ask what is none of the joints, see `Bus.relay`."""

@@ -2,13 +2,13 @@
 
 The arm is never dropped: torque is never switched off, and where it is off, the goal is set to where the joint is
 before it comes on. Nothing that the servos keep is written: their lock is shut, and of their settings none is changed
-but the gains that the address asks for, until the power goes.
+but the gains that the address or a controller asks for, until the power goes. `FeetechBus.keep` alone opens the lock.
 """
 
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from typing import TypeVar
 
@@ -16,9 +16,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array
+from rejoint.control.servogains import ServoGains
 from rejoint.robots.bus import Bus, Reading
 from rejoint.robots.feetech.address import FeetechAddress
-from rejoint.robots.feetech.gains import HEAVIEST, HOTTEST, INTEGRAL_LIMIT, KNOBS, LIMITED, PAUSE, way
+from rejoint.robots.feetech.gains import (
+    FIRST,
+    HEAVIEST,
+    HOTTEST,
+    PAUSE,
+    REGISTERS,
+    SIZE,
+    Values,
+    for_all,
+    read_block,
+    steps,
+)
 from rejoint.robots.feetech.law import FULL, DutyLaw
 from rejoint.robots.feetech.wire import Wire
 from rejoint.robots.feetech.zeros import Counts, Zeros, read_calibration, zeros_of
@@ -31,12 +43,13 @@ from rejoint.system.errors import (
     RobotError,
     first_line,
 )
+from rejoint.system.stopping import ending, shielded
 
 T = TypeVar("T")
 
 MODELS = {777: "STS3215", 2825: "STS3250"}
 """Servos with this register table and 4096 counts a turn"""
-LIMITS, SETTINGS, HOMING, MODE, TORQUE, GOAL, LOCK, PRESENT, LOAD, VOLTAGE = 9, 21, 31, 33, 40, 42, 55, 56, 60, 62
+LIMITS, HOMING, MODE, TORQUE, GOAL, LOCK, PRESENT, LOAD, VOLTAGE = 9, 31, 33, 40, 42, 55, 56, 60, 62
 """Addresses of registers (Feetech's memory table of the STS/SMS series)."""
 BLOCK = 15
 """registers from `PRESENT` on: position, speed, load, voltage, temperature, -, status, moving, goal, current"""
@@ -66,6 +79,8 @@ class FeetechBus(Bus):
         self._wire: Wire | None = None
         self._zeros: Zeros | None = None
         self._laws: list[DutyLaw] = []
+        self._gains: Values = {}
+        self._wanted = for_all(address.gains, len(self.ids))
         self._supply: Array | None = None
         self._goal: Counts | None = None
         self._was_ready = False
@@ -94,9 +109,8 @@ class FeetechBus(Bus):
             self._registers(LIMITS + 2, until), self.address.zero,
         )  # fmt: skip
         self._hold(until)
-        for servo in self.ids:
-            self._tune(servo, until)
-        self._laws = [self._law(servo, until) for servo in self.ids]
+        self._look_up(until)
+        self._walk(self._wanted, until)
         if self._supply is None:
             self._supply = _DECI * np.array([self._register(servo, VOLTAGE, 1, until) for servo in self.ids])
         self._was_ready = True
@@ -132,6 +146,32 @@ class FeetechBus(Bus):
         """
         if self._goal is not None:
             self._send(self._goal)
+
+    def servo_gains(self) -> ServoGains:
+        """Return the gains of the servos' own loops, by the names of the address and ``limit``, that of the I part."""
+        return dict(self._gains)
+
+    def tune(self, gains: ServoGains) -> None:
+        """Bring the gains in small steps to these, until the power goes, or others are asked for."""
+        self._walk(gains)
+        self._wanted = dict(gains)
+
+    def keep(self, gains: ServoGains) -> None:
+        """Bring the gains to these, and open each servo's lock for as long as it takes to save them."""
+        self.tune(gains)
+        for index, servo in enumerate(self.ids):
+            try:
+                self._sure(partial(self.wire.write, servo, LOCK, [0]), None)
+                for name, values in gains.items():
+                    self._sure(partial(self.wire.write, servo, REGISTERS[name], [values[index]]), None)
+            finally:
+                with shielded():
+                    self._sure(partial(self.wire.write, servo, LOCK, [1]), None)
+            if self._register(servo, LOCK, 1, None) != 1:
+                raise RobotError(f"the lock of {self._call(servo)} stays open; switch the arm's power off and on")
+        self._look_up(None)
+        if any(self._gains[name] != tuple(values) for name, values in gains.items()):
+            raise RobotError(f"{self.address}: the servos have not taken the gains; they are {self._gains}")
 
     def resynchronise(self, deadline: float) -> None:
         """Drop late answers, and wait for servos that are silent; ConnectionLostError where they stay so."""
@@ -184,30 +224,40 @@ class FeetechBus(Bus):
             self._sure(partial(self.wire.write, servo, GOAL, here), until)
             self._sure(partial(self.wire.write, servo, TORQUE, [1]), until)
 
-    def _tune(self, servo: int, until: float | None) -> None:
-        """Bring the gains of a servo in small steps to those of the address; RobotError where it does not bear them."""
-        for name, wanted in self.address.gains.items():
-            knob = KNOBS[name]
-            before = self._register(servo, knob.registers[0], 1, until)
-            if name == "i" and wanted:
-                self._sure(partial(self.wire.write, servo, INTEGRAL_LIMIT, [LIMITED]), until)
-            for value in way(before, wanted, knob.stride):
-                self._sure(partial(self.wire.write, servo, knob.registers[0], [value] * len(knob.registers)), until)
-                self.clock.wait(PAUSE)
+    def _look_up(self, until: float | None) -> None:
+        """Read the gains in force, and the laws that they make."""
+        blocks = [self._sure(partial(self.wire.read, servo, FIRST, SIZE), until) for servo in self.ids]
+        self._gains = read_block(blocks)
+        self._laws = [DutyLaw(p=data[0], startup=data[3], above=data[5], below=data[6]) for data in blocks]
+
+    def _walk(self, wanted: ServoGains, until: float | None = None) -> None:
+        """Bring the gains in small steps to those wanted; RobotError, and all of them back, where one is not borne."""
+        before = self._gains
+        strange = [name for name in wanted if name not in before or len(wanted[name]) != len(self.ids)]
+        if strange:
+            raise RobotError(f"expected gains {_listed(before)} of {len(self.ids)} joints, got {_listed(strange)}")
+        for step in steps(before, wanted):
+            self._write_gains(step, until)
+            self.clock.wait(PAUSE)
+            ((name, values),) = step.items()
+            for servo, value in zip(self.ids, values, strict=True):
                 load = _signed(self._register(servo, LOAD, 2, until), 10) / FULL
                 heat = self._register(servo, VOLTAGE + 1, 1, until)
-                if abs(load) > HEAVIEST or heat > HOTTEST:
-                    data = [before] * len(knob.registers)
-                    self._sure(partial(self.wire.write, servo, knob.registers[0], data), until)
+                if not ending() and (abs(load) > HEAVIEST or heat > HOTTEST):
+                    now = read_block([self._sure(partial(self.wire.read, s, FIRST, SIZE), until) for s in self.ids])
+                    for back in steps(now, before):
+                        self._write_gains(back, until)
+                        self.clock.wait(PAUSE)
                     raise RobotError(
                         f"{self._call(servo)} does not bear {name}={value}: load {100 * load:.0f} %, {heat} deg C; "
-                        f"{name} is {before} again"
+                        "the gains are as before"
                     )
+        self._look_up(until)
 
-    def _law(self, servo: int, until: float | None) -> DutyLaw:
-        """Read the settings in force that make a load of a duty."""
-        data = self._sure(partial(self.wire.read, servo, SETTINGS, 7), until)
-        return DutyLaw(p=data[0], startup=data[3], above=data[5], below=data[6])
+    def _write_gains(self, gains: Mapping[str, Sequence[int]], until: float | None) -> None:
+        for name, values in gains.items():
+            for servo, value in zip(self.ids, values, strict=True):
+                self._sure(partial(self.wire.write, servo, REGISTERS[name], [value]), until)
 
     def _registers(self, address: int, until: float | None, *, sign: int = 16) -> Counts:
         """Two registers of every servo, as a number whose bit ``sign`` is its sign."""
