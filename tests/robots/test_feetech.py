@@ -124,6 +124,39 @@ def test_gains_that_a_servo_does_not_bear_are_taken_back():
     assert arm.servos[1]["P_Coefficient"] == 32
 
 
+def test_tuned_gains_are_taken_back_by_hand_or_by_power_and_kept_only_when_asked():
+    with serving() as server, closing(open_robot(server.address)) as robot:
+        before = robot.servo_gains()
+        wanted = before | {"p": (32, 40, 48, 40, 32), "i": (0, 1, 2, 0, 0), "limit": (0, 50, 50, 0, 0)}
+        robot.tune(wanted)
+        assert robot.servo_gains() == wanted
+        elbow = server.arm.servos[2]
+        assert (elbow["P_Coefficient"], elbow["I_Coefficient"], elbow["Integral_Limit"]) == (48, 2, 50)
+        assert max(np.diff([32] + [data[0] for address, data in elbow.writes if address == 21])) == 4
+        robot.tune(before)
+        assert robot.servo_gains() == before
+        assert all(address != LOCK for servo in server.arm.servos for address, _ in servo.writes)
+        robot.keep(wanted)
+        locks = [data[0] for address, data in elbow.writes if address == LOCK]
+        assert locks == [0, 1]
+    for index, servo in enumerate(server.arm.servos[:5]):
+        servo.cycle_power()
+        assert (servo["P_Coefficient"], servo["I_Coefficient"]) == (wanted["p"][index], wanted["i"][index])
+        assert servo["Lock"] == 1
+
+
+def test_gains_that_came_during_a_connection_are_set_again_on_the_next_one():
+    with serving() as server, closing(FeetechBus(place_of(server.address).detail, ARM)) as bus:
+        bus.open()
+        bus.prepare()
+        bus.tune({"p": (40,) * 5})
+        bus.close()
+        server.arm.servos[0]["P_Coefficient"] = 32
+        bus.open()
+        bus.prepare()
+        assert bus.servo_gains()["p"] == (40,) * 5
+
+
 @pytest.mark.parametrize(
     "text",
     ["feetech:", "feetech:///", "feetech://", "feetech:/x:y@", "feetech://h:0", "feetech:///dev/x?baud=fast",

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
-from typing import Protocol, cast
+from typing import NamedTuple, Protocol, cast
 
 from rejoint.control.contract import PolicyContract
 from rejoint.control.guard import GuardLimits
@@ -21,6 +21,20 @@ from rejoint.system.stopping import shielded
 
 ServoGains = Mapping[str, tuple[int, ...]]
 """(n,) of each name"""
+HOTTEST, HEAVIEST = 55.0, 0.7
+"""[deg C] and share of the largest torque at which a servo's gains are taken back (chosen: below its protections)"""
+
+
+class Rung(NamedTuple):
+    """What a search for better gains tries, one value after the other."""
+
+    names: tuple[str, ...]
+    """of the gains that it sets alike"""
+    values: tuple[int, ...]
+    """in the order in which they are tried; a joint leaves out those that it is beyond"""
+    rising: bool = True
+    beside: tuple[tuple[str, int], ...] = ()
+    """what has to be set with it, whatever its value"""
 
 
 class Tunable(Robot, Protocol):
@@ -28,6 +42,9 @@ class Tunable(Robot, Protocol):
 
     def servo_gains(self) -> ServoGains | None:
         """Return the gains in force; None where the servos keep them to themselves."""
+
+    def rungs(self) -> tuple[Rung, ...]:
+        """Return what a search for better gains tries, the safest first, and last what a controller does not need."""
 
     def tune(self, gains: ServoGains) -> None:
         """Bring the gains in small steps to these, until the power goes; RobotError where a servo does not bear it."""
@@ -59,29 +76,34 @@ def under_gains(robot: Robot, controller: object) -> Iterator[None]:
     if not differing(wanted, before):
         yield
         return
-    tunable = cast(Tunable, robot)
+    with put_back(cast(Tunable, robot), before):
+        cast(Tunable, robot).tune(wanted)
+        yield
+
+
+@contextmanager
+def put_back(robot: Tunable, before: ServoGains) -> Iterator[None]:
+    """Set the gains ``before`` at the end, however that comes."""
     try:
-        tunable.tune(wanted)
         yield
     except BaseException as error:
         with shielded():
             try:
-                tunable.tune(before)
+                robot.tune(before)
             except (RejointError, OSError) as other:  # the first error is the one to report
                 error.add_note(
-                    f"The servos keep the gains {told(wanted)} until their power goes ({first_line(other)}); before "
-                    f"they had {told(before)}."
+                    f"The servos' gains were not put back ({first_line(other)}); before they were {told(before)}, as "
+                    "they are again once the arm's power was off."
                 )
         raise
     with shielded():
-        tunable.tune(before)
+        robot.tune(before)
 
 
 def limits_under(limits: GuardLimits | None, robot: Robot, controller: object) -> GuardLimits | None:
     """Return what the guard allows while ``controller`` drives: what a diagnosis tells holds for the gains of then."""
-    wanted: ServoGains | None = getattr(controller, "servo_gains", None)
-    before = gains_in_force(robot)
-    if limits is None or wanted is None or before is None or not differing(wanted, before):
+    gains: ServoGains | None = getattr(controller, "servo_gains", None) or gains_in_force(robot)
+    if limits is None or limits.gains is None or gains is None or not differing(gains, limits.gains):
         return limits
     return replace(limits, servos=None, bands=None)
 

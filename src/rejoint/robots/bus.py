@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Array
-from rejoint.control.servogains import ServoGains
+from rejoint.control.servogains import Rung, ServoGains
 from rejoint.system.errors import RobotError
 from rejoint.system.stopping import pause
 
@@ -121,6 +121,10 @@ class Bus(ABC):
     def servo_gains(self) -> ServoGains | None:
         """Return the gains of the servos' own loops, as they were read last; None: nobody knows them."""
         return None
+
+    def rungs(self) -> tuple[Rung, ...]:
+        """Return what a search for better gains tries, see `rejoint.control.servogains.Tunable`."""
+        return ()
 
     def tune(self, gains: ServoGains) -> None:
         """Bring these gains in small steps to what is given, until the power goes; RobotError where that is not borne.

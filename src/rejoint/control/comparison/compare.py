@@ -28,6 +28,7 @@ from rejoint.control.guard import GuardLimits
 from rejoint.control.loop import move, run
 from rejoint.control.recording import Cycle, Recording
 from rejoint.control.robot import Robot
+from rejoint.control.servogains import limits_under, require_gains, under_gains
 from rejoint.control.start import Stance, begin
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import ContractError, InputError
@@ -202,7 +203,9 @@ class _TrialRunner:
         if isinstance(controller, Watched):
             plan = replace(plan, give_up=controller.give_up)
         aiming = None if self.correction is None else self.correction(robot.arm)
-        recording = run(robot, controller, targets, plan, limits=self.limits, correction=aiming, on_cycle=on_cycle)
+        limits = limits_under(self.limits, robot, controller)
+        with under_gains(robot, controller):
+            recording = run(robot, controller, targets, plan, limits=limits, correction=aiming, on_cycle=on_cycle)
         if isinstance(controller, Watched):
             recording, failed = controller.mark(recording), controller.failed
         if self.on_trial is not None:
@@ -268,7 +271,9 @@ class _OneByOne:
         session = self._session
         for name, factory in list(session.controllers.items()):
             try:
-                check_controller_period(factory(self._robot.arm), period)
+                controller = factory(self._robot.arm)
+                check_controller_period(controller, period)
+                require_gains(self._robot, controller)
             except ContractError as error:
                 if not session.settings.leave_out or len(session.controllers) == 1:
                     raise

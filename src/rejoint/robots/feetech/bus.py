@@ -16,15 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array
-from rejoint.control.servogains import ServoGains
+from rejoint.control.servogains import HEAVIEST, HOTTEST, Rung, ServoGains
 from rejoint.robots.bus import Bus, Reading
 from rejoint.robots.feetech.address import FeetechAddress
 from rejoint.robots.feetech.gains import (
     FIRST,
-    HEAVIEST,
-    HOTTEST,
     PAUSE,
     REGISTERS,
+    RUNGS,
     SIZE,
     Values,
     for_all,
@@ -150,6 +149,10 @@ class FeetechBus(Bus):
     def servo_gains(self) -> ServoGains:
         """Return the gains of the servos' own loops, by the names of the address and ``limit``, that of the I part."""
         return dict(self._gains)
+
+    def rungs(self) -> tuple[Rung, ...]:
+        """Return what a search for better gains tries."""
+        return RUNGS
 
     def tune(self, gains: ServoGains) -> None:
         """Bring the gains in small steps to these, until the power goes, or others are asked for."""

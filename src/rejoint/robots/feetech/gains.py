@@ -9,6 +9,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
+from rejoint.control.servogains import Rung
+
 
 class Knob(NamedTuple):
     """A gain that may be asked for."""
@@ -39,8 +41,13 @@ FIRST, SIZE = 21, 7
 _STRIDES = {name: knob.stride for knob in KNOBS.values() for name in knob.names} | {LIMIT: LIMITED}
 PAUSE = 0.05
 """[s] between two steps (chosen: longer than a servo rings)"""
-HOTTEST, HEAVIEST = 55.0, 0.7
-"""[deg C] and share of PWM at which a servo's gains are taken back (chosen: below its own protections)"""
+RUNGS = (
+    Rung(("p",), (8, 16, 24, 32, 40, 48, 56, 64)),
+    Rung(("dead_cw", "dead_ccw"), (0,), rising=False),
+    Rung(("startup",), (16, 24, 32)),
+    Rung(("i",), (1, 2, 4, 8), beside=((LIMIT, LIMITED),)),
+)
+"""What a search tries (chosen: within the limits of `KNOBS`)"""
 
 Gains = Mapping[str, int]
 Values = dict[str, tuple[int, ...]]

@@ -15,6 +15,9 @@ CONTROLLERS = {
     "pid-literal": "joint PID of Park et al., integral as printed",
     "integrator": "moves the command until the measured error is gone",
     "feedforward": "raises the command against gravity, then integrates",
+    "servo-gains": "target sent once, under better gains of the servos themselves",
+    "servo-gains+integrator": "integrator, under better gains of the servos",
+    "servo-gains+feedforward": "feedforward, under better gains of the servos",
     "policy": "learned in simulation of this arm",
 }
 """What each controller does"""

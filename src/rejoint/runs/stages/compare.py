@@ -13,6 +13,7 @@ from rejoint.control.comparison.compare import compare as compare_controllers
 from rejoint.control.comparison.ledger import Ledger
 from rejoint.control.comparison.recommend import Recommendation, recommend
 from rejoint.control.comparison.result import Comparison, Protocol
+from rejoint.control.geared import RIVALS
 from rejoint.control.robot import Robot
 from rejoint.logs.runlog import RunLog, write_log
 from rejoint.robots import open_robot
@@ -151,6 +152,8 @@ def compare(
         points = as_targets(targets, chosen, sets=sets, seed=seed)
         known = as_twin(twin) if twin is not None else None if about is None else about.twin
         factories = make_factories(controllers, chosen, period_of(robot, period), run=about, twin=known)
+        if not controllers and is_batchable(robot):  # emulated arms of this process tell no gains
+            factories = {name: make for name, make in factories.items() if name not in RIVALS}
         settings = Settings(
             repetitions=repetitions, seed=seed, batched=is_batchable(robot), protocol=protocol or Protocol(),
             leave_out=not controllers,
@@ -232,7 +235,8 @@ class _Job:
 
     def _digest(self, run: Run) -> str:
         """Digest of all that decides what a comparison finds."""
-        files = [digest(path.read_bytes()).decode() for path in (run.folder.policy, run.folder.twin) if path.exists()]
+        used = run.folder.policy, run.folder.twin, run.folder.gains
+        files = [digest(path.read_bytes()).decode() for path in used if path.exists()]
         about = (
             __version__, address_of(self.robot), repr(self.arm), repr(self.settings), tuple(self.factories),
             self.period, files, self.targets.tolist(), repr(self.correct),

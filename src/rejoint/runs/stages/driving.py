@@ -19,6 +19,8 @@ from rejoint.control.contract import check_controller_period
 from rejoint.control.controller import Controller
 from rejoint.control.correction import Modelled
 from rejoint.control.feedforward import FeedforwardController
+from rejoint.control.gainsearch import GainsFound
+from rejoint.control.geared import GEARED, RIVALS, Geared, inner_name
 from rejoint.control.guard import GuardLimits
 from rejoint.control.lines import servo_lines
 from rejoint.control.robot import Robot
@@ -28,7 +30,8 @@ from rejoint.logs.runlog import read_log
 from rejoint.robots import place_of
 from rejoint.runs.given import CalibrationLike, Period, as_calibration, as_policy
 from rejoint.runs.run import Run
-from rejoint.system.errors import AddressError
+from rejoint.system.errors import AddressError, FileError
+from rejoint.system.files import read_json
 
 if TYPE_CHECKING:
     from rejoint.control.policy import Policy
@@ -65,7 +68,10 @@ def guard_limits(run: Run | None, arm: Arm, robot: str) -> GuardLimits:
     if run is None or not _is_own(run, robot) or not all(path.exists() for path in paths):
         return limits
     logs = [read_log(path) for path in paths]
-    return replace(limits, bands=standing_bands(arm, logs), servos=servo_lines(arm, logs))
+    told = run.diagnosis
+    return replace(
+        limits, bands=standing_bands(arm, logs), servos=servo_lines(arm, logs), gains=told and told.servo_gains
+    )
 
 
 def _is_own(run: Run, robot: str) -> bool:
@@ -118,13 +124,19 @@ def make_factories(
     period that does not fit is refused here, before anything moves.
     """
     if not given:
-        given = (*BASELINES, *((POLICY,) if run is not None and run.folder.policy.exists() else ()))
+        rivals = RIVALS if run is not None and run.folder.gains.exists() else ()
+        given = (*BASELINES, *rivals, *((POLICY,) if run is not None and run.folder.policy.exists() else ()))
     named = given if isinstance(given, Mapping) else _unique(given)
     usual = np.nan if period is None else sum(period) / 2
     factories = {name: _factory(one, run, twin) for name, one in named.items()}
     for make in factories.values():
         check_controller_period(make(arm), usual)
     return factories
+
+
+def any_geared(given: Controllers) -> bool:
+    """Tell whether any of the controllers needs a search for gains."""
+    return any(name in RIVALS for name in given if isinstance(name, str))
 
 
 def name_of(controller: ControllerLike) -> str:
@@ -147,6 +159,8 @@ def _unique(given: Sequence[ControllerLike]) -> dict[str, ControllerLike]:
 
 
 def _factory(given: ControllerLike, run: Run | None, twin: Twin | None) -> Factory:
+    if isinstance(given, str) and given in RIVALS:
+        return partial(_geared, given, run=run, twin=twin)
     if isinstance(given, str) and not given.endswith(".onnx"):
         file = run.folder.policy if run is not None and run.folder.policy.exists() else None
         known = {} if twin is None else {"stiffness": twin.parameters.stiffness}
@@ -158,6 +172,20 @@ def _factory(given: ControllerLike, run: Run | None, twin: Twin | None) -> Facto
     if hasattr(given, "command") and not isinstance(given, type):
         return partial(_itself, cast(Controller, given))
     return given
+
+
+def _geared(name: str, arm: Arm, *, run: Run | None, twin: Twin | None) -> Controller:
+    """Return a controller under the gains that the search of this run found; FileError where there was none."""
+    if run is None or not run.folder.gains.exists():
+        where = "RUN" if run is None else str(run.path)
+        raise FileError(f"{where}/gains.json", "no such file", f"run `rejoint gains ROBOT {where}` first")
+    found = read_json(run.folder.gains, GainsFound)
+    inner = inner_name(name)
+    known = {}
+    if twin is not None and "p" in found.found:  # a servo's stiffness goes with its P
+        ratio = np.array(found.under["p"]) / np.maximum(found.found["p"], 1)
+        known = {"stiffness": twin.parameters.stiffness * ratio}
+    return Geared(make_controller(inner, arm, **known), found.alone if name == GEARED else found.under)
 
 
 def _itself(controller: Controller, arm: Arm) -> Controller:  # noqa: ARG001 - it was made for its arm
