@@ -69,9 +69,8 @@ def guard_limits(run: Run | None, arm: Arm, robot: str) -> GuardLimits:
         return limits
     logs = [read_log(path) for path in paths]
     told = run.diagnosis
-    return replace(
-        limits, bands=standing_bands(arm, logs), servos=servo_lines(arm, logs), gains=told and told.servo_gains
-    )
+    gains = None if told is None else told.servo_gains
+    return replace(limits, bands=standing_bands(arm, logs), servos=servo_lines(arm, logs), gains=gains)
 
 
 def _is_own(run: Run, robot: str) -> bool:
@@ -181,11 +180,11 @@ def _geared(name: str, arm: Arm, *, run: Run | None, twin: Twin | None) -> Contr
         raise FileError(f"{where}/gains.json", "no such file", f"run `rejoint gains ROBOT {where}` first")
     found = read_json(run.folder.gains, GainsFound)
     inner = inner_name(name)
-    known = {}
+    stiffness = None
     if twin is not None and "p" in found.found:  # a servo's stiffness goes with its P
-        ratio = np.array(found.under["p"]) / np.maximum(found.found["p"], 1)
-        known = {"stiffness": twin.parameters.stiffness * ratio}
-    return Geared(make_controller(inner, arm, **known), found.alone if name == GEARED else found.under)
+        stiffness = twin.parameters.stiffness * np.array(found.under["p"]) / np.maximum(found.found["p"], 1)
+    controller = make_controller(inner, arm, stiffness=stiffness)
+    return Geared(controller, found.alone if name == GEARED else found.under)
 
 
 def _itself(controller: Controller, arm: Arm) -> Controller:  # noqa: ARG001 - it was made for its arm
