@@ -30,6 +30,7 @@ from rejoint.robots.feetech.gains import (
     read_block,
     steps,
 )
+from rejoint.robots.feetech.gripper import READ, WRITE
 from rejoint.robots.feetech.law import FULL, DutyLaw
 from rejoint.robots.feetech.wire import Wire
 from rejoint.robots.feetech.zeros import Counts, Zeros, read_calibration, zeros_of
@@ -48,7 +49,7 @@ T = TypeVar("T")
 
 MODELS = {777: "STS3215", 2825: "STS3250"}
 """Servos with this register table and 4096 counts a turn"""
-LIMITS, HOMING, MODE, TORQUE, GOAL, LOCK, PRESENT, LOAD, VOLTAGE = 9, 31, 33, 40, 42, 55, 56, 60, 62
+ID, LIMITS, HOMING, MODE, TORQUE, GOAL, LOCK, PRESENT, LOAD, VOLTAGE = 5, 9, 31, 33, 40, 42, 55, 56, 60, 62
 """Addresses of registers (Feetech's memory table of the STS/SMS series)."""
 BLOCK = 15
 """registers from `PRESENT` on: position, speed, load, voltage, temperature, -, status, moving, goal, current"""
@@ -175,6 +176,18 @@ class FeetechBus(Bus):
         self._look_up(None)
         if any(self._gains[name] != tuple(values) for name, values in gains.items()):
             raise RobotError(f"{self.address}: the servos have not taken the gains; they are {self._gains}")
+
+    def relay(self, command: int, payload: bytes) -> bytes | None:
+        """Read or write registers of a servo that is none of the joints, as the gripper's; see `gripper`."""
+        servo, address, *rest = payload
+        if servo in self.ids or address in (ID, LOCK):
+            raise RobotError(f"register {address} of servo {servo} is not passed on")
+        if command == READ and len(rest) == 1:
+            return self.wire.read(servo, address, rest[0])
+        if command == WRITE:
+            self.wire.write(servo, address, rest)
+            return b""
+        return None
 
     def resynchronise(self, deadline: float) -> None:
         """Drop late answers, and wait for servos that are silent; ConnectionLostError where they stay so."""
