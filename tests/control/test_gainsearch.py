@@ -5,48 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rejoint.arms import load_arm
 from rejoint.control.contract import PolicyContract
 from rejoint.control.controller import ControlInput
 from rejoint.control.default import DefaultController
 from rejoint.control.following import Knowledge
-from rejoint.control.gainsearch import SHAKES, _Watch, search
+from rejoint.control.gainsearch import SHAKES, _RoundWatch, search
 from rejoint.control.geared import Geared
 from rejoint.control.guard import GuardLimits
 from rejoint.control.robot import JointState
 from rejoint.control.servogains import limits_under, require_gains, under_gains
-from rejoint.lab.plant.stsplant import StsPlant
-from rejoint.lab.plant.wear import load_wear
-from rejoint.robots.emulated import EmulatedRobot
-from rejoint.robots.feetech.gains import LIMIT, REGISTERS, RUNGS, for_all, steps
+from rejoint.robots.feetech.gains import LIMIT, for_all, steps
 from rejoint.system.errors import ContractError, InputError, RobotError
-
-ARM = load_arm("so101")
-FIELDS = {LIMIT: "integral_limit"}
-
-
-class ServoRobot(EmulatedRobot):
-    """Emulated arms in virtual time whose servos obey the law of an STS3215."""
-
-    def __init__(self, wear="so101"):
-        wears = [load_wear(wear, ARM)]
-        super().__init__(ARM, wears, seed=0, period=(0.020, 0.020))
-        self.plant = StsPlant(ARM, wears, seed=0)
-        self.restart(ARM.rest)
-        self.history, self.frail = [], None
-
-    def servo_gains(self):
-        return {name: tuple(self.plant.settings[FIELDS.get(name, name)][0].tolist()) for name in REGISTERS}
-
-    def rungs(self):
-        return RUNGS
-
-    def tune(self, gains):
-        for name, values in gains.items():
-            self.plant.settings[FIELDS.get(name, name)][0] = values
-        self.history.append(self.servo_gains())
-        if self.frail is not None and gains["p"][1] >= self.frail:
-            raise RobotError("shoulder_lift does not bear it")
+from servorobot import ARM, ServoRobot
 
 
 def targets(count=3):
@@ -54,7 +24,7 @@ def targets(count=3):
 
 
 def test_a_search_brings_every_joint_nearer_and_puts_the_gains_back():
-    robot = ServoRobot()
+    robot = ServoRobot("worn")
     before = robot.servo_gains()
     found = search(robot, targets(2))
     assert found.found == robot.servo_gains() == before
@@ -100,7 +70,7 @@ def state(time, *, shift=0.0, **changes):
     ],
 )
 def test_a_joint_that_shakes_labours_or_gets_warm_ends_the_round(joint, seen):
-    watch = _Watch(ARM)
+    watch = _RoundWatch(ARM)
     ended = [
         bool(
             watch.bad(

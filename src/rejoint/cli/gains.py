@@ -10,7 +10,7 @@ import rejoint
 from rejoint.cli import options as opt
 from rejoint.cli import show
 from rejoint.cli.console import Terminal
-from rejoint.control.servogains import told
+from rejoint.control.servogains import in_words
 from rejoint.runs.run import Run
 from rejoint.runs.stages.gains import gains_to_keep, keep_gains
 from rejoint.system.errors import InputError
@@ -45,12 +45,12 @@ def gains(
     job = Run.open(run)
     wanted = gains_to_keep(job)
     terminal.say(
-        f"This writes {told(wanted)} into the memory of the {job.arm.joints} servos of {robot}: they keep that without "
-        "power, until something else is written. LeRobot writes its own P, I and D whenever it connects. Policies that "
-        "were trained under other gains are refused from then on."
+        f"This writes {in_words(wanted)} into the memory of the {job.arm.joints} servos of {robot}: they keep that "
+        "without power, until something else is written. LeRobot writes its own P, I and D whenever it connects. "
+        "Policies that were trained under other gains are refused from then on."
     )
     if not yes and not typer.confirm("Write it?", err=True):
         raise InputError("nothing was written; say --yes to be asked no more")
     before = keep_gains(robot, job, wanted)
-    terminal.result(f"Kept: {told(wanted)}. Before: {told(before)}.")
+    terminal.result(f"Kept: {in_words(wanted)}. Before: {in_words(before)}.")
     terminal.finish({"run": str(run), "kept": wanted, "before": before})

@@ -11,7 +11,7 @@ from rejoint.cli.filming import show_filmed
 from rejoint.control.comparison.failure import failure
 from rejoint.control.comparison.recommend import Recommendation
 from rejoint.control.comparison.result import Comparison, PoseAccuracy
-from rejoint.control.servogains import told
+from rejoint.control.servogains import in_words
 
 if TYPE_CHECKING:
     from rejoint.control.deployment import Deployed
@@ -110,7 +110,7 @@ def gains(terminal: Terminal, found: GainsFound) -> None:
         ("alone", found.alone, found.with_alone),
     ):
         joints = f"{np.degrees(np.max(seen.error)):.2f} deg at the worst joint"
-        terminal.say(f"  {what}: {told(values)}: {1e3 * seen.tool:.1f} mm by the encoders, {joints}")
+        terminal.say(f"  {what}: {in_words(values)}: {1e3 * seen.tool:.1f} mm by the encoders, {joints}")
 
 
 def training(terminal: Terminal, result: TrainingResult) -> None:

@@ -103,7 +103,7 @@ def search(
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class _Seen:
+class _Shown:
     error: Array
     unrest: Array
     tool: float
@@ -119,10 +119,10 @@ class _Climb:
     gains: Values
     on_progress: Progress
     sent: Array | None = None
-    best: _Seen = field(init=False)
+    best: _Shown = field(init=False)
     rounds: int = 0
 
-    def rung(self, rung: Rung, first: _Seen) -> None:
+    def rung(self, rung: Rung, first: _Shown) -> None:
         """Climb a rung, every joint as far as it goes."""
         done, missed = np.zeros((2, len(first.error)), dtype=bool)
         for value in rung.values:
@@ -157,7 +157,7 @@ class _Climb:
                 unrest=np.where(taken, seen.unrest, self.best.unrest),
             )  # fmt: skip
 
-    def confirm(self, last: Values, before: _Seen) -> tuple[Values, _Seen]:
+    def confirm(self, last: Values, before: _Shown) -> tuple[Values, _Shown]:
         """Drive under what the joints took one by one; where they do not bear it together, go back to the ``last``."""
         if self.gains == last:
             return last, before
@@ -168,15 +168,15 @@ class _Climb:
         self.best = seen
         return dict(self.gains), seen
 
-    def _compare(self, seen: _Seen, first: _Seen) -> tuple[Mask, Mask]:
+    def _compare(self, seen: _Shown, first: _Shown) -> tuple[Mask, Mask]:
         """Joints (n,) that are nearer to their commands than ever, and those that are less quiet than at the start."""
         step = self.robot.arm.encoder_step
         nearer: Mask = seen.error < self.best.error - GAIN * step
         return nearer, seen.unrest > np.maximum(LOUDER * first.unrest, QUIET * step)
 
-    def drive(self, targets: Array) -> _Seen:
+    def drive(self, targets: Array) -> _Shown:
         """Drive to all targets once, and look."""
-        watch = _Watch(self.robot.arm)
+        watch = _RoundWatch(self.robot.arm)
         limits = limits_under(self.limits, self.robot, None)
         recording = run(
             self.robot, DefaultController(self.robot.arm), targets[None],
@@ -190,17 +190,17 @@ class _Climb:
             rows = (index == k) & (since > DWELL - LOOKED)
             if watch.joints.any() or not rows.any():
                 nothing = np.full(arm.joints, np.inf)
-                return _Seen(error=nothing, unrest=nothing, tool=np.inf, bad=watch.joints)
+                return _Shown(error=nothing, unrest=nothing, tool=np.inf, bad=watch.joints)
             here = recording.position[rows, 0]
             error.append(np.abs(recording.command[rows, 0] - here).mean(axis=0))
             unrest.append(here.std(axis=0))
             tool.append(np.linalg.norm(tcp_position(arm, here) - target, axis=-1).mean())
-        return _Seen(
+        return _Shown(
             error=np.mean(error, axis=0), unrest=np.mean(unrest, axis=0), tool=float(np.mean(tool)), bad=watch.joints
         )
 
 
-class _Watch:
+class _RoundWatch:
     """Ends a round as soon as a joint shakes, labours or gets warm."""
 
     def __init__(self, arm: Arm) -> None:
@@ -238,5 +238,5 @@ def _with(gains: Values, rung: Rung, value: int, joints: Mask) -> Values:
     }
 
 
-def _round(seen: _Seen) -> Round:
+def _round(seen: _Shown) -> Round:
     return Round(error=tuple(seen.error.tolist()), unrest=tuple(seen.unrest.tolist()), tool=seen.tool)

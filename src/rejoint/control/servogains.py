@@ -92,8 +92,8 @@ def put_back(robot: Tunable, before: ServoGains) -> Iterator[None]:
                 robot.tune(before)
             except (RejointError, OSError) as other:  # the first error is the one to report
                 error.add_note(
-                    f"The servos' gains were not put back ({first_line(other)}); before they were {told(before)}, as "
-                    "they are again once the arm's power was off."
+                    f"The servos' gains were not put back ({first_line(other)}). Before they were {in_words(before)}, "
+                    "as they are again once the arm's power was off."
                 )
         raise
     with shielded():
@@ -122,7 +122,7 @@ def require_gains(robot: Robot, controller: object) -> None:
         ours, theirs = contract.servo_gains[name][joint], found[name][joint]
         raise ContractError(
             f"the policy was trained for servos with {name}={ours} at {robot.arm.joint_names[joint]}, and {name} is "
-            f"{theirs} there; set it back ({told(contract.servo_gains)}), or repair the arm again"
+            f"{theirs} there; set it back ({in_words(contract.servo_gains)}), or repair the arm again"
         )
 
 
@@ -136,7 +136,7 @@ def differing(wanted: ServoGains, found: ServoGains) -> list[tuple[str, int]]:
     ]
 
 
-def told(gains: ServoGains) -> str:
+def in_words(gains: ServoGains) -> str:
     """Put gains into words: one number where all joints share it."""
     return ", ".join(
         f"{name} {values[0]}" if len(set(values)) == 1 else f"{name} {'/'.join(map(str, values))}"
