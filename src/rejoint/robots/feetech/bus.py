@@ -2,13 +2,13 @@
 
 The arm is never dropped: torque is never switched off, and where it is off, the goal is set to where the joint is
 before it comes on. Nothing that the servos keep is written: their lock is shut, and of their settings none is changed
-but the gains that the address or a controller asks for, until the power goes. `FeetechBus.keep` alone opens the lock.
+but the gains that the address or a controller asks for, until the power goes. Only `Tuning.keep` opens the lock.
 """
 
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from typing import TypeVar
 
@@ -16,22 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array
-from rejoint.control.servogains import HEAVIEST, HOTTEST, Rung, ServoGains
+from rejoint.control.servogains import Rung, ServoGains
 from rejoint.robots.bus import Bus, Reading
 from rejoint.robots.feetech.address import FeetechAddress
-from rejoint.robots.feetech.gains import (
-    FIRST,
-    PAUSE,
-    REGISTERS,
-    RUNGS,
-    SIZE,
-    Values,
-    for_all,
-    read_block,
-    steps,
-)
+from rejoint.robots.feetech.gains import RUNGS, for_all
 from rejoint.robots.feetech.gripper import READ, WRITE
-from rejoint.robots.feetech.law import FULL, DutyLaw
+from rejoint.robots.feetech.tuning import Tuning
 from rejoint.robots.feetech.wire import Wire
 from rejoint.robots.feetech.zeros import Counts, Zeros, read_calibration, zeros_of
 from rejoint.robots.link import persist
@@ -43,13 +33,12 @@ from rejoint.system.errors import (
     RobotError,
     first_line,
 )
-from rejoint.system.stopping import ending, shielded
 
 T = TypeVar("T")
 
 MODELS = {777: "STS3215", 2825: "STS3250"}
 """Servos with this register table and 4096 counts a turn"""
-ID, LIMITS, HOMING, MODE, TORQUE, GOAL, LOCK, PRESENT, LOAD, VOLTAGE = 5, 9, 31, 33, 40, 42, 55, 56, 60, 62
+ID, LIMITS, HOMING, MODE, TORQUE, GOAL, LOCK, PRESENT, VOLTAGE = 5, 9, 31, 33, 40, 42, 55, 56, 62
 """Addresses of registers (Feetech's memory table of the STS/SMS series)."""
 BLOCK = 15
 """registers from `PRESENT` on: position, speed, load, voltage, temperature, -, status, moving, goal, current"""
@@ -78,9 +67,10 @@ class FeetechBus(Bus):
         self.ids = self._file.ids if self._file is not None else tuple(range(1, arm.joints + 1))
         self._wire: Wire | None = None
         self._zeros: Zeros | None = None
-        self._laws: list[DutyLaw] = []
-        self._gains: Values = {}
-        self._wanted = for_all(address.gains, len(self.ids))
+        self._tuning = Tuning(
+            self.ids, for_all(address.gains, len(self.ids)), read=self._read, write=self._write, call=self._call,
+            wait=self.clock.wait,
+        )  # fmt: skip
         self._supply: Array | None = None
         self._goal: Counts | None = None
         self._was_ready = False
@@ -109,8 +99,7 @@ class FeetechBus(Bus):
             self._registers(LIMITS + 2, until), self.address.zero,
         )  # fmt: skip
         self._hold(until)
-        self._look_up(until)
-        self._walk(self._wanted, until)
+        self._tuning.prepare(until)
         if self._supply is None:
             self._supply = _DECI * np.array([self._register(servo, VOLTAGE, 1, until) for servo in self.ids])
         self._was_ready = True
@@ -127,7 +116,7 @@ class FeetechBus(Bus):
         sags = voltage < SAGGING * self.supply
         return Reading(
             position=self.zeros.radians(np.array(place)),
-            load=np.array([law.share(*seen) for law, *seen in zip(self._laws, pushed, error, strict=True)]),
+            load=np.array([law.share(*seen) for law, *seen in zip(self._tuning.laws, pushed, error, strict=True)]),
             voltage=voltage,
             temperature=np.array(heat, float), fault=np.array([bits != 0 for bits in status]) | sags,
             trouble=self._troubles(status, voltage, sags) if any(status) or sags.any() else None,
@@ -149,7 +138,7 @@ class FeetechBus(Bus):
 
     def servo_gains(self) -> ServoGains:
         """Return the gains of the servos' own loops, by the names of the address and ``limit``, that of the I part."""
-        return dict(self._gains)
+        return dict(self._tuning.values)
 
     def rungs(self) -> tuple[Rung, ...]:
         """Return what a search for better gains tries."""
@@ -157,25 +146,11 @@ class FeetechBus(Bus):
 
     def tune(self, gains: ServoGains) -> None:
         """Bring the gains in small steps to these, until the power goes, or others are asked for."""
-        self._walk(gains)
-        self._wanted = dict(gains)
+        self._tuning.tune(gains)
 
     def keep(self, gains: ServoGains) -> None:
-        """Bring the gains to these, and open each servo's lock for as long as it takes to save them."""
-        self.tune(gains)
-        for index, servo in enumerate(self.ids):
-            try:
-                self._sure(partial(self.wire.write, servo, LOCK, [0]), None)
-                for name, values in gains.items():
-                    self._sure(partial(self.wire.write, servo, REGISTERS[name], [values[index]]), None)
-            finally:
-                with shielded():
-                    self._sure(partial(self.wire.write, servo, LOCK, [1]), None)
-            if self._register(servo, LOCK, 1, None) != 1:
-                raise RobotError(f"the lock of {self._call(servo)} stays open; switch the arm's power off and on")
-        self._look_up(None)
-        if any(self._gains[name] != tuple(values) for name, values in gains.items()):
-            raise RobotError(f"{self.address}: the servos have not taken the gains; they are {self._gains}")
+        """Bring the gains to these, and have the servos keep them."""
+        self._tuning.keep(gains)
 
     def relay(self, command: int, payload: bytes) -> bytes | None:
         """Read or write registers of a servo that is none of the joints, as the gripper's; see `gripper`."""
@@ -228,7 +203,7 @@ class FeetechBus(Bus):
         """Shut the locks, and switch torque on where it is off, each servo holding where it is."""
         for servo in self.ids:
             if self._register(servo, LOCK, 1, until) == 0:
-                self._sure(partial(self.wire.write, servo, LOCK, [1]), until)
+                self._write(servo, LOCK, [1], until)
             if self._register(servo, TORQUE, 1, until) == 1:
                 continue
             if self._was_ready:
@@ -236,44 +211,8 @@ class FeetechBus(Bus):
                     f"{self.address}: {self._call(servo)} has lost its torque, by a loss of power or its own "
                     "protection; support the arm, then start again"
                 )
-            here = self._sure(partial(self.wire.read, servo, PRESENT, 2), until)
-            self._sure(partial(self.wire.write, servo, GOAL, here), until)
-            self._sure(partial(self.wire.write, servo, TORQUE, [1]), until)
-
-    def _look_up(self, until: float | None) -> None:
-        """Read the gains in force, and the laws that they make."""
-        blocks = [self._sure(partial(self.wire.read, servo, FIRST, SIZE), until) for servo in self.ids]
-        self._gains = read_block(blocks)
-        self._laws = [DutyLaw(p=data[0], startup=data[3], above=data[5], below=data[6]) for data in blocks]
-
-    def _walk(self, wanted: ServoGains, until: float | None = None) -> None:
-        """Bring the gains in small steps to those wanted; RobotError, and all of them back, where one is not borne."""
-        before = self._gains
-        strange = [name for name in wanted if name not in before or len(wanted[name]) != len(self.ids)]
-        if strange:
-            raise RobotError(f"expected gains {_listed(before)} of {len(self.ids)} joints, got {_listed(strange)}")
-        for step in steps(before, wanted):
-            self._write_gains(step, until)
-            self.clock.wait(PAUSE)
-            ((name, values),) = step.items()
-            for servo, value in zip(self.ids, values, strict=True):
-                load = _signed(self._register(servo, LOAD, 2, until), 10) / FULL
-                heat = self._register(servo, VOLTAGE + 1, 1, until)
-                if not ending() and (abs(load) > HEAVIEST or heat > HOTTEST):
-                    now = read_block([self._sure(partial(self.wire.read, s, FIRST, SIZE), until) for s in self.ids])
-                    for back in steps(now, before):
-                        self._write_gains(back, until)
-                        self.clock.wait(PAUSE)
-                    raise RobotError(
-                        f"{self._call(servo)} does not bear {name}={value}: load {100 * load:.0f} %, {heat} deg C; "
-                        "the gains are as before"
-                    )
-        self._look_up(until)
-
-    def _write_gains(self, gains: Mapping[str, Sequence[int]], until: float | None) -> None:
-        for name, values in gains.items():
-            for servo, value in zip(self.ids, values, strict=True):
-                self._sure(partial(self.wire.write, servo, REGISTERS[name], [value]), until)
+            self._write(servo, GOAL, self._read(servo, PRESENT, 2, until), until)
+            self._write(servo, TORQUE, [1], until)
 
     def _registers(self, address: int, until: float | None, *, sign: int = 16) -> Counts:
         """Two registers of every servo, as a number whose bit ``sign`` is its sign."""
@@ -281,7 +220,13 @@ class FeetechBus(Bus):
         return np.array([_signed(word, sign) for word in words], dtype=np.int64)
 
     def _register(self, servo: int, address: int, size: int, until: float | None) -> int:
-        return int.from_bytes(self._sure(partial(self.wire.read, servo, address, size), until), "little")
+        return int.from_bytes(self._read(servo, address, size, until), "little")
+
+    def _read(self, servo: int, address: int, size: int, until: float | None) -> bytes:
+        return self._sure(lambda: self.wire.read(servo, address, size), until)
+
+    def _write(self, servo: int, address: int, data: Sequence[int], until: float | None) -> None:
+        self._sure(lambda: self.wire.write(servo, address, data), until)
 
     def _sure(self, question: Callable[[], T], until: float | None) -> T:
         """Ask one servo, and again where its answer is lost or garbled: no connection can be made anew here."""
