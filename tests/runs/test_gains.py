@@ -1,6 +1,10 @@
 """Gains of the servos' own loops as a stage: searched for, compared, recommended, kept only when asked."""
 
+import io
+import json
 import sys
+from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,6 +12,7 @@ import pytest
 import rejoint
 from rejoint.cli import main
 from rejoint.control.comparison.result import Protocol
+from rejoint.control.contract import decode_contract, encode_contract
 from rejoint.control.gainsearch import GainsFound, Round
 from rejoint.lab.emulator.feetech.arm import build_arm
 from rejoint.lab.emulator.feetech.emulate import serve_bus
@@ -19,6 +24,8 @@ from rejoint.runs.stages import gains as stage
 from rejoint.runs.stages.gains import gains_to_keep
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import read_json, write_json
+from rejoint.training.presets import DEFAULT
+from rejoint.training.train import policy_contract
 from servorobot import ARM, ServoRobot
 
 FOUND = for_all({"p": 32, "i": 0, "d": 32, "dead": 1, "startup": 16}, 5) | {"limit": (0,) * 5}
@@ -89,8 +96,7 @@ def test_the_memory_of_the_servos_is_written_after_a_yes_alone(tmp_path, monkeyp
         words = ["rejoint", "gains", server.address, str(run.path), "--keep"]
         for more, answer, code in (([], "n\n", 2), (["--yes"], "", 0)):
             monkeypatch.setattr(sys, "argv", [*words, *more])
-            monkeypatch.setattr("builtins.input", lambda *_, answer=answer: answer.strip())
-            monkeypatch.setattr("sys.stdin", __import__("io").StringIO(answer))
+            monkeypatch.setattr("sys.stdin", io.StringIO(answer))
             with pytest.raises(SystemExit) as end:
                 main()
             assert end.value.code == code
@@ -104,3 +110,24 @@ def test_the_memory_of_the_servos_is_written_after_a_yes_alone(tmp_path, monkeyp
         servo.cycle_power()
         assert (servo["P_Coefficient"], servo["I_Coefficient"]) == (found.alone["p"][index], found.alone["i"][index])
         assert servo["Lock"] == 1
+
+
+def test_a_policy_is_trained_for_the_gains_of_the_diagnosis(tmp_path, monkeypatch):
+    asked = []
+
+    def learn(*_, options, **__):
+        asked.append(options.servo_gains)
+        raise KeyboardInterrupt
+
+    run = Run.create(tmp_path / "run", "emulated:so101", ARM)
+    monkeypatch.setattr("rejoint.training.train.train", learn)
+    monkeypatch.setattr(Run, "diagnosis", SimpleNamespace(servo_gains=FOUND))
+    with pytest.raises(KeyboardInterrupt):
+        rejoint.train(run=run)
+    assert asked == [FOUND]
+    contract = replace(policy_contract(ARM, None, DEFAULT, 0), servo_gains=FOUND)
+    text = encode_contract(contract)
+    assert decode_contract(text).servo_gains == FOUND
+    earlier = json.loads(text)
+    del earlier["servo_gains"]
+    assert decode_contract(json.dumps(earlier)).servo_gains is None
