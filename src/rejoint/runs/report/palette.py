@@ -7,7 +7,9 @@ relies on colour alone: marker, dash and hatch differ as well.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+
+from rejoint.control.geared import inner_name
 
 INK = "#1b1f24"
 """Text and axes; becomes the text colour of the page."""
@@ -49,5 +51,10 @@ CONTROLLERS = {
 
 
 def look_of(controller: str) -> Look:
-    """Return the look of a controller; one that is not in `CONTROLLERS` is brown."""
-    return CONTROLLERS.get(controller, BROWN)
+    """Return the look of a controller; one that is not in `CONTROLLERS` is brown.
+
+    One under tuned gains of the servos has the colour of the same without, and stars.
+    """
+    inner = inner_name(controller)
+    look = CONTROLLERS.get(inner, BROWN)
+    return look if inner == controller else replace(look, marker="*", dash=(0, (3, 1, 1, 1)))
