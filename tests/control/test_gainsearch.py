@@ -13,7 +13,7 @@ from rejoint.control.gainsearch import SHAKES, _RoundWatch, search
 from rejoint.control.geared import Geared
 from rejoint.control.guard import GuardLimits
 from rejoint.control.robot import JointState
-from rejoint.control.servogains import limits_under, require_gains, under_gains
+from rejoint.control.servogains import limits_under, require_gains, stiffness_under, under_gains
 from rejoint.robots.feetech.gains import LIMIT, for_all, steps
 from rejoint.system.errors import ContractError, InputError, RobotError
 from servorobot import ARM, ServoRobot
@@ -127,6 +127,13 @@ def test_a_policy_is_refused_under_other_gains_than_it_was_trained_for():
         under_gains(robot, Trained({"p": (32,) * 5})),
     ):
         pass
+
+
+def test_stiffness_goes_with_p():
+    stiffness = np.array([8.0, 4.0])
+    twice = stiffness_under(stiffness, {"p": (32, 32), "i": (0, 0)}, {"p": (64, 16), "i": (2, 2)})
+    assert twice.tolist() == [16.0, 2.0]
+    assert stiffness_under(stiffness, None, {"p": (64, 16)}) is stiffness
 
 
 def test_gains_go_in_small_steps_with_the_limit_before_the_i_part_and_after_it():

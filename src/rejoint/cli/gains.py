@@ -47,10 +47,12 @@ def gains(
     terminal.say(
         f"This writes {in_words(wanted)} into the memory of the {job.arm.joints} servos of {robot}: they keep that "
         "without power, until something else is written. LeRobot writes its own P, I and D whenever it connects. "
-        "Policies that were trained under other gains are refused from then on."
+        "Policies that were trained under other gains are refused from then on, and the twin of this run is that of "
+        "the gains before."
     )
     if not yes and not typer.confirm("Write it?", err=True):
         raise InputError("nothing was written; say --yes to be asked no more")
     before = keep_gains(robot, job, wanted)
     terminal.result(f"Kept: {in_words(wanted)}. Before: {in_words(before)}.")
+    terminal.result(f"Next: rejoint repair {robot}, for a twin and a policy under these gains")
     terminal.finish({"run": str(run), "kept": wanted, "before": before})

@@ -13,6 +13,9 @@ from contextlib import contextmanager
 from dataclasses import replace
 from typing import NamedTuple, Protocol, cast
 
+import numpy as np
+
+from rejoint.arms import Array
 from rejoint.control.contract import PolicyContract
 from rejoint.control.guard import GuardLimits
 from rejoint.control.robot import Robot
@@ -134,6 +137,16 @@ def differing(wanted: ServoGains, found: ServoGains) -> list[tuple[str, int]]:
         for joint, value in enumerate(values)
         if name not in found or joint >= len(found[name]) or found[name][joint] != value
     ]
+
+
+def stiffness_under(stiffness: Array, before: ServoGains | None, now: ServoGains | None) -> Array:
+    """Return the stiffness (n,) [N m/rad] that was found under the gains ``before``, under those of ``now``.
+
+    A servo's stiffness goes with its P; where nobody knows either, it is as it was.
+    """
+    if before is None or now is None or "p" not in before or "p" not in now:
+        return stiffness
+    return np.asarray(stiffness * np.array(now["p"]) / np.maximum(before["p"], 1))
 
 
 def in_words(gains: ServoGains) -> str:

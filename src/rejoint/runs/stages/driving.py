@@ -24,6 +24,7 @@ from rejoint.control.geared import GEARED, RIVALS, Geared, inner_name
 from rejoint.control.guard import GuardLimits
 from rejoint.control.lines import servo_lines
 from rejoint.control.robot import Robot
+from rejoint.control.servogains import stiffness_under
 from rejoint.control.start import Stance
 from rejoint.logs.journal import Journal
 from rejoint.logs.runlog import read_log
@@ -180,9 +181,7 @@ def _geared(name: str, arm: Arm, *, run: Run | None, twin: Twin | None) -> Contr
         raise FileError(f"{where}/gains.json", "no such file", f"run `rejoint gains ROBOT {where}` first")
     found = read_json(run.folder.gains, GainsFound)
     inner = inner_name(name)
-    stiffness = None
-    if twin is not None and "p" in found.found:  # a servo's stiffness goes with its P
-        stiffness = twin.parameters.stiffness * np.array(found.under["p"]) / np.maximum(found.found["p"], 1)
+    stiffness = None if twin is None else stiffness_under(twin.parameters.stiffness, found.found, found.under)
     controller = make_controller(inner, arm, stiffness=stiffness)
     return Geared(controller, found.alone if name == GEARED else found.under)
 

@@ -18,11 +18,11 @@ from rejoint.control.loop import run as drive
 from rejoint.control.posture import PostureController, Wanted
 from rejoint.control.recording import Cycle, recording_of
 from rejoint.control.robot import JointState, Mask, Robot
-from rejoint.control.servogains import limits_under
+from rejoint.control.servogains import gains_in_force, limits_under, stiffness_under
 from rejoint.control.start import check_ready
 from rejoint.robots import open_robot
 from rejoint.runs.given import Period, RunLike, as_run
-from rejoint.runs.run import exclusive
+from rejoint.runs.run import Run, exclusive
 from rejoint.runs.stages.driving import guard_limits, start_journal
 from rejoint.system.errors import InputError, NotReadyError
 from rejoint.system.files import require_space
@@ -100,17 +100,12 @@ class PosedArm:
         with ExitStack() as stack:
             stack.enter_context(exclusive(about))
             require_space(about.path)
-            twin = about.twin
             self._robot = open_robot(address, arm=about.arm, seed=about.seed, period=period)
             stack.callback(self._robot.close)
             check_ready(self._robot)
             self._limits = limits_under(guard_limits(about, about.arm, address), self._robot, None)
-            parameters = None if twin is None else twin.parameters
             self._way = GoalWay(about.arm)
-            self._controller = PostureController(
-                about.arm, self._way, stiffness=None if parameters is None else parameters.stiffness,
-                offset=0.0 if parameters is None else parameters.offset,
-            )  # fmt: skip
+            self._controller = _controller(about, self._robot, self._way)
             self._beside = None if beside is None else beside(self._robot)
             self._position = self._robot.read().position[0]
             self._over, self._began = threading.Event(), threading.Event()
@@ -194,3 +189,13 @@ class PosedArm:
             raise
         journal.finish(recording.log(0, LABEL))
         return recording.command[-1]
+
+
+def _controller(run: Run, robot: Robot, way: GoalWay) -> PostureController:
+    """Return what brings the arm to its goals, by what the twin says of servos with the gains that they have now."""
+    twin, diagnosis = run.twin, run.diagnosis
+    if twin is None:
+        return PostureController(run.arm, way)
+    before = None if diagnosis is None else diagnosis.servo_gains
+    stiffness = stiffness_under(twin.parameters.stiffness, before, gains_in_force(robot))
+    return PostureController(run.arm, way, stiffness=stiffness, offset=twin.parameters.offset)
