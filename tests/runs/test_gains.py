@@ -131,3 +131,15 @@ def test_a_policy_is_trained_for_the_gains_of_the_diagnosis(tmp_path, monkeypatc
     earlier = json.loads(text)
     del earlier["servo_gains"]
     assert decode_contract(json.dumps(earlier)).servo_gains is None
+
+
+def test_the_page_shows_controllers_under_tuned_gains(tmp_path):
+    robot, run = ServoRobot(), Run.create(tmp_path / "run", "emulated:so101", ARM)
+    found_by(run)
+    compared = rejoint.compare(
+        robot, ["servo-gains", "servo-gains+integrator"], [[0.33, 0.05, 0.22]], run=run, sets=1, repetitions=1,
+        protocol=Protocol(dwell=1.0, hold=2.0),
+    )  # fmt: skip
+    assert compared.comparison.controllers == ("servo-gains", "servo-gains+integrator")
+    page = rejoint.report(run).read_text(encoding="utf-8")
+    assert "target sent once, under better gains of the servos themselves" in page

@@ -158,6 +158,8 @@ def test_controllers_under_tuned_gains_look_like_the_same_without_and_unlike_eac
     assert looks[1].colour == looks[2].colour
     assert len({(look.colour, look.marker) for look in looks}) == 4
     assert looks[3] is palette.BROWN
+    for name, look in zip(("servo-gains", "mine"), (palette.GREY, palette.BROWN), strict=True):
+        assert palette.LOOKS[palette.colour_number(name)] is look
 
 
 @pytest.mark.parametrize("look", palette.LOOKS)

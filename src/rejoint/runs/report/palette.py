@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from rejoint.control.geared import inner_name
+from rejoint.control.geared import RIVALS, inner_name
 
 INK = "#1b1f24"
 """Text and axes; becomes the text colour of the page."""
@@ -49,12 +49,17 @@ CONTROLLERS = {
     "policy": BLUE,
 }
 
+UNDER_GAINS = {
+    name: replace(CONTROLLERS[inner_name(name)], marker="*", dash=(0, (3, 1, 1, 1))) for name in RIVALS
+}  # fmt: skip
+"""Controllers under tuned gains of the servos: the colours of the same ones without, and stars"""
+
 
 def look_of(controller: str) -> Look:
-    """Return the look of a controller; one that is not in `CONTROLLERS` is brown.
+    """Return the look of a controller; one that is unknown is brown."""
+    return UNDER_GAINS.get(controller) or CONTROLLERS.get(controller, BROWN)
 
-    One under tuned gains of the servos has the colour of the same without, and stars.
-    """
-    inner = inner_name(controller)
-    look = CONTROLLERS.get(inner, BROWN)
-    return look if inner == controller else replace(look, marker="*", dash=(0, (3, 1, 1, 1)))
+
+def colour_number(controller: str) -> int:
+    """Return which of `LOOKS` has the colours of a controller."""
+    return [look.colour for look in LOOKS].index(look_of(controller).colour)
