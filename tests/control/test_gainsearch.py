@@ -15,7 +15,7 @@ from rejoint.control.guard import GuardLimits
 from rejoint.control.robot import JointState
 from rejoint.control.servogains import limits_under, require_gains, stiffness_under, under_gains
 from rejoint.robots.feetech.gains import LIMIT, for_all, steps
-from rejoint.system.errors import ContractError, InputError, RobotError
+from rejoint.system.errors import ContractError, InputError, NotReadyError, RobotError
 from servorobot import ARM, ServoRobot
 
 
@@ -53,6 +53,14 @@ def test_an_arm_that_tells_no_gains_is_refused_before_it_moves():
     with pytest.raises(InputError, match="no servo gains"):
         search(robot, targets(1))
     assert robot.read().time[0] == 0.0
+
+
+def test_a_warm_arm_is_not_searched():
+    robot = ServoRobot()
+    robot.plant.servos["temperature"][0, 2] = 57.0
+    with pytest.raises(NotReadyError, match=r"elbow_flex: warmer than 55 deg C"):
+        search(robot, targets(1))
+    assert all(gains == robot.servo_gains() for gains in robot.history)
 
 
 def state(time, *, shift=0.0, **changes):

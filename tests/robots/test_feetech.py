@@ -123,6 +123,9 @@ def test_gains_that_a_servo_does_not_bear_are_taken_back():
     with serving(arm=arm) as server, pytest.raises(AddressError, match=r"shoulder_lift .servo 2. does not bear p=36"):
         open_robot(f"{server.address}?p=48")
     assert arm.servos[1]["P_Coefficient"] == 32
+    with serving(arm=arm) as server, closing(open_robot(server.address)) as robot:  # known to be borne
+        robot.tune({"p": (32, 40, 32, 32, 32)})
+        assert arm.servos[1]["P_Coefficient"] == 40
 
 
 def test_tuned_gains_are_taken_back_by_hand_or_by_power_and_kept_only_when_asked():

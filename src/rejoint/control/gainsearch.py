@@ -20,7 +20,7 @@ from rejoint.control.loop import Schedule, run
 from rejoint.control.robot import Mask
 from rejoint.control.servogains import HEAVIEST, HOTTEST, Rung, Tunable, limits_under, put_back
 from rejoint.control.start import begin
-from rejoint.system.errors import InputError
+from rejoint.system.errors import InputError, NotReadyError
 from rejoint.system.progress import Progress, no_progress
 
 DWELL = 2.5
@@ -90,6 +90,12 @@ def search(
         climb.sent = start.command[-1]
         climb.drive(targets[-1:])
         first = climb.best = climb.drive(targets)
+        if first.bad.any():
+            names = ", ".join(np.array(robot.arm.joint_names)[first.bad])
+            raise NotReadyError(
+                f"{names}: warmer than {HOTTEST:.0f} deg C, shaking, or giving more than {100 * HEAVIEST:.0f} % of the "
+                "torque already under the gains that are there; let the arm cool down, then the same command goes on"
+            )
         *others, last = robot.rungs()
         for rung in others:
             climb.rung(rung, first)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 
+import numpy as np
+
 from rejoint.control.servogains import HEAVIEST, HOTTEST, ServoGains
 from rejoint.robots.feetech.gains import FIRST, PAUSE, REGISTERS, SIZE, Values, read_block, steps
 from rejoint.robots.feetech.law import FULL, DutyLaw
@@ -37,10 +39,10 @@ class Tuning:
     def prepare(self, until: float | None) -> None:
         """Read the gains, and bring them to those that are to be in force."""
         self._look_up(until)
-        self._walk(self._wanted, until)
+        self._walk(self._wanted, until, hottest=HOTTEST)
 
     def tune(self, gains: ServoGains) -> None:
-        """Bring the gains to these, also on later connections."""
+        """Bring the gains to these, also on later connections. How warm servos are is for who drives them to judge."""
         self._walk(gains, None)
         self._wanted = {name: tuple(values) for name, values in gains.items()}
 
@@ -69,7 +71,7 @@ class Tuning:
         self.values = read_block(blocks)
         self.laws = [DutyLaw(p=data[0], startup=data[3], above=data[5], below=data[6]) for data in blocks]
 
-    def _walk(self, wanted: ServoGains, until: float | None) -> None:
+    def _walk(self, wanted: ServoGains, until: float | None, *, hottest: float = np.inf) -> None:
         """Go there in small steps; RobotError, and all of them back, where a servo does not bear one."""
         before = self.values
         strange = [name for name in wanted if name not in before or len(wanted[name]) != len(self._ids)]
@@ -78,7 +80,7 @@ class Tuning:
             raise RobotError(f"expected gains {known}, got {', '.join(strange)}")
         for step in steps(self._there(until), wanted):  # a walk that a lost connection cut short goes on
             self._take(step, until)
-            problem = "" if ending() else self._problem(step, until)
+            problem = "" if ending() else self._problem(step, until, hottest)
             if problem:
                 for back in steps(self._there(until), before):
                     self._take(back, until)
@@ -91,12 +93,12 @@ class Tuning:
                 self._write(servo, REGISTERS[name], [value], until)
         self._wait(PAUSE)
 
-    def _problem(self, step: Mapping[str, Sequence[int]], until: float | None) -> str:
+    def _problem(self, step: Mapping[str, Sequence[int]], until: float | None, hottest: float) -> str:
         """Say which servo does not bear a step; empty where all do."""
         ((name, values),) = step.items()
         for servo, value in zip(self._ids, values, strict=True):
             low, high, _, heat = self._read(servo, LOAD, 4, until)
             load = ((low | high << 8) & ~_NEGATIVE) / FULL
-            if load > HEAVIEST or heat > HOTTEST:
+            if load > HEAVIEST or heat > hottest:
                 return f"{self._call(servo)} does not bear {name}={value}: load {100 * load:.0f} %, {heat} deg C"
         return ""

@@ -50,7 +50,7 @@ CONTROLLERS = {
 }
 
 UNDER_GAINS = {
-    name: replace(CONTROLLERS[inner_name(name)], marker="*", dash=(0, (3, 1, 1, 1))) for name in RIVALS
+    name: replace(CONTROLLERS[inner_name(name)], marker="*", dash=(0, (9, 2, 1.5, 2))) for name in RIVALS
 }  # fmt: skip
 """Controllers under tuned gains of the servos: the colours of the same ones without, and stars"""
 
