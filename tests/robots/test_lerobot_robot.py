@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from rejoint.arms import load_arm
+from rejoint.control.guard import GuardLimits
 from rejoint.lab.emulator.feetech.arm import build_arm
 from rejoint.lab.emulator.feetech.emulate import serve_bus
 from rejoint.lab.emulator.feetech.session import BusSession
@@ -46,7 +47,7 @@ def test_an_arm_follows_joint_goals_and_holds_where_it_is_before_and_after(tmp_p
     with serving(tmp_path) as server:
         with PosedArm(server.address, server.run) as arm:
             start = arm.position
-            goal = arm.send(ARM.rest + np.radians([10.0, 6.0, -6.0, 8.0, 10.0]))
+            goal = arm.send(ARM.rest + np.radians([40.0, 6.0, -6.0, 8.0, 10.0]))
             time.sleep(3.0)
             end = arm.position
             limited = arm.send(np.full(5, 9.0))
@@ -55,7 +56,9 @@ def test_an_arm_follows_joint_goals_and_holds_where_it_is_before_and_after(tmp_p
         assert np.degrees(start - ARM.rest) == pytest.approx(np.zeros(5), abs=6.0)
         assert np.degrees(end - goal) == pytest.approx(np.zeros(5), abs=1.2)
         goals = [int.from_bytes(data, "little") for address, data in server.arm.servos[0].writes if address == 42]
-        assert np.abs(np.diff(goals)).max() * 360 / 4096 < 6.0  # never a leap: every command passes the guard
+        limits = GuardLimits.of(ARM)
+        longest = limits.max_speed[0] * limits.max_period / ARM.encoder_step  # never a leap: every command is guarded
+        assert np.abs(np.diff(goals)).max() <= longest + 1 < np.ptp(goals)
         assert never_dropped(server.arm)
     assert list((server.run / "logs").glob("joints-*.parquet"))
 
