@@ -3,7 +3,8 @@
 The emulator runs in a process of its own, on a pseudo-terminal, as slow as the wire and a USB adapter are. With the
 recordings of a real SO-101, `python -m benchmarks.feetech LOGS [EVERY]`, how well the plant on the law of its servos
 predicts them, all or every so many: open loop, from the first measured pose, with the acceleration that LeRobot sets.
-With `gains` instead of LOGS, what gains of the servos leave of the error at ten targets, in virtual time.
+With `gains` instead of LOGS, what gains of the servos leave of the error at ten targets, in virtual time. With
+`joints ADDRESS RUN`, how near an arm comes to joint goals that a program sends: as they are, and through `PosedArm`.
 """
 
 import subprocess
@@ -15,7 +16,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from rejoint.arms import load_arm, tcp_position
+from rejoint.arms import load_arm, solve_position, tcp_position
 from rejoint.control.default import DefaultController
 from rejoint.control.integrator import IntegratorController
 from rejoint.control.loop import Schedule, run
@@ -27,6 +28,7 @@ from rejoint.robots import place_of
 from rejoint.robots.emulated import EmulatedRobot
 from rejoint.robots.feetech.bus import FeetechBus
 from rejoint.robots.feetech.gains import LIMITED
+from rejoint.runs.stages.posing import PosedArm
 from rejoint.system.errors import NoReplyError
 from rejoint.twin.judge import judge_paths
 from rejoint.twin.judgement import NO_TWIN
@@ -36,6 +38,8 @@ DELAY = 0.005
 """[s] from a command to the servos (chosen: half of what the twin's fit finds at most; the error is flat there)"""
 DWELL = 5.0
 """[s] at each target"""
+SETTLING = 1.5
+"""[s] that an arm is given to come to rest at a joint goal"""
 BUS, PROCESSOR = 3.0, 0.3
 """[ms] that a cycle should take at most, at the 99th percentile"""
 
@@ -143,6 +147,38 @@ def _settled(arm, controller, targets, p, i):
     )
 
 
+def joints(address, run):
+    """Print how near the tool comes, by the encoders, to where joint goals have it: sent as they are, and by us."""
+    arm = _arm()
+    targets = np.random.default_rng(1).uniform(arm.targets.lower, arm.targets.upper, (10, 3))
+    goals = solve_position(arm, targets, np.tile(arm.rest, (len(targets), 1))).q
+
+    def streamed(send, read):
+        """Send every goal in 30 steps a second at 1 rad/s, wait, and return the error [mm] and the largest [deg]."""
+        found, sent = [], read()
+        for goal in [arm.rest, *goals]:
+            count = max(int(np.abs(goal - sent).max() * 30), 1)
+            for share in np.linspace(1 / count, 1.0, count):
+                send(sent + share * (goal - sent))
+            sent = goal
+            for _ in range(int(30 * SETTLING)):
+                send(goal)
+            off = read() - goal
+            found.append((1e3 * np.linalg.norm(tcp_position(arm, read()) - tcp_position(arm, goal)), np.abs(off).max()))
+        error, angle = np.array(found[1:]).T
+        return f"tool {error.mean():.2f} mm (largest {error.max():.2f}), joints {np.degrees(angle.max()):.2f} deg"
+
+    with closing(place_of(address).open(arm=arm, period=(1 / 30, 1 / 30))) as robot:
+        print("as they are:", streamed(lambda goal: robot.step(goal[None]), lambda: robot.read().position[0]))
+
+    def send(goal):
+        posed.send(goal)
+        time.sleep(1 / 30)
+
+    with PosedArm(address, run) as posed:
+        print("through rejoint:", streamed(send, lambda: posed.position))
+
+
 def replay(plant, log):
     """Return positions (T, n) [rad] of a plant that gets the commands of a log `DELAY` after they were sent."""
     plant.reset(log.position[:1])
@@ -162,5 +198,7 @@ def _arm():
 if __name__ == "__main__":
     if sys.argv[1] == "gains":
         gains()
+    elif sys.argv[1] == "joints":
+        joints(*sys.argv[2:])
     else:
         predict(Path(sys.argv[1]), *map(int, sys.argv[2:]))

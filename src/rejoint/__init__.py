@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from rejoint.runs.stages.deploy import deploy
     from rejoint.runs.stages.diagnose import Diagnosed, diagnose
     from rejoint.runs.stages.follow import follow
+    from rejoint.runs.stages.gains import gains
     from rejoint.runs.stages.identify import identify
     from rejoint.runs.stages.replay import Replayed, replay
     from rejoint.runs.stages.report import report
@@ -90,6 +91,7 @@ _HOMES = {
     "runs.stages.deploy": ("deploy",),
     "runs.stages.diagnose": ("Diagnosed", "diagnose"),
     "runs.stages.follow": ("follow",),
+    "runs.stages.gains": ("gains",),
     "runs.stages.identify": ("identify",),
     "runs.stages.replay": ("Replayed", "replay"),
     "runs.stages.report": ("report",),
@@ -118,8 +120,8 @@ __all__ = [
     "MissingExtraError", "NoReplyError", "NotReachedError", "NotReadyError", "Path", "Policy", "PowerLostError",
     "ProfileError", "Progress", "Recommendation", "RejointError", "Repaired", "Replayed", "Robot", "RobotError", "Run",
     "RunLog", "Serving", "Stage", "StaleReplyError", "Stream", "TrainedPolicy", "Twin", "UnsavedError", "__version__",
-    "calibrate", "compare", "connect", "deploy", "diagnose", "follow", "identify", "load_arm", "read_arm", "repair",
-    "replay", "report", "serve", "train",
+    "calibrate", "compare", "connect", "deploy", "diagnose", "follow", "gains", "identify", "load_arm", "read_arm",
+    "repair", "replay", "report", "serve", "train",
 ]  # fmt: skip
 
 

@@ -20,6 +20,7 @@ from rejoint.lab.emulator.feetech.session import BusSession
 from rejoint.robots import open_robot, place_of
 from rejoint.robots.feetech.address import FeetechAddress
 from rejoint.robots.feetech.bus import FeetechBus
+from rejoint.robots.feetech.gripper import Gripper
 from rejoint.robots.feetech.zeros import Zeros, read_calibration, zeros_of
 from rejoint.system.errors import (
     AddressError,
@@ -122,6 +123,65 @@ def test_gains_that_a_servo_does_not_bear_are_taken_back():
     with serving(arm=arm) as server, pytest.raises(AddressError, match=r"shoulder_lift .servo 2. does not bear p=36"):
         open_robot(f"{server.address}?p=48")
     assert arm.servos[1]["P_Coefficient"] == 32
+    with serving(arm=arm) as server, closing(open_robot(server.address)) as robot:  # known to be borne
+        robot.tune({"p": (32, 40, 32, 32, 32)})
+        assert arm.servos[1]["P_Coefficient"] == 40
+
+
+def test_tuned_gains_are_taken_back_by_hand_or_by_power_and_kept_only_when_asked():
+    with serving() as server, closing(open_robot(server.address)) as robot:
+        before = robot.servo_gains()
+        wanted = before | {"p": (32, 40, 48, 40, 32), "i": (0, 1, 2, 0, 0), "limit": (0, 50, 50, 0, 0)}
+        robot.tune(wanted)
+        assert robot.servo_gains() == wanted
+        elbow = server.arm.servos[2]
+        assert (elbow["P_Coefficient"], elbow["I_Coefficient"], elbow["Integral_Limit"]) == (48, 2, 50)
+        assert max(np.diff([32] + [data[0] for address, data in elbow.writes if address == 21])) == 4
+        robot.tune(before)
+        assert robot.servo_gains() == before
+        assert all(address != LOCK for servo in server.arm.servos for address, _ in servo.writes)
+        robot.keep(wanted)
+        locks = [data[0] for address, data in elbow.writes if address == LOCK]
+        assert locks == [0, 1]
+    for index, servo in enumerate(server.arm.servos[:5]):
+        servo.cycle_power()
+        assert (servo["P_Coefficient"], servo["I_Coefficient"]) == (wanted["p"][index], wanted["i"][index])
+        assert servo["Lock"] == 1
+
+
+def test_a_gripper_is_driven_beside_the_joints_and_left_alone_until_it_has_a_goal():
+    with serving() as server, closing(open_robot(server.address)) as robot:
+        servo = server.arm.servos[5]
+        low, high = servo["Min_Position_Limit"], servo["Max_Position_Limit"]
+        gripper = Gripper.find(robot.relay, 6)
+        assert gripper.opened == pytest.approx(100 * (servo["Present_Position"] - low) / (high - low))
+        gripper.serve()
+        assert servo.writes == []
+        gripper.goal = 150.0
+        for _ in range(40):
+            robot.step(ARM.rest[None])
+            gripper.serve()
+        goal = servo["Goal_Position"], servo["Torque_Limit"], servo["Torque_Enable"]
+        assert goal == (high, 500, 1)
+        assert gripper.opened > 90.0
+        assert len([1 for address, _ in servo.writes if address == GOAL]) == 1
+        assert Gripper.find(robot.relay, 9) is None
+        for payload in ([1, GOAL, 0, 0], [6, LOCK, 0], [6, 5, 7]):
+            with pytest.raises(RobotError, match="is not passed on"):
+                robot.relay(3, bytes(payload))
+        assert all(servo["Torque_Enable"] == servo["Lock"] == 1 for servo in server.arm.servos)
+
+
+def test_gains_that_came_during_a_connection_are_set_again_on_the_next_one():
+    with serving() as server, closing(FeetechBus(place_of(server.address).detail, ARM)) as bus:
+        bus.open()
+        bus.prepare()
+        bus.tune({"p": (40,) * 5})
+        bus.close()
+        server.arm.servos[0]["P_Coefficient"] = 32
+        bus.open()
+        bus.prepare()
+        assert bus.servo_gains()["p"] == (40,) * 5
 
 
 @pytest.mark.parametrize(

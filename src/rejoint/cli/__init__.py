@@ -18,7 +18,7 @@ import msgspec
 import typer
 from rich.console import Console
 
-from rejoint.cli import boards, chain, evaluation, foreign, measuring, offline, reproducing, serving, stages
+from rejoint.cli import boards, chain, evaluation, foreign, gains, measuring, offline, reproducing, serving, stages
 from rejoint.system.errors import RejointError, first_line
 from rejoint.system.extras import explain
 from rejoint.system.stopping import Interrupted, close, install, interruption
@@ -35,9 +35,9 @@ app = typer.Typer(
     rich_markup_mode="markdown",
 )
 COMMANDS: tuple[Callable[..., None], ...] = (
-    chain.repair, stages.diagnose, stages.identify, stages.train, measuring.calibrate, stages.compare, stages.deploy,
-    stages.follow, stages.report, boards.board, offline.replay, foreign.import_, foreign.export, serving.emulate,
-    serving.serve, reproducing.reproduce, evaluation.evaluate, evaluation.tune,
+    chain.repair, stages.diagnose, stages.identify, stages.train, measuring.calibrate, gains.gains, stages.compare,
+    stages.deploy, stages.follow, stages.report, boards.board, offline.replay, foreign.import_, foreign.export,
+    serving.emulate, serving.serve, reproducing.reproduce, evaluation.evaluate, evaluation.tune,
 )  # fmt: skip
 for command in COMMANDS:
     app.command(command.__name__.rstrip("_"), context_settings={"help_option_names": ["-h", "--help"]})(command)

@@ -26,6 +26,7 @@ TITLES = {
     "calibrate": ("Calibration: where the tool really is, measured from outside", "calibrating"),
     "identify": ("Twin: fitting a simulation to this arm", "identifying"),
     "train": ("Training: a policy on randomised copies of the twin", "training"),
+    "gains": ("Gains: what the servos' own loops can do", "tuning"),
     "compare": ("Comparison: every controller on this arm, with the same targets", "comparing"),
     "report": ("Report", "reporting"),
 }

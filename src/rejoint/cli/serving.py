@@ -84,6 +84,10 @@ def serve(
     run: opt.Run,
     listen: Annotated[str, typer.Option(help="HOST:PORT; 0.0.0.0:9000 lets other machines in.")] = "127.0.0.1:9000",
     pty: Annotated[bool, typer.Option("--pty", help="Serve a serial line (pseudo terminal) instead of TCP.")] = False,
+    stdio: Annotated[
+        bool,
+        typer.Option("--stdio", help="Follow joint goals from standard input, a line of JSON each, as LeRobot's need."),
+    ] = False,
     calibration: opt.Calibration = None,
     period: opt.Period = None,
     json: Json = False,
@@ -95,6 +99,13 @@ def serve(
 
     Example: `rejoint serve tcp://192.168.1.20:9000 runs/mine --listen 127.0.0.1:9001`
     """
+    if stdio:
+        if pty or json or calibration is not None:
+            raise InputError("--stdio goes with --period alone")
+        from rejoint.cli.lines import serve_lines
+
+        serve_lines(robot, run, period=opt.period_seconds(period))
+        return
     terminal = Terminal(json=json)
 
     def announce(address: str) -> None:

@@ -11,10 +11,12 @@ from rejoint.cli.filming import show_filmed
 from rejoint.control.comparison.failure import failure
 from rejoint.control.comparison.recommend import Recommendation
 from rejoint.control.comparison.result import Comparison, DirectionVariation, PoseAccuracy
+from rejoint.control.servogains import in_words
 from rejoint.runs.effort import Effort, cost
 
 if TYPE_CHECKING:
     from rejoint.control.deployment import Deployed
+    from rejoint.control.gainsearch import GainsFound
     from rejoint.control.moving.drive import Followed
     from rejoint.diagnosis.diagnosis import Diagnosis
     from rejoint.runs.report.errors import BeforeAfter
@@ -33,6 +35,8 @@ def stage(terminal: Terminal, name: str, result: Any) -> None:  # noqa: ANN401 -
         twin(terminal, result)
     elif name == "train":
         training(terminal, result.training)
+    elif name == "gains":
+        gains(terminal, result)
     elif name == "calibrate":
         calibration(terminal, result)
     elif name == "compare":
@@ -97,6 +101,17 @@ def calibration(terminal: Terminal, found: Calibrated) -> None:
         terminal.result("The correction clearly helps and will be used.")
     else:
         terminal.result("The correction does not clearly help and will not be used.")
+
+
+def gains(terminal: Terminal, found: GainsFound) -> None:
+    """Print what the servos' own gains were, and what better ones leave of the errors."""
+    for what, values, seen in (
+        ("as they are", found.found, found.before),
+        ("under a controller", found.under, found.with_under),
+        ("alone", found.alone, found.with_alone),
+    ):
+        joints = f"{np.degrees(np.max(seen.error)):.2f} deg at the worst joint"
+        terminal.say(f"  {what}: {in_words(values)}: {1e3 * seen.tool:.1f} mm by the encoders, {joints}")
 
 
 def training(terminal: Terminal, result: TrainingResult) -> None:

@@ -89,6 +89,8 @@ class PolicyContract:
     """version of the software that trained it"""
     history: int = 0
     """past observations that the network sees besides the current one"""
+    servo_gains: dict[str, tuple[int, ...]] | None = None
+    """of the servos' own loops, for which it was trained (`rejoint.control.servogains`); None: not known, not asked"""
     units: dict[str, str] = field(default_factory=lambda: dict(UNITS))
     format: int = FORMAT
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from enum import IntFlag
 from functools import cached_property
@@ -101,6 +102,8 @@ class GuardLimits:
     """what is known of the servos beforehand; it makes the monitor of joints that do not follow quicker"""
     bands: Bands | None = None
     """at which pushes its joints stood when the arm was measured; that monitor needs it where no load is told"""
+    gains: Mapping[str, tuple[int, ...]] | None = None
+    """of the servos, for which both of these hold (`rejoint.control.servogains`); None: for any"""
 
     def __post_init__(self) -> None:
         for name in ("lower", "upper", "max_speed", "max_acceleration"):

@@ -61,6 +61,8 @@ class Diagnosis:
     """what it was compared with"""
     evidence: Evidence | None = None
     """what the logs hold where there are only logs"""
+    servo_gains: dict[str, tuple[int, ...]] | None = None
+    """of the servos' own loops meanwhile, one of each joint (`rejoint.control.servogains`); None: not told"""
 
 
 def diagnose(

@@ -15,6 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Array
+from rejoint.control.servogains import Rung, ServoGains
+from rejoint.system.errors import RobotError
 from rejoint.system.stopping import pause
 
 ALARMING = 60.0
@@ -115,6 +117,25 @@ class Bus(ABC):
     @abstractmethod
     def stop(self) -> None:
         """Make the arm hold where it is. Never cuts the power: a worn arm would collapse."""
+
+    def servo_gains(self) -> ServoGains | None:
+        """Return the gains of the servos' own loops, as they were read last; None: nobody knows them."""
+        return None
+
+    def rungs(self) -> tuple[Rung, ...]:
+        """Return what a search for better gains tries, see `rejoint.control.servogains.Tunable`."""
+        return ()
+
+    def tune(self, gains: ServoGains) -> None:
+        """Bring these gains in small steps to what is given, until the power goes; RobotError where that is not borne.
+
+        Only what was read before is asked for, so a bus that tells no gains needs neither this nor `keep`.
+        """
+        raise RobotError(f"the gains of a {self.name} cannot be set: {gains}")
+
+    def keep(self, gains: ServoGains) -> None:
+        """Bring these gains to what is given, and have the servos keep them without power."""
+        raise RobotError(f"the gains of a {self.name} cannot be kept: {gains}")
 
     def relay(self, command: int, payload: bytes) -> bytes | None:  # noqa: ARG002 - most wires have nothing to pass on
         """Ask what is none of the joints, as a gripper, in the words of the arm's own wire; None: no answer."""

@@ -12,6 +12,7 @@ import numpy as np
 
 from rejoint.arms import Arm, Array
 from rejoint.control.robot import JointState, Mask, Robot
+from rejoint.control.servogains import Rung, ServoGains
 from rejoint.robots.bus import Bus, Reading
 from rejoint.robots.family import DEFAULT_ARM, Family, Opening, Place
 from rejoint.robots.health import Health, believed
@@ -110,6 +111,22 @@ class BusRobot:
         self._link.ask(self._bus.stop)
         self._command = None
 
+    def servo_gains(self) -> ServoGains | None:
+        """Return the gains of the servos' own loops; None where nobody knows them."""
+        return self._bus.servo_gains()
+
+    def rungs(self) -> tuple[Rung, ...]:
+        """Return what a search for better gains tries."""
+        return self._bus.rungs()
+
+    def tune(self, gains: ServoGains) -> None:
+        """Bring these gains in small steps to what is given, see `Bus.tune`."""
+        self._link.ask(lambda: self._bus.tune(gains))
+
+    def keep(self, gains: ServoGains) -> None:
+        """Bring these gains to what is given and keep them without power, see `Bus.keep`."""
+        self._link.ask(lambda: self._bus.keep(gains))
+
     def relay(self, command: int, payload: bytes) -> bytes | None:
         """Ask what is none of the joints, see `Bus.relay`."""
         return self._link.ask(lambda: self._bus.relay(command, payload))
@@ -138,6 +155,7 @@ def bus_family(
     parse: Callable[[str], T],
     default_arm: str = DEFAULT_ARM,
     default_period: tuple[float, float] = (0.050, 0.050),
+    tunable: bool = False,
     needs: tuple[str, ...] = (),
 ) -> Family[T]:
     """Family of arms behind a ``bus``, which is made from what ``parse`` read from the address, and the arm."""
@@ -151,5 +169,5 @@ def bus_family(
 
     return Family(
         scheme=scheme, form=form, parse=parse, connect=connect, default_arm=default_arm, default_period=default_period,
-        needs=needs,
+        tunable=tunable, needs=needs,
     )  # fmt: skip

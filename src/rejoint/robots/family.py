@@ -50,6 +50,8 @@ class Family(Generic[T]):
     """[s] shortest and longest control period where none is asked for"""
     virtual: bool = False
     """whether any number of arms can be opened side by side, in virtual time, which costs nothing"""
+    tunable: bool = False
+    """whether the gains of the servos' own loops can be read and set there"""
     needs: tuple[str, ...] = ()
     """extras of this package, or modules of them, without which no such robot can be opened"""
 
@@ -68,6 +70,11 @@ class Place(Generic[T]):
     def virtual(self) -> bool:
         """Whether arms come in batches there, in virtual time."""
         return self.family.virtual
+
+    @property
+    def tunable(self) -> bool:
+        """Whether the gains of the servos' own loops can be read and set there."""
+        return self.family.tunable
 
     @property
     def default_period(self) -> tuple[float, float]:

@@ -76,7 +76,8 @@ MYCOBOT_SERIAL = bus_family(
 )  # fmt: skip
 FEETECH = bus_family(
     _feetech, scheme="feetech", form=FORM, parse=feetech_address,
-    default_arm="so101", default_period=_FEETECH_PERIOD, needs=("feetech",),
+    default_arm="so101", default_period=_FEETECH_PERIOD, tunable=True,
+    needs=("feetech",),
 )  # fmt: skip
 
 FAMILIES: tuple[Family[Any], ...] = (EMULATED, MYCOBOT_TCP, MYCOBOT_SERIAL, FEETECH)

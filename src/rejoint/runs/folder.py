@@ -124,6 +124,11 @@ class RunFolder:
         return self.outputs.policy
 
     @property
+    def gains(self) -> Path:
+        """What a search for better gains of the servos found."""
+        return self.path / "gains.json"
+
+    @property
     def comparison(self) -> Path:
         """Every controller on the same arm."""
         return self.path / "comparison.json"

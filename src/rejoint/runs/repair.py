@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Literal, TypeVar, get_args
 from rejoint.control.comparison.recommend import Recommendation, recommend
 from rejoint.control.comparison.result import Comparison
 from rejoint.control.comparison.targets import draw_targets
+from rejoint.robots import place_of
 from rejoint.runs.effort import StageCost, add
 from rejoint.runs.given import (
     FIRST_ROBOT,
@@ -32,7 +33,8 @@ from rejoint.runs.run import Run, finish, newest_or_new, require_same_pace
 from rejoint.runs.stages.calibrate import calibrate
 from rejoint.runs.stages.compare import Compared, compare
 from rejoint.runs.stages.diagnose import Diagnosed, diagnose
-from rejoint.runs.stages.driving import Controllers
+from rejoint.runs.stages.driving import Controllers, any_geared
+from rejoint.runs.stages.gains import gains
 from rejoint.runs.stages.identify import identify
 from rejoint.runs.stages.report import report
 from rejoint.runs.stages.train import train
@@ -51,7 +53,7 @@ Found = TypeVar("Found")
 QUICK_TARGETS = 3
 """Targets that controllers are compared on for a first try (chosen)"""
 
-StageName = Literal["diagnose", "calibrate", "identify", "train", "compare", "report"]
+StageName = Literal["diagnose", "calibrate", "identify", "train", "gains", "compare", "report"]
 STAGES: tuple[StageName, ...] = get_args(StageName)
 
 
@@ -208,12 +210,15 @@ def repair(
     emulated = is_batchable(robot)
     measured = gauge != NO_GAUGE and (emulated or gauge is not None)
     meter = None if gauge == NO_GAUGE else gauge
-    chain = _Chain(about.begin(), on_stage, on_progress, measured=measured)
+    rivals = not controllers and not quick
+    tunable = isinstance(robot, str) and place_of(robot).tunable and (rivals or any_geared(controllers))
+    chain = _Chain(about.begin(), on_stage, on_progress, measured=measured, tunable=tunable)
     found = chain.run
     chain.do("diagnose", lambda update: diagnose(robot, run=found, period=period, quick=quick, on_progress=update))
     chain.do("calibrate", lambda update: calibrate(robot, run=found, gauge=meter, period=period, on_progress=update))
     chain.do("identify", lambda update: identify(run=found, quick=quick, on_progress=update))
     chain.do("train", lambda update: train(run=found, preset=preset, quick=quick, on_progress=update))
+    chain.do("gains", lambda update: gains(robot, found, period=period, on_progress=update))
     few = (1, 1) if quick else (3, 2) if emulated else (None, None)
     if quick and targets is None:
         targets = draw_targets(found.arm, sets=1, count=QUICK_TARGETS, seed=found.seed)
@@ -230,13 +235,19 @@ def repair(
 class _Chain:
     """Stages that are done only where their file is not there yet; the report is always written anew."""
 
-    def __init__(self, run: Run, on_stage: OnStage | None, on_progress: Progress, *, measured: bool) -> None:
+    def __init__(
+        self, run: Run, on_stage: OnStage | None, on_progress: Progress, *, measured: bool, tunable: bool
+    ) -> None:
         self.run, self._on_stage, self._on_progress = run, on_stage, on_progress
         files = run.folder
-        places = (files.diagnosis, files.calibration, files.twin, files.policy, files.comparison, files.report)
+        places = (
+            files.diagnosis, files.calibration, files.twin, files.policy, files.gains, files.comparison, files.report,
+        )  # fmt: skip
         self._files: dict[StageName, Path] = dict(zip(STAGES, places, strict=True))
         if not measured:
             del self._files["calibrate"]
+        if not tunable:
+            del self._files["gains"]
 
     def do(self, name: StageName, work: Callable[[Progress], object]) -> None:
         """Do a stage, or say that it is done already."""

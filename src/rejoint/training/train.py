@@ -56,6 +56,8 @@ class TrainingOptions:
     """updates between two policies that are kept beside the last one, the untrained one first; None: none"""
     resume: bool = False
     """continue from a checkpoint in ``out`` if there is one of this very training"""
+    servo_gains: dict[str, tuple[int, ...]] | None = None
+    """of the servos that the twin was identified on, for the contract"""
 
     @property
     def recipe(self) -> Preset:
@@ -109,7 +111,7 @@ def train(
     if options.resume and not _resumed(learner, files.checkpoint, identity):
         learner = make_learner(arm, twin, recipe, options)  # a damaged one may have been taken over in part
     total = recipe.ppo.iterations
-    contract = policy_contract(arm, twin, recipe, options.seed)
+    contract = replace(policy_contract(arm, twin, recipe, options.seed), servo_gains=options.servo_gains)
     with _tensorboard(files.folder) as writer:
         while learner.iteration < total:
             if options.snapshot_every and learner.iteration % options.snapshot_every == 0:

@@ -258,6 +258,23 @@ def test_the_better_one_is_recommended_and_a_tie_goes_to_the_simpler():
     assert found.value == pytest.approx(0.0007, rel=0.3)
 
 
+def test_a_controller_under_other_gains_of_the_servos_is_hardly_less_simple_than_without():
+    def equals(*names):
+        found = alike(dict.fromkeys(names, 0.001))
+        rows = [replace(row, outcomes=replace(row.outcomes, settled=(0.001,) * 6)) for row in found.rows]
+        return recommend(replace(found, rows=tuple(rows)))
+
+    names = ("policy", "feedforward", "servo-gains+integrator", "servo-gains")
+    tie = equals(*names)
+    assert tie.controller == "servo-gains"
+    assert set(tie.tied) == set(names) - {"servo-gains"}
+    assert "`rejoint gains --keep`" in tie.why[-1]
+    assert equals("feedforward", "servo-gains+integrator").controller == "servo-gains+integrator"
+    plain = equals("servo-gains+integrator", "feedforward", "integrator")
+    assert plain.controller == "integrator"
+    assert not any("--keep" in line for line in plain.why)
+
+
 def test_a_tie_tells_who_was_better_in_the_mean_and_how_many_trials_decide():
     """As many trials as it says do decide, if every one is like those there were."""
     found = alike({"integrator": 0.00105, "policy": 0.001})

@@ -152,6 +152,16 @@ def luminance(colour):
     return float(np.dot([0.2126, 0.7152, 0.0722], linear))
 
 
+def test_controllers_under_tuned_gains_look_like_the_same_without_and_unlike_each_other():
+    looks = [palette.look_of(name) for name in ("servo-gains", "servo-gains+integrator", "integrator", "mine")]
+    assert looks[0].colour == palette.look_of("default").colour
+    assert looks[1].colour == looks[2].colour
+    assert len({(look.colour, look.marker) for look in looks}) == 4
+    assert looks[3] is palette.BROWN
+    for name, look in zip(("servo-gains", "mine"), (palette.GREY, palette.BROWN), strict=True):
+        assert palette.LOOKS[palette.colour_number(name)] is look
+
+
 @pytest.mark.parametrize("look", palette.LOOKS)
 def test_looks_stand_out_from_their_ground(look):
     """Contrast as WCAG 2.2 defines it; 3 : 1 is its minimum for graphics (1.4.11)."""

@@ -31,6 +31,7 @@ from rejoint.control.guard import GuardLimits
 from rejoint.control.loop import run
 from rejoint.control.recording import Recording
 from rejoint.control.robot import Robot
+from rejoint.control.servogains import limits_under, under_gains
 from rejoint.control.start import Stance
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
@@ -214,7 +215,9 @@ class TrialRunner:
         if isinstance(controller, Watched):
             plan = replace(plan, give_up=controller.give_up)
         aiming = None if self.correction is None else self.correction(robot.arm)
-        recording = run(robot, controller, targets, plan, limits=self.limits, correction=aiming, on_cycle=on_cycle)
+        limits = limits_under(self.limits, robot, controller)
+        with under_gains(robot, controller):
+            recording = run(robot, controller, targets, plan, limits=limits, correction=aiming, on_cycle=on_cycle)
         if isinstance(controller, Watched):
             recording, failed = controller.mark(recording), controller.failed
         if self.on_trial is not None:

@@ -35,6 +35,7 @@ class Watched:
         self._missed = missed
         self.failed = False
         """whether it gave a command that is not a number although everything it was told was one"""
+        self.servo_gains = getattr(controller, "servo_gains", None)
 
     @property
     def name(self) -> str:

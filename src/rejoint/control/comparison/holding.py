@@ -19,6 +19,7 @@ from rejoint.control.correction import Correction
 from rejoint.control.guard import GuardLimits
 from rejoint.control.loop import run
 from rejoint.control.robot import Robot
+from rejoint.control.servogains import limits_under, under_gains
 from rejoint.control.start import Stance, begin
 from rejoint.system.statistics import Spread, spread
 
@@ -53,7 +54,10 @@ class Holding:
                 sent = None if self.batched else begin(robot, self.limits, self.stance).command[-1]
                 plan = schedule("hold", protocol, keep_going=self.batched, sent=sent)
                 aiming = None if self.correction is None else self.correction(robot.arm)
-                driven = run(robot, controller(robot.arm), part, plan, limits=self.limits, correction=aiming)
+                own = controller(robot.arm)
+                with under_gains(robot, own):
+                    limits = limits_under(self.limits, robot, own)
+                    driven = run(robot, own, part, plan, limits=limits, correction=aiming)
                 found.append(measure_holds(robot.arm, driven, part, protocol, self.model))
         finally:
             robot.close()

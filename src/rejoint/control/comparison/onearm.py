@@ -21,6 +21,7 @@ from rejoint.control.comparison.racing import Race, Results
 from rejoint.control.contract import check_controller_period
 from rejoint.control.loop import move
 from rejoint.control.robot import Robot
+from rejoint.control.servogains import require_gains
 from rejoint.control.start import begin
 from rejoint.system.errors import ContractError
 
@@ -164,7 +165,9 @@ class OneArm:
         session = self._session
         for name, factory in list(session.controllers.items()):
             try:
-                check_controller_period(factory(self._robot.arm), period)
+                controller = factory(self._robot.arm)
+                check_controller_period(controller, period)
+                require_gains(self._robot, controller)
             except ContractError as error:
                 if not session.settings.leave_out or len(session.controllers) == 1:
                     raise

@@ -19,6 +19,7 @@ from rejoint.arms import Array
 from rejoint.control.catalogue import CONTROLLERS
 from rejoint.control.comparison.failure import failure
 from rejoint.control.comparison.result import Comparison, ControllerRow
+from rejoint.control.geared import inner_name
 from rejoint.system.statistics import FEWEST_CLUSTERS, Estimate, above_zero, cluster, paired_difference
 
 NO_INTERVAL = "too few trials for an interval"
@@ -65,7 +66,7 @@ def recommend(comparison: Comparison) -> Recommendation:
     why = [*all_stopped, _achieves(chosen, comparison), *_tied(chosen, others, comparison)]
     why += (*reversed(decided), *comparison.left_out)
     names = tuple(row.controller for row in others)
-    return Recommendation(controller=chosen.controller, why=(*why, *_hidden(chosen)), tied=names)
+    return Recommendation(controller=chosen.controller, why=(*why, *_hidden(chosen), *_geared(chosen)), tied=names)
 
 
 def difference(comparison: Comparison, first: str, second: str, name: str = "settled") -> Estimate | None:
@@ -184,10 +185,24 @@ def _hidden(row: ControllerRow) -> tuple[str, ...]:
     return (f"The tool itself is off by {true}: what is left of play and bending behind the encoders.",)
 
 
-def _complexity(row: ControllerRow) -> tuple[int, str]:
-    """Rank from the simplest controller on; unknown ones count as the most demanding."""
-    known = CONTROLLERS.index(row.controller) if row.controller in CONTROLLERS else len(CONTROLLERS)
-    return known, row.controller
+def _geared(row: ControllerRow) -> tuple[str, ...]:
+    """Say what becomes of the servos' gains, where the controller has its own."""
+    if inner_name(row.controller) == row.controller:
+        return ()
+    return (
+        f"{row.controller} needs other gains in the servos: each drive sets them and takes them back. "
+        "`rejoint gains --keep` has the servos keep them.",
+    )
+
+
+def _complexity(row: ControllerRow) -> tuple[float, str]:
+    """Rank from the simplest controller on; unknown ones count as the most demanding.
+
+    One under other gains of the servos comes right after the same one under those that are there.
+    """
+    name = inner_name(row.controller)
+    known = CONTROLLERS.index(name) if name in CONTROLLERS else len(CONTROLLERS)
+    return known + 0.5 * (name != row.controller), row.controller
 
 
 def _listed(names: list[str]) -> str:

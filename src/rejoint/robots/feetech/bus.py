@@ -2,7 +2,7 @@
 
 The arm is never dropped: torque is never switched off, and where it is off, the goal is set to where the joint is
 before it comes on. Nothing that the servos keep is written: their lock is shut, and of their settings none is changed
-but the gains that the address asks for, until the power goes.
+but the gains that the address or a controller asks for, until the power goes. Only `Tuning.keep` opens the lock.
 """
 
 from __future__ import annotations
@@ -16,10 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array
+from rejoint.control.servogains import Rung, ServoGains
 from rejoint.robots.bus import Bus, Reading
 from rejoint.robots.feetech.address import FeetechAddress
-from rejoint.robots.feetech.gains import HEAVIEST, HOTTEST, INTEGRAL_LIMIT, KNOBS, LIMITED, PAUSE, way
-from rejoint.robots.feetech.law import FULL, DutyLaw
+from rejoint.robots.feetech.gains import RUNGS, for_all
+from rejoint.robots.feetech.gripper import READ, WRITE
+from rejoint.robots.feetech.tuning import Tuning
 from rejoint.robots.feetech.wire import Wire
 from rejoint.robots.feetech.zeros import Counts, Zeros, read_calibration, zeros_of
 from rejoint.robots.link import persist
@@ -36,7 +38,7 @@ T = TypeVar("T")
 
 MODELS = {777: "STS3215", 2825: "STS3250"}
 """Servos with this register table and 4096 counts a turn"""
-LIMITS, SETTINGS, HOMING, MODE, TORQUE, GOAL, LOCK, PRESENT, LOAD, VOLTAGE = 9, 21, 31, 33, 40, 42, 55, 56, 60, 62
+ID, LIMITS, HOMING, MODE, TORQUE, GOAL, LOCK, PRESENT, VOLTAGE = 5, 9, 31, 33, 40, 42, 55, 56, 62
 """Addresses of registers (Feetech's memory table of the STS/SMS series)."""
 BLOCK = 15
 """registers from `PRESENT` on: position, speed, load, voltage, temperature, -, status, moving, goal, current"""
@@ -65,7 +67,10 @@ class FeetechBus(Bus):
         self.ids = self._file.ids if self._file is not None else tuple(range(1, arm.joints + 1))
         self._wire: Wire | None = None
         self._zeros: Zeros | None = None
-        self._laws: list[DutyLaw] = []
+        self._tuning = Tuning(
+            self.ids, for_all(address.gains, len(self.ids)), read=self._read, write=self._write, call=self._call,
+            wait=self.clock.wait,
+        )  # fmt: skip
         self._supply: Array | None = None
         self._goal: Counts | None = None
         self._was_ready = False
@@ -94,9 +99,7 @@ class FeetechBus(Bus):
             self._registers(LIMITS + 2, until), self.address.zero,
         )  # fmt: skip
         self._hold(until)
-        for servo in self.ids:
-            self._tune(servo, until)
-        self._laws = [self._law(servo, until) for servo in self.ids]
+        self._tuning.prepare(until)
         if self._supply is None:
             self._supply = _DECI * np.array([self._register(servo, VOLTAGE, 1, until) for servo in self.ids])
         self._was_ready = True
@@ -113,7 +116,7 @@ class FeetechBus(Bus):
         sags = voltage < SAGGING * self.supply
         return Reading(
             position=self.zeros.radians(np.array(place)),
-            load=np.array([law.share(*seen) for law, *seen in zip(self._laws, pushed, error, strict=True)]),
+            load=np.array([law.share(*seen) for law, *seen in zip(self._tuning.laws, pushed, error, strict=True)]),
             voltage=voltage,
             temperature=np.array(heat, float), fault=np.array([bits != 0 for bits in status]) | sags,
             trouble=self._troubles(status, voltage, sags) if any(status) or sags.any() else None,
@@ -132,6 +135,34 @@ class FeetechBus(Bus):
         """
         if self._goal is not None:
             self._send(self._goal)
+
+    def servo_gains(self) -> ServoGains:
+        """Return the gains of the servos' own loops, by the names of the address and ``limit``, that of the I part."""
+        return dict(self._tuning.values)
+
+    def rungs(self) -> tuple[Rung, ...]:
+        """Return what a search for better gains tries."""
+        return RUNGS
+
+    def tune(self, gains: ServoGains) -> None:
+        """Bring the gains in small steps to these, until the power goes, or others are asked for."""
+        self._tuning.tune(gains)
+
+    def keep(self, gains: ServoGains) -> None:
+        """Bring the gains to these, and have the servos keep them."""
+        self._tuning.keep(gains)
+
+    def relay(self, command: int, payload: bytes) -> bytes | None:
+        """Read or write registers of a servo that is none of the joints, as the gripper's; see `gripper`."""
+        servo, address, *rest = payload
+        if servo in self.ids or address in (ID, LOCK):
+            raise RobotError(f"register {address} of servo {servo} is not passed on")
+        if command == READ and len(rest) == 1:
+            return self.wire.read(servo, address, rest[0])
+        if command == WRITE:
+            self.wire.write(servo, address, rest)
+            return b""
+        return None
 
     def resynchronise(self, deadline: float) -> None:
         """Drop late answers, and wait for servos that are silent; ConnectionLostError where they stay so."""
@@ -172,7 +203,7 @@ class FeetechBus(Bus):
         """Shut the locks, and switch torque on where it is off, each servo holding where it is."""
         for servo in self.ids:
             if self._register(servo, LOCK, 1, until) == 0:
-                self._sure(partial(self.wire.write, servo, LOCK, [1]), until)
+                self._write(servo, LOCK, [1], until)
             if self._register(servo, TORQUE, 1, until) == 1:
                 continue
             if self._was_ready:
@@ -180,34 +211,8 @@ class FeetechBus(Bus):
                     f"{self.address}: {self._call(servo)} has lost its torque, by a loss of power or its own "
                     "protection; support the arm, then start again"
                 )
-            here = self._sure(partial(self.wire.read, servo, PRESENT, 2), until)
-            self._sure(partial(self.wire.write, servo, GOAL, here), until)
-            self._sure(partial(self.wire.write, servo, TORQUE, [1]), until)
-
-    def _tune(self, servo: int, until: float | None) -> None:
-        """Bring the gains of a servo in small steps to those of the address; RobotError where it does not bear them."""
-        for name, wanted in self.address.gains.items():
-            knob = KNOBS[name]
-            before = self._register(servo, knob.registers[0], 1, until)
-            if name == "i" and wanted:
-                self._sure(partial(self.wire.write, servo, INTEGRAL_LIMIT, [LIMITED]), until)
-            for value in way(before, wanted, knob.stride):
-                self._sure(partial(self.wire.write, servo, knob.registers[0], [value] * len(knob.registers)), until)
-                self.clock.wait(PAUSE)
-                load = _signed(self._register(servo, LOAD, 2, until), 10) / FULL
-                heat = self._register(servo, VOLTAGE + 1, 1, until)
-                if abs(load) > HEAVIEST or heat > HOTTEST:
-                    data = [before] * len(knob.registers)
-                    self._sure(partial(self.wire.write, servo, knob.registers[0], data), until)
-                    raise RobotError(
-                        f"{self._call(servo)} does not bear {name}={value}: load {100 * load:.0f} %, {heat} deg C; "
-                        f"{name} is {before} again"
-                    )
-
-    def _law(self, servo: int, until: float | None) -> DutyLaw:
-        """Read the settings in force that make a load of a duty."""
-        data = self._sure(partial(self.wire.read, servo, SETTINGS, 7), until)
-        return DutyLaw(p=data[0], startup=data[3], above=data[5], below=data[6])
+            self._write(servo, GOAL, self._read(servo, PRESENT, 2, until), until)
+            self._write(servo, TORQUE, [1], until)
 
     def _registers(self, address: int, until: float | None, *, sign: int = 16) -> Counts:
         """Two registers of every servo, as a number whose bit ``sign`` is its sign."""
@@ -215,7 +220,13 @@ class FeetechBus(Bus):
         return np.array([_signed(word, sign) for word in words], dtype=np.int64)
 
     def _register(self, servo: int, address: int, size: int, until: float | None) -> int:
-        return int.from_bytes(self._sure(partial(self.wire.read, servo, address, size), until), "little")
+        return int.from_bytes(self._read(servo, address, size, until), "little")
+
+    def _read(self, servo: int, address: int, size: int, until: float | None) -> bytes:
+        return self._sure(lambda: self.wire.read(servo, address, size), until)
+
+    def _write(self, servo: int, address: int, data: Sequence[int], until: float | None) -> None:
+        self._sure(lambda: self.wire.write(servo, address, data), until)
 
     def _sure(self, question: Callable[[], T], until: float | None) -> T:
         """Ask one servo, and again where its answer is lost or garbled: no connection can be made anew here."""

@@ -7,7 +7,9 @@ relies on colour alone: marker, dash and hatch differ as well.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+
+from rejoint.control.geared import RIVALS, inner_name
 
 INK = "#1b1f24"
 """Text and axes; becomes the text colour of the page."""
@@ -51,7 +53,17 @@ CONTROLLERS = {
     "predictive": TEAL,
 }
 
+UNDER_GAINS = {
+    name: replace(CONTROLLERS[inner_name(name)], marker="*", dash=(0, (9, 2, 1.5, 2))) for name in RIVALS
+}  # fmt: skip
+"""Controllers under tuned gains of the servos: the colours of the same ones without, and stars"""
+
 
 def look_of(controller: str) -> Look:
-    """Return the look of a controller; one that is not in `CONTROLLERS` is brown."""
-    return CONTROLLERS.get(controller, BROWN)
+    """Return the look of a controller; one that is unknown is brown."""
+    return UNDER_GAINS.get(controller) or CONTROLLERS.get(controller, BROWN)
+
+
+def colour_number(controller: str) -> int:
+    """Return which of `LOOKS` has the colours of a controller."""
+    return [look.colour for look in LOOKS].index(look_of(controller).colour)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from rejoint.control.comparison.racing import Race
 from rejoint.control.comparison.result import Comparison, ControllerRow, HoldRow, PoseAccuracy, Stay
 from rejoint.runs.report.numerals import NEVER, UNKNOWN, interval, number, spread
-from rejoint.runs.report.palette import LOOKS, look_of
+from rejoint.runs.report.palette import colour_number
 from rejoint.runs.report.view import Cell, Row, Table
 from rejoint.runs.report.words import CONTROLLERS, day_and_time, plural
 from rejoint.system.statistics import FEWEST_CLUSTERS, Spread
@@ -57,7 +57,7 @@ def comparison_view(comparison: Comparison, best: str) -> Table:
                 Cell(row.controller, _what(row)),
                 *_cells(row, comparison),
             ),
-            look=LOOKS.index(look_of(row.controller)),
+            look=colour_number(row.controller),
             badge="recommended" if row.controller == best else "",
             emphasis=row.controller == best,
         )

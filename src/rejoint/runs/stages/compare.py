@@ -308,7 +308,8 @@ class _Job:
 
     def _digest(self, run: Run) -> str:
         """Digest of all that decides what a comparison finds."""
-        files = [digest(path.read_bytes()).decode() for path in (run.folder.policy, run.folder.twin) if path.exists()]
+        used = run.folder.policy, run.folder.twin, run.folder.gains
+        files = [digest(path.read_bytes()).decode() for path in used if path.exists()]
         about = (
             __version__, address_of(self.robot), repr(self.arm), repr(self.settings), tuple(self.factories),
             self.period, files, self.targets.tolist(), repr(self.correct), self.before is None,

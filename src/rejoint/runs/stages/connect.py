@@ -19,6 +19,7 @@ from rejoint.control.loop import Schedule
 from rejoint.control.loop import run as drive
 from rejoint.control.recording import Cycle, Recording, recording_of
 from rejoint.control.robot import Mask, Robot
+from rejoint.control.servogains import limits_under, under_gains
 from rejoint.control.start import begin
 from rejoint.robots import open_robot
 from rejoint.runs.given import ArmLike, CalibrationLike, Period, RunLike, as_arm, as_run
@@ -162,7 +163,8 @@ class DrivenArm:
             self._driver, self._stance = make(run.arm), stance_of(twin)
             correct = correction_of(calibration, run, run.arm, address)
             self._correction = None if correct is None else correct(run.arm)
-            self._limits = guard_limits(run, run.arm, address)
+            self._limits = limits_under(guard_limits(run, run.arm, address), self._robot, self._driver)
+            stack.enter_context(under_gains(self._robot, self._driver))
             self._stack = stack.pop_all()
         self._sent: Array | None = None
         self._pieces: list[Recording] = []

@@ -12,6 +12,7 @@ from rejoint.control.deployment import REACHED, Deployed, Deployment, deployed_o
 from rejoint.control.deployment import deploy as deploy_to
 from rejoint.control.recording import Cycle, recording_of
 from rejoint.control.robot import Robot
+from rejoint.control.servogains import limits_under, under_gains
 from rejoint.runs.given import (
     ArmLike,
     CalibrationLike,
@@ -196,10 +197,12 @@ class _Drive:
             on_progress((target + min(share, 1.0)) / total, f"target {target + 1} of {total}")
 
         try:
-            recording, found = deploy_to(
-                self.robot, controller, job, limits=guard_limits(self.run, arm, self.robot.address),
-                stance=stance_of(self.twin), correction=correction, model=self.model, on_cycle=watch,
-            )  # fmt: skip
+            limits = limits_under(guard_limits(self.run, arm, self.robot.address), self.robot, self.controller)
+            with under_gains(self.robot, self.controller):
+                recording, found = deploy_to(
+                    self.robot, controller, job, limits=limits, stance=stance_of(self.twin), correction=correction,
+                    model=self.model, on_cycle=watch,
+                )  # fmt: skip
         except BaseException as error:
             partial, done = recording_of(error), deployed_of(error, arm, job, self.model)
             if journal is not None and partial is not None and len(partial.time):

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
 from rejoint.arms import Arm
 from rejoint.control.robot import Robot
+from rejoint.control.servogains import gains_in_force
 from rejoint.logs.runlog import RunLog, write_log
 from rejoint.runs.effort import metered
 from rejoint.runs.folder import RunFolder
@@ -166,6 +167,8 @@ def _drive(
         if journal is not None:
             error.add_note(journal.rescue())
         raise
+    gains = gains_in_force(robot)
+    found = replace(found, servo_gains=None if gains is None else dict(gains))
     result = Diagnosed(diagnosis=found, targets=logs.targets, excitation=logs.excitation)
     if run is not None and journal is not None:
         journal.close()

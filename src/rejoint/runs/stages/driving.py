@@ -19,9 +19,12 @@ from rejoint.control.contract import check_controller_period
 from rejoint.control.controller import Controller
 from rejoint.control.correction import Modelled
 from rejoint.control.feedforward import FeedforwardController
+from rejoint.control.gainsearch import GainsFound
+from rejoint.control.geared import GEARED, RIVALS, Geared, inner_name
 from rejoint.control.guard import GuardLimits
 from rejoint.control.lines import servo_lines
 from rejoint.control.robot import Robot
+from rejoint.control.servogains import stiffness_under
 from rejoint.control.shelf import SHELF, shelf_controller, shelf_policy
 from rejoint.control.start import Stance
 from rejoint.logs.journal import Journal
@@ -29,7 +32,8 @@ from rejoint.logs.runlog import read_log
 from rejoint.robots import place_of
 from rejoint.runs.given import CalibrationLike, Period, as_calibration, as_policy
 from rejoint.runs.run import Run
-from rejoint.system.errors import AddressError, ContractError
+from rejoint.system.errors import AddressError, ContractError, FileError
+from rejoint.system.files import read_json
 
 if TYPE_CHECKING:
     from rejoint.control.policy import Policy
@@ -63,7 +67,9 @@ def guard_limits(run: Run | None, arm: Arm, robot: str) -> GuardLimits:
     if run is None or not _is_own(run, robot) or not all(path.exists() for path in paths):
         return limits
     logs = [read_log(path) for path in paths]
-    return replace(limits, bands=standing_bands(arm, logs), servos=servo_lines(arm, logs))
+    told = run.diagnosis
+    gains = None if told is None else told.servo_gains
+    return replace(limits, bands=standing_bands(arm, logs), servos=servo_lines(arm, logs), gains=gains)
 
 
 def _is_own(run: Run, robot: str) -> bool:
@@ -119,7 +125,8 @@ def make_factories(
     usual = np.nan if period is None else sum(period) / 2
     if not given:
         own = run is not None and run.folder.policy.exists()
-        given = contenders(real=real, shelf=_on_shelf(arm, usual), policy=own, twin=twin is not None)
+        rivals = RIVALS if real and run is not None and run.folder.gains.exists() else ()
+        given = (*contenders(real=real, shelf=_on_shelf(arm, usual), policy=own, twin=twin is not None), *rivals)
     named = given if isinstance(given, Mapping) else _unique(given)
     factories = {name: _factory(one, run, twin, usual) for name, one in named.items()}
     for make in factories.values():
@@ -139,6 +146,11 @@ def _on_shelf(arm: Arm, period: float) -> bool:
     except ContractError:
         return False
     return True
+
+
+def any_geared(given: Controllers) -> bool:
+    """Tell whether any of the controllers needs a search for gains."""
+    return any(name in RIVALS for name in given if isinstance(name, str))
 
 
 def name_of(controller: ControllerLike) -> str:
@@ -175,6 +187,8 @@ def _predictive(arm: Arm, twin: Twin, period: float) -> Controller:
 def _factory(given: ControllerLike, run: Run | None, twin: Twin | None, period: float) -> Factory:
     if given == PREDICTIVE and twin is not None:
         return lambda arm: _predictive(arm, twin, period)
+    if isinstance(given, str) and given in RIVALS:
+        return partial(_geared, given, run=run, twin=twin)
     if isinstance(given, str) and not given.endswith(".onnx"):
         file = run.folder.policy if run is not None and run.folder.policy.exists() else None
         known = {} if twin is None else {"stiffness": twin.parameters.stiffness}
@@ -186,6 +200,18 @@ def _factory(given: ControllerLike, run: Run | None, twin: Twin | None, period: 
     if hasattr(given, "command") and not isinstance(given, type):
         return partial(_itself, cast(Controller, given))
     return given
+
+
+def _geared(name: str, arm: Arm, *, run: Run | None, twin: Twin | None) -> Controller:
+    """Return a controller under the gains that the search of this run found; FileError where there was none."""
+    if run is None or not run.folder.gains.exists():
+        where = "RUN" if run is None else str(run.path)
+        raise FileError(f"{where}/gains.json", "no such file", f"run `rejoint gains ROBOT {where}` first")
+    found = read_json(run.folder.gains, GainsFound)
+    inner = inner_name(name)
+    stiffness = None if twin is None else stiffness_under(twin.parameters.stiffness, found.found, found.under)
+    controller = make_controller(inner, arm, stiffness=stiffness)
+    return Geared(controller, found.alone if name == GEARED else found.under)
 
 
 def _itself(controller: Controller, arm: Arm) -> Controller:  # noqa: ARG001 - it was made for its arm

@@ -97,7 +97,9 @@ def train(
         found = as_run(run).seeded(seed)
         with exclusive(found):
             mark_quick(found, quick=quick)
-            task = _Task(found.arm, found.twin, preset, found.seed, threads, resume, quick)
+            told = found.diagnosis
+            gains = None if told is None else told.servo_gains
+            task = _Task(found.arm, found.twin, preset, found.seed, threads, resume, quick, gains)
             return task.train(found.path, trainer, on_progress)
     known = None if twin is None else as_twin(twin)
     if known is None and arm is None:
@@ -120,6 +122,8 @@ class _Task:
     threads: int
     resume: bool
     quick: bool
+    servo_gains: dict[str, tuple[int, ...]] | None = None
+    """in force when the arm was diagnosed"""
 
     def train(self, folder: Path, trainer: Trainer | None, on_progress: Progress) -> TrainedPolicy:
         """Train by PPO or another trainer, and take up the policy that is then in the folder."""
@@ -127,10 +131,11 @@ class _Task:
             from rejoint.training.train import TrainingOptions
             from rejoint.training.train import train as learn
 
-            few = {"iterations": QUICK_UPDATES, "agents": QUICK_AGENTS} if self.quick else {}
             options = TrainingOptions(
-                preset=self.preset, seed=self.seed, threads=self.threads, resume=self.resume, **few
-            )
+                preset=self.preset, seed=self.seed, threads=self.threads, resume=self.resume,
+                iterations=QUICK_UPDATES if self.quick else None, agents=QUICK_AGENTS if self.quick else None,
+                servo_gains=self.servo_gains,
+            )  # fmt: skip
             result = learn(self.arm, self.twin, out=folder, options=options, on_progress=on_progress)
         else:
             result = trainer(self.arm, self.twin, folder, on_progress)

@@ -1,0 +1,155 @@
+"""The search for better gains of the servos' own loops, in virtual time on the integer law of the firmware."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from rejoint.control.contract import PolicyContract
+from rejoint.control.controller import ControlInput
+from rejoint.control.default import DefaultController
+from rejoint.control.following import Knowledge
+from rejoint.control.gainsearch import SHAKES, _RoundWatch, search
+from rejoint.control.geared import Geared
+from rejoint.control.guard import GuardLimits
+from rejoint.control.robot import JointState
+from rejoint.control.servogains import limits_under, require_gains, stiffness_under, under_gains
+from rejoint.robots.feetech.gains import LIMIT, for_all, steps
+from rejoint.system.errors import ContractError, InputError, NotReadyError, RobotError
+from servorobot import ARM, ServoRobot
+
+
+def targets(count=3):
+    return np.random.default_rng(0).uniform(ARM.targets.lower, ARM.targets.upper, (count, 3))
+
+
+def test_a_search_brings_every_joint_nearer_and_puts_the_gains_back():
+    robot = ServoRobot("worn")
+    before = robot.servo_gains()
+    found = search(robot, targets(2))
+    assert found.found == robot.servo_gains() == before
+    assert sum(found.with_alone.error) <= sum(found.with_under.error) < 0.95 * sum(found.before.error)
+    assert found.with_alone.tool < 0.6 * found.before.tool
+    assert set(found.under["i"]) == {0}
+    assert max(found.alone["i"]) > 0
+    for values, limits in zip(zip(*found.alone.values(), strict=True), zip(*before.values(), strict=True), strict=True):
+        tuned, was = dict(zip(found.alone, values, strict=True)), dict(zip(before, limits, strict=True))
+        assert was["p"] <= tuned["p"] <= 64
+        assert (tuned["i"] > 0) == (tuned[LIMIT] == 50)
+
+
+def test_what_ends_a_search_leaves_the_gains_as_they_were():
+    robot = ServoRobot()
+    before, robot.frail = robot.servo_gains(), 40
+    with pytest.raises(RobotError, match="does not bear"):
+        search(robot, targets(1))
+    assert max(gains["p"][1] for gains in robot.history) == 40
+    assert robot.servo_gains() == before
+
+
+def test_an_arm_that_tells_no_gains_is_refused_before_it_moves():
+    robot = ServoRobot()
+    robot.servo_gains = lambda: None
+    with pytest.raises(InputError, match="no servo gains"):
+        search(robot, targets(1))
+    assert robot.read().time[0] == 0.0
+
+
+def test_a_warm_arm_is_not_searched():
+    robot = ServoRobot()
+    robot.plant.servos["temperature"][0, 2] = 57.0
+    with pytest.raises(NotReadyError, match=r"elbow_flex: warmer than 55 deg C"):
+        search(robot, targets(1))
+    assert all(gains == robot.servo_gains() for gains in robot.history)
+
+
+def state(time, *, shift=0.0, **changes):
+    position = ARM.rest[None] + np.array([[0.0, 0.0, shift, 0.0, 0.0]])
+    return JointState(time=np.array([time]), position=position, age=np.zeros(1), **changes)
+
+
+@pytest.mark.parametrize(
+    ("joint", "seen"),
+    [
+        (2, lambda t: state(t, shift=0.6 * SHAKES * np.sin(25 * t))),
+        (1, lambda t: state(t, load=np.array([[0.0, 0.8, 0.0, 0.0, 0.0]]))),
+        (3, lambda t: state(t, temperature=np.array([[30.0, 40.0, 50.0, 56.0, 30.0]]))),
+        (None, lambda t: state(t, shift=0.4 * SHAKES * np.sin(25 * t), load=np.full((1, 5), 0.6))),
+    ],
+)
+def test_a_joint_that_shakes_labours_or_gets_warm_ends_the_round(joint, seen):
+    watch = _RoundWatch(ARM)
+    ended = [
+        bool(
+            watch.bad(
+                ControlInput(state=seen(t), target=np.zeros((1, 3)), sent=ARM.rest[None], since_target=np.array([t]))
+            )
+        )
+        for t in np.arange(0.0, 2.5, 0.02)
+    ]
+    assert ended[-1] == (joint is not None)
+    assert np.flatnonzero(watch.joints).tolist() == ([] if joint is None else [joint])
+
+
+def test_a_controller_drives_under_its_gains_and_leaves_those_before():
+    robot = ServoRobot()
+    before, tuned = robot.servo_gains(), {"p": (40, 48, 48, 40, 32)}
+    geared = Geared(DefaultController(ARM), tuned)
+    assert geared.name == "servo-gains"
+    with under_gains(robot, geared):
+        assert robot.servo_gains() == before | tuned
+    assert robot.servo_gains() == before
+    with pytest.raises(KeyboardInterrupt), under_gains(robot, geared):
+        raise KeyboardInterrupt
+    assert robot.servo_gains() == before
+    told = len(robot.history)
+    with under_gains(robot, Geared(DefaultController(ARM), before)), under_gains(robot, DefaultController(ARM)):
+        pass
+    assert len(robot.history) == told
+
+
+def test_what_a_diagnosis_tells_of_loads_holds_for_its_gains_alone():
+    robot, knows = ServoRobot(), Knowledge(gain=np.full(5, 20.0))
+    limits = replace(GuardLimits.of(ARM), servos=knows, gains=robot.servo_gains())
+    assert limits_under(limits, robot, None).servos is knows
+    assert limits_under(limits, robot, Geared(DefaultController(ARM), {"p": (40,) * 5})).servos is None
+    robot.tune({"p": (40,) * 5})
+    assert limits_under(limits, robot, None).servos is None
+
+
+class Trained:
+    name = "policy"
+
+    def __init__(self, gains):
+        self.contract = object.__new__(PolicyContract)
+        object.__setattr__(self.contract, "servo_gains", gains)
+
+
+def test_a_policy_is_refused_under_other_gains_than_it_was_trained_for():
+    robot = ServoRobot()
+    require_gains(robot, Trained(robot.servo_gains()))
+    require_gains(robot, Trained(None))
+    robot.tune({"p": (32, 32, 48, 32, 32)})
+    with (
+        pytest.raises(ContractError, match=r"p=32 at elbow_flex, and p is 48 there"),
+        under_gains(robot, Trained({"p": (32,) * 5})),
+    ):
+        pass
+
+
+def test_stiffness_goes_with_p():
+    stiffness = np.array([8.0, 4.0])
+    twice = stiffness_under(stiffness, {"p": (32, 32), "i": (0, 0)}, {"p": (64, 16), "i": (2, 2)})
+    assert twice.tolist() == [16.0, 2.0]
+    assert stiffness_under(stiffness, None, {"p": (64, 16)}) is stiffness
+
+
+def test_gains_go_in_small_steps_with_the_limit_before_the_i_part_and_after_it():
+    before = for_all({"p": 32, "i": 0}, 2) | {LIMIT: (0, 0)}
+    there = steps(before, for_all({"p": 40, "i": 2}, 2))
+    assert there[0] == {LIMIT: [50, 50]}
+    assert [step["p"] for step in there if "p" in step] == [[36, 36], [40, 40]]
+    back = steps(for_all({"p": 40, "i": 2}, 2), before)
+    assert back[-1] == {LIMIT: [0, 0]}
+    assert [step["i"] for step in back if "i" in step] == [[1, 1], [0, 0]]
+    assert steps(before, before) == []

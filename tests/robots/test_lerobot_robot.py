@@ -1,0 +1,115 @@
+"""`lerobot_robot_rejoint` before LeRobot's own base classes, on an emulated SO-101; and the lines that it speaks."""
+
+import json
+import os
+import subprocess
+import sys
+import time
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rejoint.arms import load_arm
+from rejoint.control.guard import GuardLimits
+from rejoint.lab.emulator.feetech.arm import build_arm
+from rejoint.lab.emulator.feetech.emulate import serve_bus
+from rejoint.lab.emulator.feetech.session import BusSession
+from rejoint.runs.run import Run
+from rejoint.runs.stages.posing import PosedArm
+
+ARM = load_arm("so101")
+JUDGE = Path(os.environ.get("REJOINT_JUDGE", Path(__file__).parents[2] / ".judge"))
+MOTORS = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper")
+
+pytestmark = pytest.mark.realtime
+
+
+@contextmanager
+def serving(tmp_path, **options):
+    arm = build_arm(ARM, "so101")
+    with serve_bus(BusSession(arm), **options) as server:
+        server.arm = arm
+        server.run = Run.create(tmp_path / "run", server.address, ARM).path
+        yield server
+
+
+def never_dropped(arm):
+    for servo in arm.servos:
+        assert servo["Torque_Enable"] == 1
+        assert all(address != 40 or data != b"\0" for address, data in servo.writes)
+        assert all(address != 55 or data == b"\1" for address, data in servo.writes)
+    return True
+
+
+def test_an_arm_follows_joint_goals_and_holds_where_it_is_before_and_after(tmp_path):
+    with serving(tmp_path) as server:
+        with PosedArm(server.address, server.run) as arm:
+            start = arm.position
+            goal = arm.send(ARM.rest + np.radians([40.0, 6.0, -6.0, 8.0, 10.0]))
+            time.sleep(3.0)
+            end = arm.position
+            limited = arm.send(np.full(5, 9.0))
+            assert (limited == ARM.upper).all()
+            arm.send(end)
+        assert np.degrees(start - ARM.rest) == pytest.approx(np.zeros(5), abs=6.0)
+        assert np.degrees(end - goal) == pytest.approx(np.zeros(5), abs=1.2)
+        goals = [int.from_bytes(data, "little") for address, data in server.arm.servos[0].writes if address == 42]
+        limits = GuardLimits.of(ARM)
+        longest = limits.max_speed[0] * limits.max_period / ARM.encoder_step  # never a leap: every command is guarded
+        assert np.abs(np.diff(goals)).max() <= longest + 1 < np.ptp(goals)
+        assert never_dropped(server.arm)
+    assert list((server.run / "logs").glob("joints-*.parquet"))
+
+
+def test_lines_of_another_program_are_answered_or_refused(tmp_path):
+    with serving(tmp_path) as server:
+        address = f"{server.address}?zero=0,0,0,5,0"
+        command = [sys.executable, "-m", "rejoint", "serve", address, str(server.run), "--stdio"]
+        lines = [{}, {"goal": [1.0]}, {"speed": 3}, {"gripper": 40.0}, {}]
+        program = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        hears = [json.loads(program.stdout.readline())]
+        for line in lines:
+            program.stdin.write(json.dumps(line) + "\n")
+            program.stdin.flush()
+            hears.append(json.loads(program.stdout.readline()))
+        program.stdin.close()
+        assert program.wait(20) == 0
+    program.stdout.close()
+    assert hears[0] == {
+        "joints": list(ARM.joint_names), "middle": pytest.approx(np.radians([0, 0, 0, 5, 0])), "gripper": True,
+    }  # fmt: skip
+    assert "5 joint positions" in hears[2]["refused"]
+    assert "speed" in hears[3]["refused"]
+    assert hears[5]["position"] == pytest.approx((ARM.rest + np.radians([0, 0, 0, 5, 0])).tolist(), abs=np.radians(6.0))
+
+
+@pytest.mark.skipif(not (JUDGE / "lerobot").is_dir(), reason=f"LeRobot is not in {JUDGE}: `make judge` puts it there")
+def test_lerobot_finds_makes_drives_and_leaves_the_robot(tmp_path):
+    program = tmp_path / "rejoint"
+    path = os.pathsep.join(filter(None, (os.environ.get("PYTHONPATH"), str(Path(__file__).parents[2] / "src"))))
+    program.write_text(f'#!/bin/sh\nPYTHONPATH="{path}" exec "{sys.executable}" -m rejoint "$@"\n')
+    program.chmod(0o755)
+    folder = tmp_path / "home"
+    folder.mkdir()
+    with serving(tmp_path, pty=True) as server:
+        device = server.address.removeprefix("feetech://").partition("?")[0]
+        command = [sys.executable, str(Path(__file__).with_name("lerobot_robot_judge.py")), device]
+        found = subprocess.run(
+            [*command, str(server.run), str(program), str(folder)], env=os.environ | {"PYTHONPATH": str(JUDGE)},
+            capture_output=True, text=True, timeout=120, check=False,
+        )  # fmt: skip
+        assert found.returncode == 0, found.stderr
+        assert never_dropped(server.arm)
+    seen = json.loads(found.stdout.splitlines()[-1])
+    keys = sorted(f"{name}.pos" for name in MOTORS)
+    assert (seen["type"], seen["robot"], seen["abstract"], seen["calibrated"]) == ("rejoint_so101", True, [], True)
+    assert seen["features"] == [keys, keys]
+    assert seen["connected"] == [False, True, False]
+    assert seen["rate"] > 25.0
+    assert seen["sent"] == pytest.approx(seen["goal"], abs=1e-6)
+    for name in keys:
+        assert seen["end"][name] == pytest.approx(seen["goal"][name], abs=3.0 if name == "gripper.pos" else 1.2), name
+    assert seen["clipped"] == pytest.approx(np.degrees(ARM.upper[3]) * 4096 / 4095)
+    assert "rejoint refused the goal" in seen["refused"]

@@ -1,0 +1,145 @@
+"""Gains of the servos' own loops as a stage: searched for, compared, recommended, kept only when asked."""
+
+import io
+import json
+import sys
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import rejoint
+from rejoint.cli import main
+from rejoint.control.comparison.result import Protocol
+from rejoint.control.contract import decode_contract, encode_contract
+from rejoint.control.gainsearch import GainsFound, Round
+from rejoint.lab.emulator.feetech.arm import build_arm
+from rejoint.lab.emulator.feetech.emulate import serve_bus
+from rejoint.lab.emulator.feetech.session import BusSession
+from rejoint.robots import place_of
+from rejoint.robots.feetech.gains import for_all
+from rejoint.runs.run import Run
+from rejoint.runs.stages import gains as stage
+from rejoint.runs.stages.gains import gains_to_keep
+from rejoint.system.errors import FileError, InputError
+from rejoint.system.files import read_json, write_json
+from rejoint.training.presets import DEFAULT
+from rejoint.training.train import policy_contract
+from servorobot import ARM, ServoRobot
+
+FOUND = for_all({"p": 32, "i": 0, "d": 32, "dead": 1, "startup": 16}, 5) | {"limit": (0,) * 5}
+SEEN = Round(error=(0.0,) * 5, unrest=(0.0,) * 5, tool=0.0)
+
+
+def found_by(run, address="emulated:so101"):
+    """Write what a search might have found into a run."""
+    under = FOUND | {"p": (40, 48, 48, 40, 32)}
+    alone = under | {"i": (0, 2, 2, 0, 0), "limit": (0, 50, 50, 0, 0)}
+    result = GainsFound(
+        arm=ARM.name, robot=address, found=FOUND, under=under, alone=alone, before=SEEN, with_under=SEEN,
+        with_alone=SEEN, rounds=3,
+    )  # fmt: skip
+    write_json(run.folder.gains, result)
+    return result
+
+
+def test_what_a_search_finds_takes_part_in_the_comparison(tmp_path, monkeypatch):
+    monkeypatch.setattr(stage, "TARGETS", 1)
+    robot, run = ServoRobot(), Run.create(tmp_path / "run", "emulated:so101", ARM)
+    with pytest.raises(FileError, match=r"run `rejoint gains ROBOT"):
+        rejoint.compare(robot, ["servo-gains"], [[0.3, 0.05, 0.2]], run=run, sets=1, repetitions=1)
+    before = robot.servo_gains()
+    found = rejoint.gains(robot, run)
+    assert read_json(run.folder.gains, GainsFound) == found
+    robot.history.clear()
+    targets = np.array([[0.33, 0.05, 0.22], [0.31, -0.05, 0.20]])
+    compared = rejoint.compare(
+        robot, ["default", "servo-gains", "servo-gains+integrator"], targets, run=run, sets=1, repetitions=1,
+        protocol=Protocol(dwell=3.0, hold=3.0),
+    )  # fmt: skip
+    assert robot.servo_gains() == before
+    assert all(gains in robot.history for gains in (found.alone, found.under))
+    settled = {row.controller: row.hold.settled.mean.value for row in compared.comparison.rows}
+    assert settled["servo-gains"] < settled["default"]
+
+
+def test_without_a_search_and_for_arms_that_tell_no_gains_all_is_as_it_was(tmp_path):
+    run = Run.create(tmp_path / "run", "emulated:so101", ARM)
+    found_by(run)
+    assert not place_of("emulated:so101").tunable
+    assert place_of("feetech:///dev/ttyACM0").tunable
+    with pytest.raises(InputError, match="no servo gains"):
+        rejoint.deploy("emulated:so101", "servo-gains", [[0.3, 0.05, 0.2]], run=run)
+
+
+def test_only_the_gains_of_what_is_recommended_are_kept(tmp_path, monkeypatch):
+    run = Run.create(tmp_path / "run", "emulated:so101", ARM)
+    with pytest.raises(FileError, match=r"run `rejoint gains ROBOT"):
+        gains_to_keep(run)
+    found = found_by(run)
+    assert gains_to_keep(run) == found.alone
+    run.folder.comparison.write_text("{}")
+    for best, expected in (("servo-gains", found.alone), ("servo-gains+integrator", found.under)):
+        monkeypatch.setattr(stage, "recommended", lambda _, best=best: best)
+        assert gains_to_keep(run) == expected
+    monkeypatch.setattr(stage, "recommended", lambda _: "policy")
+    with pytest.raises(InputError, match="recommends policy"):
+        gains_to_keep(run)
+
+
+def test_the_memory_of_the_servos_is_written_after_a_yes_alone(tmp_path, monkeypatch, capsys):
+    arm = build_arm(ARM, "so101")
+    with serve_bus(BusSession(arm)) as server:
+        run = Run.create(tmp_path / "run", server.address, ARM)
+        found = found_by(run, server.address)
+        words = ["rejoint", "gains", server.address, str(run.path), "--keep"]
+        for more, answer, code in (([], "n\n", 2), (["--yes"], "", 0)):
+            monkeypatch.setattr(sys, "argv", [*words, *more])
+            monkeypatch.setattr("sys.stdin", io.StringIO(answer))
+            with pytest.raises(SystemExit) as end:
+                main()
+            assert end.value.code == code
+            told = capsys.readouterr()
+            assert "p 40/48/48/40/32" in told.err
+            assert "LeRobot" in told.err
+            if code:
+                assert all(not servo.writes for servo in arm.servos)
+    assert "Before: limit 0, p 32" in " ".join(told.out.split())
+    for index, servo in enumerate(arm.servos[:5]):
+        servo.cycle_power()
+        assert (servo["P_Coefficient"], servo["I_Coefficient"]) == (found.alone["p"][index], found.alone["i"][index])
+        assert servo["Lock"] == 1
+
+
+def test_a_policy_is_trained_for_the_gains_of_the_diagnosis(tmp_path, monkeypatch):
+    asked = []
+
+    def learn(*_, options, **__):
+        asked.append(options.servo_gains)
+        raise KeyboardInterrupt
+
+    run = Run.create(tmp_path / "run", "emulated:so101", ARM)
+    monkeypatch.setattr("rejoint.training.train.train", learn)
+    monkeypatch.setattr(Run, "diagnosis", SimpleNamespace(servo_gains=FOUND))
+    with pytest.raises(KeyboardInterrupt):
+        rejoint.train(run=run)
+    assert asked == [FOUND]
+    contract = replace(policy_contract(ARM, None, DEFAULT, 0), servo_gains=FOUND)
+    text = encode_contract(contract)
+    assert decode_contract(text).servo_gains == FOUND
+    earlier = json.loads(text)
+    del earlier["servo_gains"]
+    assert decode_contract(json.dumps(earlier)).servo_gains is None
+
+
+def test_the_page_shows_controllers_under_tuned_gains(tmp_path):
+    robot, run = ServoRobot(), Run.create(tmp_path / "run", "emulated:so101", ARM)
+    found_by(run)
+    compared = rejoint.compare(
+        robot, ["servo-gains", "servo-gains+integrator"], [[0.33, 0.05, 0.22]], run=run, sets=1, repetitions=1,
+        protocol=Protocol(dwell=1.0, hold=2.0),
+    )  # fmt: skip
+    assert compared.comparison.controllers == ("servo-gains", "servo-gains+integrator")
+    page = rejoint.report(run).read_text(encoding="utf-8")
+    assert "target sent once, under better gains of the servos themselves" in page
