@@ -16,7 +16,7 @@ from rejoint.cli.console import Terminal, results_of
 from rejoint.control.deployment import REACHED
 from rejoint.runs.folder import LOGS, RunFolder, locked
 from rejoint.runs.run import Run, newest_or_new
-from rejoint.runs.stages.follow import TRACKER, WITHIN
+from rejoint.runs.stages.pathdrive import TRACKER, WITHIN
 from rejoint.system.errors import InputError
 from rejoint.system.extras import EXTRAS, installed, require
 
