@@ -17,11 +17,13 @@ test: $(READY)
 wheel-test: $(READY)
 	$(BIN)/python -m pytest wheeltest
 
-# LeRobot's own bus judges the emulated one, in a folder of its own: its other dependencies are none of ours.
+# LeRobot's own bus judges the emulated one, and NVIDIA's reader of LEAPP the controllers that leave a run, in a folder of
+# their own: their other dependencies are none of ours.
 judge: $(READY)
 	$(BIN)/python -m pip install --quiet --no-deps --upgrade --target .judge lerobot==0.4.4 feetech-servo-sdk==1.0.0 \
-		draccus==0.10.0 deepdiff orderly-set cachebox tqdm pyserial numpy pyyaml mergedeep typing-inspect mypy-extensions typing-extensions
-	$(BIN)/python -m pytest tests/robots/test_lerobot_judge.py
+		draccus==0.10.0 deepdiff orderly-set cachebox tqdm pyserial numpy pyyaml mergedeep typing-inspect mypy-extensions typing-extensions \
+		leapp==0.7.2 onnxscript onnx_ir fast-sugiyama safetensors
+	$(BIN)/python -m pytest tests/robots/test_lerobot_judge.py tests/runs/test_exporting.py
 
 check: $(READY)
 	$(BIN)/ruff format --check .
