@@ -16,7 +16,7 @@ import onnx
 import onnxruntime
 import pytest
 import torch
-import yaml
+from ruamel.yaml import YAML
 from torch import nn
 
 import rejoint
@@ -101,7 +101,7 @@ def test_a_file_says_what_it_is_and_what_is_not_in_it(tmp_path: Path) -> None:
     assert np.allclose(np.fromstring(told["default_joint_pos"], sep=","), 0.0), "commands are absolute"
     text = (tmp_path / "mine.yaml").read_text(encoding="utf-8")
     assert OUTSIDE in text
-    leapp = yaml.safe_load(text)
+    leapp = YAML(typ="safe").load(text)
     model = leapp["models"]["controller"]
     session = onnxruntime.InferenceSession(file.read_bytes(), providers=["CPUExecutionProvider"])
     for side, nodes in (("inputs", session.get_inputs()), ("outputs", session.get_outputs())):
@@ -161,7 +161,7 @@ def test_a_node_drives_an_arm_to_its_target_and_is_silent_without_joint_states(
     about = Run.create(tmp_path / "run", "emulated:worn", ARM, 0)
     folder, _ = export_run(about, "ros2")
     ElementTree.parse(folder / "package.xml")
-    parameters = yaml.safe_load((folder / "config/controllers.yaml").read_text(encoding="utf-8"))
+    parameters = YAML(typ="safe").load((folder / "config/controllers.yaml").read_text(encoding="utf-8"))
     assert parameters["rejoint_forward"]["ros__parameters"]["joints"] == list(ARM.joint_names)
     for script in folder.rglob("*.py"):
         compile(script.read_text(encoding="utf-8"), str(script), "exec")

@@ -73,7 +73,7 @@ def controller_graph(design: Design) -> onnx.ModelProto:
     """
     n, graph = design.arm.joints, Graph()
     slots = memory_slots(n)
-    cycle = _Cycle(graph, design)
+    cycle = _CycleGraph(graph, design)
     old = _split(_read(graph, "state_in", sum(slots.values())), slots)
     period = _read(graph, "period", 1).pick(0)
     command, memory = cycle.run(_read(graph, "joint_pos", n), _read(graph, "target", 3), period, old)
@@ -115,7 +115,7 @@ def _split(state: Tensor, slots: dict[str, int]) -> dict[str, Tensor]:
 
 
 @dataclass(frozen=True, eq=False)
-class _Cycle:
+class _CycleGraph:
     """One control cycle."""
 
     graph: Graph
@@ -152,10 +152,10 @@ class _Cycle:
             "correction": learned, "speed": speed, "position": position, "action": actions,
         }  # fmt: skip
 
-    def _view(self, position: Tensor, target: Tensor) -> _View:
+    def _view(self, position: Tensor, target: Tensor) -> _TargetView:
         there = pose(self.graph, self.design.arm, position)
         error = target - there.tcp
-        return _View(dls(there.transpose, error), error, error.norm())
+        return _TargetView(dls(there.transpose, error), error, error.norm())
 
     def _measured(self, position: Tensor, elapsed: Tensor, fresh: Tensor, old: dict[str, Tensor]) -> dict[str, Tensor]:
         """Return velocities, mean period and past actions, as the observation has them."""
@@ -169,7 +169,9 @@ class _Cycle:
             "velocity": where(news, shifted, velocity), "action": action, "mean_period": where(news, changed, mean)
         }  # fmt: skip
 
-    def _act(self, position: Tensor, sent: Tensor, seen: _View, since: Tensor, known: dict[str, Tensor]) -> Tensor:
+    def _act(
+        self, position: Tensor, sent: Tensor, seen: _TargetView, since: Tensor, known: dict[str, Tensor]
+    ) -> Tensor:
         """Return the action (n,) of the network for the observation of the layout ``residual``."""
         graph, n = self.graph, self.design.arm.joints
         if self.design.network is None:
@@ -204,7 +206,7 @@ class _Cycle:
             self.graph.nodes.append(copy)
         return Tensor(self.graph, named(OUTPUT))
 
-    def _weigh(self, seen: _View, since: Tensor, action: Tensor) -> tuple[Tensor, Tensor]:
+    def _weigh(self, seen: _TargetView, since: Tensor, action: Tensor) -> tuple[Tensor, Tensor]:
         """Return what of step and action is integrated, (n,) [rad] each (`rejoint.control.residual.Commander`)."""
         arm, law = self.design.arm, self.design.law
         load, largest = heaviest_load(arm), seen.step.largest()
@@ -240,7 +242,7 @@ class _Cycle:
 
 
 @dataclass(frozen=True, eq=False)
-class _View:
+class _TargetView:
     """The target from where the arm is: step (n,) [rad] towards it, error (3,) and distance () [m]."""
 
     step: Tensor

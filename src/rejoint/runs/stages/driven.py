@@ -26,7 +26,7 @@ from rejoint.runs.stages.driving import (
     recommended,
     stance_of,
 )
-from rejoint.runs.stages.motions import Along, Motion, MoveTo
+from rejoint.runs.stages.motions import AlongPath, MotionThread, MoveTo
 from rejoint.runs.stages.pathdrive import TRACKER, WITHIN, PathLike, followable, follower, require_repeatable
 from rejoint.system.errors import InputError, NotReachedError, NotReadyError
 from rejoint.system.files import require_space
@@ -89,7 +89,7 @@ class DrivenArm:
                 correction=None if correct is None else correct(run.arm),
             )  # fmt: skip
             self._stack = stack.pop_all()
-        self._motion: Motion | None = None
+        self._motion: MotionThread | None = None
         self._followed: Followed | None = None
 
     @property
@@ -162,7 +162,7 @@ class DrivenArm:
         name, make = follower(TRACKER, self.arm, self._period, self._run, self._twin)
         self._followed = None
         self._start(
-            Along(
+            AlongPath(
                 self._drive, given, make, name, repeat=repeat, rate=rate_hz, duration=duration_s, within=within_m,
                 keep=self._keep_followed,
             )
@@ -228,7 +228,7 @@ class DrivenArm:
         if self._motion is not None and self._motion.is_alive():
             raise NotReadyError("the arm is still on its way; wait() for it, or stop() it first")
 
-    def _start(self, motion: Motion) -> None:
+    def _start(self, motion: MotionThread) -> None:
         self._motion = motion
         motion.start()
 

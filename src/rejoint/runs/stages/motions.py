@@ -22,7 +22,7 @@ CALM = 0.3
 rings)"""
 
 
-class Motion(threading.Thread):
+class MotionThread(threading.Thread):
     """One motion; `error` is what ended it early."""
 
     def __init__(self, goal: str) -> None:
@@ -44,7 +44,7 @@ class Motion(threading.Thread):
         raise NotImplementedError
 
 
-class MoveTo(Motion):
+class MoveTo(MotionThread):
     """A motion to a target (3,) [m]."""
 
     def __init__(self, drive: ArmDrive, target: Array, within: float, timeout: float) -> None:
@@ -72,7 +72,7 @@ class MoveTo(Motion):
         return np.array([self._reached or self.ended.is_set()])
 
 
-class Along(Motion):
+class AlongPath(MotionThread):
     """A motion along a path, or behind a stream for ``duration`` [s]."""
 
     def __init__(
