@@ -85,6 +85,8 @@ def serve(
     listen: Annotated[str, typer.Option(help="HOST:PORT; 0.0.0.0:9000 lets other machines in.")] = "127.0.0.1:9000",
     pty: Annotated[bool, typer.Option("--pty", help="Serve a serial line (pseudo terminal) instead of TCP.")] = False,
     calibration: opt.Calibration = None,
+    payload: opt.Payload = None,
+    tool: opt.Tool = None,
     period: opt.Period = None,
     json: Json = False,
 ) -> None:
@@ -103,7 +105,8 @@ def serve(
             terminal.say("Other machines can drive it too, without a password.")
 
     done = rejoint.serve(
-        robot, run, listen=listen, pty=pty, calibration=calibration, period=opt.period_seconds(period),
+        robot, run, listen=listen, pty=pty, payload=opt.payload_of(payload), tool=opt.tool_of(tool),
+            calibration=calibration, period=opt.period_seconds(period),
         say=terminal.say, on_address=announce,
     )  # fmt: skip
     terminal.say(f"Serving ended after {done.orders} orders; they are in {done.log}")

@@ -170,6 +170,8 @@ def compare(
     sets: Annotated[int, typer.Option(help="Target sets of ten targets each.", min=1)] = 10,
     repetitions: Annotated[int, typer.Option(help="Repetitions of every target set.", min=1)] = 6,
     calibration: opt.Calibration = None,
+    payload: opt.Payload = None,
+    tool: opt.Tool = None,
     period: opt.Period = None,
     seed: opt.RunSeed = None,
     json: opt.Json = False,
@@ -182,6 +184,7 @@ def compare(
     with terminal.unsaved(partial(show.stage, terminal, "compare")), terminal.progress("comparing") as update:
         found = rejoint.compare(
             robot, opt.controller_names(controllers), targets, run=run, sets=sets, repetitions=repetitions,
+            payload=opt.payload_of(payload), tool=opt.tool_of(tool), say=terminal.say,
             calibration=calibration, period=opt.period_seconds(period), seed=seed, on_progress=update,
         )  # fmt: skip
     show.stage(terminal, "compare", found)
@@ -202,6 +205,8 @@ def deploy(
         1e3 * REACHED
     ),
     calibration: opt.Calibration = None,
+    payload: opt.Payload = None,
+    tool: opt.Tool = None,
     camera: opt.Camera = None,
     period: opt.Period = None,
     seed: opt.RunSeed = None,
@@ -218,6 +223,7 @@ def deploy(
     with terminal.unsaved(tell), terminal.progress("deploying") as update:
         done = rejoint.deploy(
             robot, controller, targets, run=run, dwell=dwell, within=1e-3 * within,
+            payload=opt.payload_of(payload), tool=opt.tool_of(tool), say=terminal.say,
             calibration=calibration, eye=camera, period=opt.period_seconds(period), seed=seed,
             on_progress=update, on_end=tell,
         )  # fmt: skip
@@ -248,6 +254,8 @@ def follow(
         float, typer.Option(help="Root mean square in mm within which the path counts as followed.", min=0.01)
     ] = 1e3 * WITHIN,
     calibration: opt.Calibration = None,
+    payload: opt.Payload = None,
+    tool: opt.Tool = None,
     period: opt.Period = None,
     seed: opt.RunSeed = None,
     json: opt.Json = False,
@@ -263,6 +271,7 @@ def follow(
     with terminal.progress("following") as update:
         done = rejoint.follow(
             robot, path, run=run, controller=controller, repeat=repeat, rate=rate, within=1e-3 * within,
+            payload=opt.payload_of(payload), tool=opt.tool_of(tool), say=terminal.say,
             calibration=calibration, period=opt.period_seconds(period), seed=seed, on_progress=update,
         )  # fmt: skip
     show.followed(terminal, done)

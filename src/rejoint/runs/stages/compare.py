@@ -7,6 +7,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from numpy.typing import ArrayLike
+
 from rejoint.arms import Arm, Array
 from rejoint.control.comparison.compare import Settings, Trial
 from rejoint.control.comparison.compare import compare as compare_controllers
@@ -43,6 +45,7 @@ from rejoint.runs.stages.driving import (
     make_factories,
     stance_of,
 )
+from rejoint.runs.stages.loads import PayloadLike, Say, say_heavy, silent, with_load
 from rejoint.system.files import digest, require_space, saving, set_aside, write_json
 from rejoint.system.progress import Progress, no_progress, paced
 from rejoint.system.stopping import noted
@@ -79,12 +82,15 @@ def compare(
     arm: ArmLike | None = None,
     twin: TwinLike | None = None,
     calibration: CalibrationLike | None = None,
+    payload: PayloadLike | None = None,
+    tool: ArrayLike | None = None,
     sets: int = 10,
     repetitions: int = 6,
     protocol: Protocol | None = None,
     period: Period | None = None,
     seed: int | None = None,
     on_progress: Progress = no_progress,
+    say: Say = silent,
 ) -> Compared:
     """Try controllers on the same arm, with the same targets, from the same start, and recommend one.
 
@@ -111,6 +117,10 @@ def compare(
     calibration
         what lies behind the encoders, or its file: all controllers are aimed by it; ``none`` for no correction. By
         default that of ``run``
+    payload
+        [kg] that the hand carries at its tool centre point, or a `Payload`; everything is computed with it
+    tool
+        (3,) [m] from the tool centre point of the arm's description to the tip of a tool, in the frame of the former
     sets
         number of target sets that are drawn
     repetitions
@@ -123,6 +133,8 @@ def compare(
         of targets and an emulated arm's noise; by default that of the run, else 0
     on_progress
         called with the share that is done and what is being tried
+    say
+        told, in lines, which targets are too heavy, before an arm moves
 
     Returns
     -------
@@ -145,11 +157,12 @@ def compare(
     >>> print(found.comparison.row("integrator").hold.settled.mean.value)  # metres
     """
     about = None if run is None else as_run(run).seeded(seed)
-    chosen = arm_of(robot, arm) if about is None else about.arm
+    chosen = with_load(arm_of(robot, arm) if about is None else about.arm, robot, payload, tool)
     seed = seed or 0 if about is None else about.seed
     with exclusive(about):
         points = as_targets(targets, chosen, sets=sets, seed=seed)
         known = as_twin(twin) if twin is not None else None if about is None else about.twin
+        say_heavy(chosen, known, points, say)
         factories = make_factories(controllers, chosen, period_of(robot, period), run=about, twin=known)
         settings = Settings(
             repetitions=repetitions, seed=seed, batched=is_batchable(robot), protocol=protocol or Protocol(),

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from typing import overload
 
+from numpy.typing import ArrayLike
+
 from rejoint.control.robot import Robot
 from rejoint.robots import open_robot
 from rejoint.runs.given import ArmLike, CalibrationLike, Period, RunLike, as_arm, as_run
 from rejoint.runs.stages.driven import DrivenArm
 from rejoint.runs.stages.driving import ControllerLike
+from rejoint.runs.stages.loads import PayloadLike, Say, silent, with_load
 from rejoint.system.errors import InputError
 
 
@@ -19,12 +22,13 @@ def connect(
 @overload
 def connect(
     address: str, *, run: RunLike, controller: ControllerLike | None = None,
-    calibration: CalibrationLike | None = None, seed: int = 0, period: Period | None = None,
+    calibration: CalibrationLike | None = None, payload: PayloadLike | None = None, tool: ArrayLike | None = None,
+    seed: int = 0, period: Period | None = None, say: Say = silent,
 ) -> DrivenArm: ...  # fmt: skip
 def connect(
     address: str, *, run: RunLike | None = None, controller: ControllerLike | None = None,
-    calibration: CalibrationLike | None = None, arm: ArmLike | None = None, seed: int = 0, count: int = 1,
-    period: Period | None = None,
+    calibration: CalibrationLike | None = None, payload: PayloadLike | None = None, tool: ArrayLike | None = None,
+    arm: ArmLike | None = None, seed: int = 0, count: int = 1, period: Period | None = None, say: Say = silent,
 ) -> Robot | DrivenArm:  # fmt: skip
     """Connect to a robot; nothing moves. With a run, the arm is then driven to points, under the guard.
 
@@ -38,6 +42,10 @@ def connect(
         policy, its file, or the name of a baseline; by default what the run recommends
     calibration
         what lies behind the encoders, or its file, or ``none``; by default that of ``run``
+    payload
+        [kg] that the hand carries at its tool centre point, or a `Payload`; everything is computed with it
+    tool
+        (3,) [m] from the tool centre point of the arm's description to the tip of a tool, in the frame of the former
     arm
         arm, name or file; by default that of the run, or the one that the address names, else a myCobot 280
     seed
@@ -46,6 +54,8 @@ def connect(
         number of emulated arms that move side by side as one batch; one with a run
     period
         [s] interval from which the length of every control cycle is drawn; by default the robot's own
+    say
+        with a run: told, in lines, before the arm moves to a place that is too heavy for its motors
 
     Returns
     -------
@@ -71,9 +81,13 @@ def connect(
     ...     arm.move_to([0.2, 0.05, 0.18])
     """
     if run is None:
-        if controller is not None or calibration is not None:
-            raise InputError("connect: a controller and a calibration need a run: connect(address, run=...)")
+        if any(given is not None for given in (controller, calibration, payload, tool)):
+            raise InputError("connect: controller, calibration, payload, tool need a run: connect(address, run=...)")
         return open_robot(address, arm=None if arm is None else as_arm(arm), seed=seed, count=count, period=period)
     if arm is not None or count != 1:
         raise InputError("connect: with a run there is one arm, that of the run; leave arm and count out")
-    return DrivenArm(address, as_run(run), controller=controller, calibration=calibration, seed=seed, period=period)
+    about = as_run(run)
+    return DrivenArm(
+        address, about, arm=with_load(about.arm, address, payload, tool), controller=controller, calibration=calibration,
+        seed=seed, period=period, say=say,
+    )  # fmt: skip

@@ -26,6 +26,7 @@ from rejoint.runs.stages.driving import (
     recommended,
     stance_of,
 )
+from rejoint.runs.stages.loads import Say, say_heavy
 from rejoint.runs.stages.motions import AlongPath, MotionThread, MoveTo
 from rejoint.runs.stages.pathdrive import TRACKER, WITHIN, PathLike, followable, follower, require_repeatable
 from rejoint.system.errors import InputError, NotReachedError, NotReadyError
@@ -68,25 +69,25 @@ class DrivenArm:
     """
 
     def __init__(
-        self, address: str, run: Run, *, controller: ControllerLike | None, calibration: CalibrationLike | None,
-        seed: int, period: Period | None,
+        self, address: str, run: Run, *, arm: Arm, controller: ControllerLike | None,
+        calibration: CalibrationLike | None, seed: int, period: Period | None, say: Say,
     ) -> None:  # fmt: skip
         """Connect; see `rejoint.connect`."""
-        self._run, self._period = run, period
+        self._run, self._arm, self._period, self._say = run, arm, period, say
         with ExitStack() as stack:
             stack.enter_context(exclusive(run))
             require_space(run.path)
             self._twin = run.twin
             ((self.controller, make),) = make_factories(
-                [recommended(run) if controller is None else controller], run.arm, period, run=run, twin=self._twin
+                [recommended(run) if controller is None else controller], arm, period, run=run, twin=self._twin
             ).items()
-            robot = open_robot(address, arm=run.arm, seed=seed, period=period)
+            robot = open_robot(address, arm=arm, seed=seed, period=period)
             stack.callback(robot.close)
-            correct = correction_of(calibration, run, run.arm, address)
+            correct = correction_of(calibration, run, arm, address)
             self._drive = ArmDrive(
-                run=run, robot=robot, controller=make(run.arm), name=self.controller,
-                limits=guard_limits(run, run.arm, address), stance=stance_of(self._twin),
-                correction=None if correct is None else correct(run.arm),
+                run=run, robot=robot, controller=make(arm), name=self.controller,
+                limits=guard_limits(run, arm, address), stance=stance_of(self._twin),
+                correction=None if correct is None else correct(arm),
             )  # fmt: skip
             self._stack = stack.pop_all()
         self._motion: MotionThread | None = None
@@ -94,8 +95,8 @@ class DrivenArm:
 
     @property
     def arm(self) -> Arm:
-        """The arm's kinematics, limits and masses."""
-        return self._run.arm
+        """The arm's kinematics, limits and masses, with the load and tool that were told."""
+        return self._arm
 
     @property
     def state(self) -> ArmState:
@@ -128,6 +129,7 @@ class DrivenArm:
             raise InputError(f"move_to: within_m and timeout_s are positive, got {within_m} and {timeout_s}")
         require_reachable(self.arm, target[None, None])
         self._require_free()
+        say_heavy(self.arm, self._twin, target, self._say)
         self._start(MoveTo(self._drive, target, within_m, timeout_s))
         return self.wait() if wait else None
 

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from numpy.typing import ArrayLike
+
 from rejoint.arms import Array
 from rejoint.control.controller import Controller
 from rejoint.control.guard import GuardLimits
 from rejoint.control.moving.drive import Followed, approach, follow_guide
+from rejoint.control.moving.path import Path
 from rejoint.control.moving.routes import Ahead, Stream
 from rejoint.control.recording import Cycle, Recording, recording_of
 from rejoint.control.robot import Robot
@@ -28,6 +31,7 @@ from rejoint.runs.given import (
 )
 from rejoint.runs.run import Run, exclusive
 from rejoint.runs.stages.driving import ControllerLike, correction_of, guard_limits, stance_of, start_journal
+from rejoint.runs.stages.loads import PayloadLike, Say, say_heavy, say_noticed, silent, with_load
 from rejoint.runs.stages.pathdrive import (
     TRACKER,
     WITHIN,
@@ -42,6 +46,9 @@ from rejoint.system.files import require_space, saving
 from rejoint.system.progress import Progress, no_progress, paced
 from rejoint.system.stopping import noted
 
+LOOKED_AT = 50
+"""Places of a path that are judged by their load (chosen: a wave has a dozen)"""
+
 
 @paced
 def follow(
@@ -53,6 +60,8 @@ def follow(
     arm: ArmLike | None = None,
     twin: TwinLike | None = None,
     calibration: CalibrationLike | None = None,
+    payload: PayloadLike | None = None,
+    tool: ArrayLike | None = None,
     repeat: int = 1,
     rate: float | None = None,
     duration: float | None = None,
@@ -60,6 +69,7 @@ def follow(
     period: Period | None = None,
     seed: int | None = None,
     on_progress: Progress = no_progress,
+    say: Say = silent,
 ) -> Followed:
     """Drive an arm along a path, under the guard, and say how well it followed.
 
@@ -84,6 +94,10 @@ def follow(
         twin that the arm is driven by; by default that of the run
     calibration
         what lies behind the encoders, or its file; ``none`` for no correction. By default that of ``run``
+    payload
+        [kg] that the hand carries at its tool centre point, or a `Payload`; everything is computed with it
+    tool
+        (3,) [m] from the tool centre point of the arm's description to the tip of a tool, in the frame of the former
     repeat
         how often; from the second time on the path is aimed at by what was missed before
     rate
@@ -98,6 +112,8 @@ def follow(
         of an emulated arm's noise, and of a random standard path; by default that of the run, else 0
     on_progress
         called with the share that is done
+    say
+        told, in lines, which places are too heavy, before the arm moves, and of a load that nobody told, at the end
 
     Returns
     -------
@@ -120,12 +136,14 @@ def follow(
     >>> print(done.passes[-1].encoder.rms)
     """
     about = None if run is None else as_run(run).seeded(seed)
-    chosen = arm_of(robot, arm) if about is None else about.arm
+    chosen = with_load(arm_of(robot, arm) if about is None else about.arm, robot, payload, tool)
     seed = seed or 0 if about is None else about.seed
     require_repeatable(path, repeat, rate)
     with exclusive(about):
         given = followable(path, chosen, seed, duration)
         known = as_twin(twin) if twin is not None else None if about is None else about.twin
+        if isinstance(given, Path):
+            say_heavy(chosen, known, given.place[:: max(1, len(given.place) // LOOKED_AT)], say)
         correct = correction_of(calibration, about, chosen, address_of(robot))
         usual = period_of(robot, period)
         name, make = follower(controller, chosen, usual, about, known)
@@ -143,8 +161,11 @@ def follow(
                 correction=None if correct is None else correct(chosen),
             )  # fmt: skip
             if isinstance(given, Stream):
-                return drive.behind(given, duration or 0.0, start.command[-1])
-            return drive.along(given, repeat, rate, start.command[-1])
+                done = drive.behind(given, duration or 0.0, start.command[-1])
+            else:
+                done = drive.along(given, repeat, rate, start.command[-1])
+        say_noticed(chosen, known, done.passes[-1].log, say)
+        return done
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
