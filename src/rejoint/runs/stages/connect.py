@@ -87,7 +87,7 @@ def connect(
     if arm is not None or count != 1:
         raise InputError("connect: with a run there is one arm, that of the run; leave arm and count out")
     about = as_run(run)
+    loaded = with_load(about.arm, address, payload, tool)
     return DrivenArm(
-        address, about, arm=with_load(about.arm, address, payload, tool), controller=controller, calibration=calibration,
-        seed=seed, period=period, say=say,
-    )  # fmt: skip
+        address, about, arm=loaded, controller=controller, calibration=calibration, seed=seed, period=period, say=say
+    )

@@ -120,7 +120,7 @@ def deploy(
     on_end
         called with what was done until then where an error ends the deployment early
     say
-        told, in lines, which targets are too heavy, before the arm moves, and of a load that nobody told, at the end
+        told, in lines, which targets are too heavy, before the arm moves, and of a load that was not given, at the end
 
     Returns
     -------

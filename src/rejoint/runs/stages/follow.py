@@ -113,7 +113,7 @@ def follow(
     on_progress
         called with the share that is done
     say
-        told, in lines, which places are too heavy, before the arm moves, and of a load that nobody told, at the end
+        told, in lines, which places are too heavy, before the arm moves, and of a load that was not given, at the end
 
     Returns
     -------
