@@ -1,5 +1,6 @@
 """Every script in `examples/` runs, with little to do, and ends with something to see."""
 
+import re
 import runpy
 import sys
 from importlib.util import find_spec
@@ -39,6 +40,9 @@ def test_a_repair_is_five_lines_and_its_policy_drives(run) -> None:
     said = run("deploy_a_policy.py", "mine/policy.onnx", "--dwell", "1")
     assert said.count(" mm off, ") == 3
     assert "of 3 targets reached" in said
+    said = run("follow_a_path.py", "mine")
+    assert re.search(r"circle: [0-4]\.\d mm off", said), "a path that is sent is missed by 18 mm"
+    assert "stream: the tool stands at [" in said
     said = run("compare_controllers.py", "--quick", "--policy", "mine/policy.onnx")
     assert [line.split()[0] for line in said.splitlines()[:3]] == ["default", "integrator", "policy"]
     assert is_figure("controllers.png")
@@ -70,5 +74,5 @@ def test_an_arm_that_only_a_file_describes_is_repaired(run) -> None:
 
 def test_no_example_is_longer_than_a_screen() -> None:
     scripts = sorted(EXAMPLES.glob("*.py"))
-    assert len(scripts) == 6
+    assert len(scripts) == 7
     assert all(len(path.read_text(encoding="utf-8").splitlines()) < 50 for path in scripts)

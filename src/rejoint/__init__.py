@@ -31,9 +31,10 @@ if TYPE_CHECKING:
     from rejoint.runs.run import Run
     from rejoint.runs.stages.calibrate import Calibrated, calibrate
     from rejoint.runs.stages.compare import Compared, compare
-    from rejoint.runs.stages.connect import ArmState, DrivenArm, connect
+    from rejoint.runs.stages.connect import connect
     from rejoint.runs.stages.deploy import deploy
     from rejoint.runs.stages.diagnose import Diagnosed, diagnose
+    from rejoint.runs.stages.driven import ArmState, DrivenArm
     from rejoint.runs.stages.follow import follow
     from rejoint.runs.stages.gains import gains
     from rejoint.runs.stages.identify import identify
@@ -87,9 +88,10 @@ _HOMES = {
     "runs.run": ("Run",),
     "runs.stages.calibrate": ("Calibrated", "calibrate"),
     "runs.stages.compare": ("Compared", "compare"),
-    "runs.stages.connect": ("ArmState", "DrivenArm", "connect"),
+    "runs.stages.connect": ("connect",),
     "runs.stages.deploy": ("deploy",),
     "runs.stages.diagnose": ("Diagnosed", "diagnose"),
+    "runs.stages.driven": ("ArmState", "DrivenArm"),
     "runs.stages.follow": ("follow",),
     "runs.stages.gains": ("gains",),
     "runs.stages.identify": ("identify",),

@@ -6,11 +6,13 @@ import pytest
 from rejoint.control.robot import Robot
 from rejoint.robots import open_robot, place_of
 from rejoint.robots.address import SerialAddress, TcpAddress
+from rejoint.robots.own import EmulatedAddress
 from rejoint.system.errors import AddressError, InputError, MissingExtraError
 
 KNOWN = [
-    ("emulated:worn", "worn"),
-    ("emulated:worn?seed=7", "worn?seed=7"),
+    ("emulated:worn", EmulatedAddress(profile="worn")),
+    ("emulated:worn?seed=7", EmulatedAddress(profile="worn?seed=7")),
+    ("emulated:worn?payload=0.1&seed=7", EmulatedAddress(profile="worn?seed=7", payload=0.1)),
     ("tcp://10.0.0.7:9001", TcpAddress(text="tcp://10.0.0.7:9001", host="10.0.0.7", port=9001)),
     ("tcp://robot.local", TcpAddress(text="tcp://robot.local", host="robot.local", port=9000)),
     ("serial:///dev/ttyAMA0", SerialAddress(text="serial:///dev/ttyAMA0", device="/dev/ttyAMA0", baud=1_000_000)),

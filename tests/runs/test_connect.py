@@ -1,5 +1,6 @@
 """An arm of a run that is sent to points from Python."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -7,9 +8,31 @@ import pytest
 
 import rejoint
 from rejoint.arms import mycobot280, tcp_position
+from rejoint.lab.plant.wear import load_wear
 from rejoint.runs.run import Run
+from rejoint.twin.parameters import nominal_parameters, prior
+from rejoint.twin.twin import HeldOut, PredictionError, Twin
 
 ARM = mycobot280()
+TIME = np.linspace(0.0, 4.0, 100)
+WAVE = np.array([0.17, 0.0, 0.2]) + 0.02 * np.sin(np.pi * TIME / 4.0)[:, None] * np.array([0.0, 1.0, 1.0])
+
+
+def a_twin() -> Twin:
+    """What an identification would find, with its errors."""
+    wear, belief = load_wear("worn", ARM), prior(ARM)
+    error = PredictionError(joints=np.full(6, 0.01), joint=0.01, tcp=1e-3)
+    known = replace(
+        nominal_parameters(ARM), stiffness=wear.position_gain, damping=wear.damping_gain + wear.torque_limit / 5.0,
+        coulomb=1.1 * wear.coulomb, armature=0.9 * wear.reflected_inertia, torque_limit=wear.torque_limit,
+        offset=np.zeros(6), delay=np.array(0.022),
+    )  # fmt: skip
+    return Twin(
+        arm=ARM.name, joint_names=ARM.joint_names, parameters=known, covariance=np.diag((0.1 * belief.sigma) ** 2),
+        lower=belief.lower, upper=belief.upper, narrowing=np.full(len(belief.mean), 0.1),
+        identified=np.ones(len(belief.mean), dtype=bool),
+        held_out=HeldOut(seconds=30.0, no_twin=error, healthy_twin=error, twin=error), fit_seconds=1.0, notes=(),
+    )  # fmt: skip
 
 
 @pytest.fixture
@@ -62,3 +85,48 @@ def test_arguments_that_do_not_go_together_are_refused(run: Path) -> None:
         rejoint.connect("emulated:worn", run=run, count=2)
     with rejoint.connect("emulated:worn", run=run), pytest.raises(rejoint.FileError, match="another rejoint"):
         rejoint.connect("emulated:worn", run=run)
+
+
+def test_an_arm_follows_paths_and_streams_between_points_and_leaves_one_log(run: Path) -> None:
+    a_twin().save(run / "twin.toml")
+    path = rejoint.Path(time=TIME, place=WAVE, name="wave")
+    with rejoint.connect("emulated:worn", run=run) as arm:
+        arm.move_to(WAVE[0], within_m=0.004)
+        done = arm.follow(path)
+        assert done is arm.followed
+        assert done.passes[-1].encoder.rms < 2e-3, "an arm that is sent this path is 20 mm off"
+        stream = rejoint.Stream()
+        for moment, place in zip(TIME[:50], WAVE[:50], strict=True):
+            stream.put(place, time=moment)
+        assert arm.follow(stream, duration_s=3.0, wait=False) is None
+        assert arm.followed is None, "the last path is another one"
+        with pytest.raises(rejoint.NotReadyError, match="still on its way"):
+            arm.follow(path)
+        end = arm.wait()
+        assert np.linalg.norm(end.tool_m - WAVE[49]) < 4e-3
+        assert arm.followed is not None
+    (name, log), = Run.open(run).logs.items()  # fmt: skip
+    assert name.startswith("move-")
+    assert (np.diff(log.time) > 0.0).all()
+    assert np.nanmin(np.abs(log.target - WAVE[49]).max(axis=-1)) < 1e-3
+    assert log.extra["controller"] == "feedforward, tracker"
+
+
+def test_a_path_is_stopped_on_its_way_and_what_cannot_be_followed_is_refused(run: Path) -> None:
+    with rejoint.connect("emulated:worn", run=run) as arm, pytest.raises(rejoint.InputError, match="needs a twin"):
+        arm.follow("circle-8s")
+    a_twin().save(run / "twin.toml")
+    with rejoint.connect("emulated:worn", run=run) as arm:
+        with pytest.raises(rejoint.InputError, match="out of reach"):
+            arm.follow(rejoint.Path(time=TIME, place=WAVE + 0.4))
+        with pytest.raises(rejoint.InputError, match="needs a duration"):
+            arm.follow(rejoint.Stream())
+        with pytest.raises(rejoint.InputError, match="repeated"):
+            arm.follow("circle-8s", repeat=2, rate_hz=30.0)
+        arm.follow("circle-20s", repeat=10, wait=False)
+        arm.stop()
+        assert not arm.state.moving
+        assert arm.followed is None
+        end = arm.move_to(WAVE[0], within_m=0.004)
+        assert end is not None
+        assert end.time_s < 200.0, "ten times along a circle take longer"

@@ -73,12 +73,15 @@ def export(
     ] = None,
     kind: Annotated[
         str | None,
-        typer.Option("--format", help="Of a run: urdf (this unit), lerobot (its zeros) or datasheet (a page)."),
+        typer.Option(
+            "--format",
+            help="Of a run: urdf (this unit), lerobot (its zeros), datasheet (a page), onnx or ros2 (its controller).",
+        ),
     ] = None,
     lerobot: Annotated[Path | None, typer.Option(help="Calibration file of LeRobot whose zeros to correct.")] = None,
     json: Json = False,
 ) -> None:
-    """Write a run log as CSV or MCAP, or what a run has found out as a URDF, LeRobot's calibration, or a data sheet.
+    """Write a run log as CSV or MCAP, or what a run has found out: URDF, LeRobot's calibration, data sheet, controller.
 
     Example: `rejoint export runs/mine/logs/excitation.parquet excitation.mcap`, or
     `rejoint export runs/mine --format urdf`

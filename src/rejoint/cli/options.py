@@ -11,6 +11,7 @@ import typer
 
 from rejoint.arms import Arm
 from rejoint.arms.draft import UnfinishedArmError
+from rejoint.arms.loaded import Payload as LoadedWith
 from rejoint.arms.loading import read_arm
 from rejoint.arms.tomlfile import write_unfinished
 from rejoint.cli.console import Terminal
@@ -62,6 +63,16 @@ Calibrate = Annotated[
         help="What measures the tool: touch, camera, camera=NUMBER, tracker=FILE or none. By default an emulated arm "
         "tells, and a real one is not calibrated.",
     ),
+]
+Payload = Annotated[
+    str | None,
+    typer.Option(
+        help="Mass in kg that the hand carries: 0.15, or 0.15@x,y,z with its centre in mm from the tool's tip."
+    ),
+]
+Tool = Annotated[
+    str | None,
+    typer.Option(help="Tip of a tool in mm from that which the arm's description has, in its frame: x,y,z."),
 ]
 Camera = Annotated[
     str | None,
@@ -146,3 +157,28 @@ def period_seconds(text: str | None) -> tuple[float, float] | None:
 def controller_names(text: str) -> tuple[str, ...]:
     """Read a comma-separated list; empty for ``all``."""
     return () if text == "all" else tuple(name.strip() for name in text.split(",") if name.strip())
+
+
+def payload_of(text: str | None) -> LoadedWith | None:
+    """Read ``0.15`` [kg] or ``0.15@0,0,30`` [kg, mm]; InputError for anything else."""
+    if text is None:
+        return None
+    mass, at, place = text.partition("@")
+    try:
+        com = _millimetres(place) if at else (0.0, 0.0, 0.0)
+        return LoadedWith(mass=float(mass), com=com)
+    except ValueError as error:
+        raise InputError(f"--payload {text!r}: expected kg, such as 0.15, or with x,y,z in mm: 0.15@0,0,30") from error
+
+
+def tool_of(text: str | None) -> tuple[float, float, float] | None:
+    """Read ``x,y,z`` in mm as metres; InputError for anything else."""
+    try:
+        return None if text is None else _millimetres(text)
+    except ValueError as error:
+        raise InputError(f"--tool {text!r}: expected x,y,z in mm, such as 0,0,50") from error
+
+
+def _millimetres(text: str) -> tuple[float, float, float]:
+    x, y, z = (1e-3 * float(part) for part in text.split(","))
+    return x, y, z

@@ -89,6 +89,8 @@ def serve(
         typer.Option("--stdio", help="Follow joint goals from standard input, a line of JSON each, as LeRobot's need."),
     ] = False,
     calibration: opt.Calibration = None,
+    payload: opt.Payload = None,
+    tool: opt.Tool = None,
     period: opt.Period = None,
     json: Json = False,
 ) -> None:
@@ -114,7 +116,8 @@ def serve(
             terminal.say("Other machines can drive it too, without a password.")
 
     done = rejoint.serve(
-        robot, run, listen=listen, pty=pty, calibration=calibration, period=opt.period_seconds(period),
+        robot, run, listen=listen, pty=pty, payload=opt.payload_of(payload), tool=opt.tool_of(tool),
+            calibration=calibration, period=opt.period_seconds(period),
         say=terminal.say, on_address=announce,
     )  # fmt: skip
     terminal.say(f"Serving ended after {done.orders} orders; they are in {done.log}")

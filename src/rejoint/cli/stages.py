@@ -17,7 +17,7 @@ from rejoint.control.deployment import REACHED
 from rejoint.runs.effort import read_effort
 from rejoint.runs.folder import LOGS, RunFolder, locked
 from rejoint.runs.run import Run, newest_or_new
-from rejoint.runs.stages.follow import TRACKER, WITHIN
+from rejoint.runs.stages.pathdrive import TRACKER, WITHIN
 from rejoint.system.errors import InputError
 from rejoint.system.extras import EXTRAS, installed, require
 
@@ -177,6 +177,8 @@ def compare(
     ] = None,
     full: opt.Full = False,
     calibration: opt.Calibration = None,
+    payload: opt.Payload = None,
+    tool: opt.Tool = None,
     period: opt.Period = None,
     directions: Annotated[
         bool, typer.Option("--directions", help="Also come to five poses from three directions: vAP (ISO 9283).")
@@ -192,8 +194,8 @@ def compare(
     with terminal.unsaved(partial(show.stage, terminal, "compare")), terminal.progress("comparing") as update:
         found = rejoint.compare(
             robot, opt.controller_names(controllers), targets, run=run, sets=sets, repetitions=repetitions,
-            full=full, calibration=calibration, period=opt.period_seconds(period), directions=directions, seed=seed,
-            on_progress=update,
+            full=full, calibration=calibration, payload=opt.payload_of(payload), tool=opt.tool_of(tool),
+            period=opt.period_seconds(period), directions=directions, seed=seed, on_progress=update, say=terminal.say,
         )  # fmt: skip
     show.stage(terminal, "compare", found)
     terminal.result(f"Next: rejoint report {run}")
@@ -221,6 +223,8 @@ def deploy(
         1e3 * REACHED
     ),
     calibration: opt.Calibration = None,
+    payload: opt.Payload = None,
+    tool: opt.Tool = None,
     camera: opt.Camera = None,
     period: opt.Period = None,
     seed: opt.RunSeed = None,
@@ -240,6 +244,7 @@ def deploy(
     with terminal.unsaved(tell), terminal.progress("deploying") as update:
         done = rejoint.deploy(
             robot, controller, targets, run=run, arm=arm, dwell=dwell, within=1e-3 * within,
+            payload=opt.payload_of(payload), tool=opt.tool_of(tool), say=terminal.say,
             calibration=calibration, eye=camera, period=opt.period_seconds(period), seed=seed,
             on_progress=update, on_end=tell,
         )  # fmt: skip
@@ -271,6 +276,8 @@ def follow(
         float, typer.Option(help="Root mean square in mm within which the path counts as followed.", min=0.01)
     ] = 1e3 * WITHIN,
     calibration: opt.Calibration = None,
+    payload: opt.Payload = None,
+    tool: opt.Tool = None,
     period: opt.Period = None,
     seed: opt.RunSeed = None,
     json: opt.Json = False,
@@ -286,6 +293,7 @@ def follow(
     with terminal.progress("following") as update:
         done = rejoint.follow(
             robot, path, run=run, controller=controller, repeat=repeat, rate=rate, within=1e-3 * within,
+            payload=opt.payload_of(payload), tool=opt.tool_of(tool), say=terminal.say,
             calibration=calibration, period=opt.period_seconds(period), seed=seed, on_progress=update,
         )  # fmt: skip
     show.followed(terminal, done)

@@ -15,6 +15,7 @@ import msgspec
 import numpy as np
 
 from rejoint.arms import Arm, Array, Box
+from rejoint.arms.loaded import bare
 from rejoint.control.format1 import arm_of_format_1
 from rejoint.control.observation import Layout, Slot, layout_slots
 from rejoint.control.residual import CommandLaw
@@ -179,8 +180,10 @@ def decode_contract(text: str) -> PolicyContract:
 def check_contract(contract: PolicyContract, arm: Arm) -> None:
     """Refuse (ContractError) a policy that was not trained for this arm and this software.
 
-    How an observation is explained does not count: names and sizes of its parts do.
+    How an observation is explained does not count: names and sizes of its parts do. Nor does a load or a tool that
+    the owner told: the law computes with it, and the network sees what comes of that.
     """
+    arm = bare(arm)
     remedy = "train a policy for this arm"
     expected: tuple[tuple[str, object, object], ...] = (
         ("arm", contract.arm, arm.name),

@@ -29,7 +29,8 @@ NOMINAL_STIFFNESS = 6.0
 """[N m/rad] assumed of the servos of a worn arm of a myCobot's size where nothing is known (chosen: middle of the 3
 to 12 of the twins trained on); other arms scale with the load of their joints."""
 
-_SMOOTHING = 0.5  # share of the newest difference in the speed estimate (chosen)
+SPEED_SMOOTHING = 0.5
+"""Share of the newest difference in the speed estimate (chosen)"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,7 +98,7 @@ class FeedforwardController:
         # Bounded by itself, not by the measured position: on the way the command leads by the whole distance.
         compiled.integrate(
             self._correction, self._speed, self._position, position, elapsed, step, extra,
-            gains.rate, gains.learned_limit, gains.moving, _SMOOTHING,
+            gains.rate, gains.learned_limit, gains.moving, SPEED_SMOOTHING,
         )  # fmt: skip
         return limit_position(self._arm, self._raised + self._correction)
 

@@ -20,7 +20,7 @@ GAIN = 0.1
 STEP_LIMIT = np.radians(5.0)
 """[rad] largest joint change asked for by one step; Park et al. 2024, section IV-D, give 0.5 to 5 degrees a frame."""
 
-_PROJECTION_DAMPING = 1e-4
+PROJECTION_DAMPING = 1e-4
 """[m] keeps the null-space projection finite at singular postures (chosen: far below the working damping)."""
 
 
@@ -77,4 +77,4 @@ def limit_position(arm: Arm, command: Array) -> Array:
 def null_space(jacobian: Array, motion: Array) -> Array:
     """Part of a joint motion (..., n) [rad] that leaves the TCP where it is, to first order."""
     moved = (jacobian @ motion[..., None])[..., 0]
-    return motion - dls(jacobian, moved, _PROJECTION_DAMPING)
+    return motion - dls(jacobian, moved, PROJECTION_DAMPING)

@@ -182,11 +182,13 @@ def move(
     speed: float = 0.5,
     settle: float = 1.0,
     limits: GuardLimits | None = None,
+    give_up: Callable[[ControlInput], Mask] | None = None,
+    on_cycle: OnCycle | None = None,
 ) -> Recording:
     """Bring every arm to ``posture`` (n,) [rad] at ``speed`` [rad/s] of its farthest joint and wait ``settle`` [s].
 
     The way starts at the last command ``sent`` (B, n) [rad], by default at the measured position.
-    The default speed is chosen: a fifth of what the joints can do.
+    The default speed is chosen: a fifth of what the joints can do. ``give_up`` is that of a `Schedule`.
     """
     start = np.array(robot.read().position if sent is None else sent, dtype=float)
     way = posture - start
@@ -195,8 +197,9 @@ def move(
     def trajectory(time: Array) -> Array:
         return start + np.minimum(time / duration, 1.0)[:, None] * way
 
-    schedule = Schedule(dwell=duration + settle, sent=start)
-    return run(robot, Playback(trajectory), np.full((robot.count, 1, 3), np.nan), schedule, limits=limits)
+    schedule = Schedule(dwell=duration + settle, sent=start, give_up=give_up)
+    nowhere = np.full((robot.count, 1, 3), np.nan)
+    return run(robot, Playback(trajectory), nowhere, schedule, limits=limits, on_cycle=on_cycle)
 
 
 class Playback:

@@ -49,9 +49,12 @@ policies take a tenth longer to come and stay within 2 mm on worn arms that they
 compiled = Late("rejoint.control.compiled")
 
 _RIDGE = DAMPING**2 * np.eye(3)
-_LONGEST_WAIT = 2.0  # [s] chosen: later than that the arm should have settled
-_MIDDLE_PERIOD, _LONGEST_PERIOD = 0.035, 0.1  # [s] of the rates trained for; of the numbers that are believed
-_SMOOTHING = 0.3  # share of the newest period in their running mean (chosen: the wire's jitter is as large)
+LONGEST_WAIT = 2.0
+"""[s] since the target was set that are told apart (chosen: later than that the arm should have settled)"""
+MIDDLE_PERIOD, LONGEST_PERIOD = 0.035, 0.1
+"""[s] of the rates trained for; of the numbers that are believed"""
+PERIOD_SMOOTHING = 0.3
+"""Share of the newest period in their running mean (chosen: the wire's jitter is as large)"""
 _ONE_DEGREE, _FIFTH_OF_A_DEGREE = float(np.radians(1.0)), float(np.radians(0.2))
 
 
@@ -164,7 +167,7 @@ class Observer:
         self.arm, self.count, self.layout = arm, count, layout
         self.size = layout_size(layout, n)
         self._position, self._time = np.zeros((count, n)), np.full(count, np.nan)
-        self._period, self._everyone = np.full(count, _MIDDLE_PERIOD), np.arange(count)
+        self._period, self._everyone = np.full(count, MIDDLE_PERIOD), np.arange(count)
         self._velocity, self._action = np.zeros((2, count, HISTORY, n))
         self.view = View(*(np.zeros((count, *tail)) for tail in ((3,), (3,), (), (n,), (n,))))
 
@@ -177,7 +180,7 @@ class Observer:
 
     def reset_learned(self, where: Mask) -> None:
         """Drop what was learned about the wire of the arms in ``where`` (B,), exchanged for others."""
-        self._period[where] = _MIDDLE_PERIOD
+        self._period[where] = MIDDLE_PERIOD
 
     def observe(self, inputs: ControlInput, rows: Rows = ALL) -> Observation:
         """Return the observation (B, size) of all arms, or of some ``rows`` only."""
@@ -196,7 +199,7 @@ class Observer:
             inputs.sent[rows] - position,
             view,
             inputs.target[rows],
-            np.minimum(inputs.since_target[rows], _LONGEST_WAIT),
+            np.minimum(inputs.since_target[rows], LONGEST_WAIT),
             self._period[rows],
             self._action[rows],
         )
@@ -232,7 +235,7 @@ class Observer:
                 f"observer: {new[0].shape} times and positions {new[1].shape}, expected those of {len(chosen)} arms"
             )
         known = self._time, self._position, self._velocity, self._period
-        compiled.differentiate(chosen, *new, *known, _LONGEST_PERIOD, _SMOOTHING)
+        compiled.differentiate(chosen, *new, *known, LONGEST_PERIOD, PERIOD_SMOOTHING)
 
 
 def _residual(out: Observation, reading: ObservationInput) -> None:
@@ -242,18 +245,18 @@ def _residual(out: Observation, reading: ObservationInput) -> None:
     parts = [
         reading.drive, reading.velocity.reshape(count, -1), view.step, view.step, view.step, reading.position,
         view.error, view.error / (distance + 0.003), np.log(distance + 0.0003) + 5.0,
-        reading.since_target[:, None] - 0.5, reading.period[:, None] - _MIDDLE_PERIOD,
+        reading.since_target[:, None] - 0.5, reading.period[:, None] - MIDDLE_PERIOD,
         reading.action.reshape(count, -1),
     ]  # fmt: skip
     numbers = np.concatenate(parts, axis=1)
-    numbers *= _residual_factors(n)
+    numbers *= residual_factors(n)
     near = numbers[:, (2 + HISTORY) * n : (4 + HISTORY) * n]
     np.tanh(near, out=near)
     out[...] = numbers
 
 
 @cache
-def _residual_factors(n: int) -> Array:
+def residual_factors(n: int) -> Array:
     """Factors (11n + 9,) on the parts of the observation of n joints."""
     factors = [4.0, 0.5, 5.0, 1.0 / _ONE_DEGREE, 1.0 / _FIFTH_OF_A_DEGREE, 1.0, 20.0, 1.0, 0.5, 1.0, 20.0, 1.0]
     return np.repeat(factors, [n, HISTORY * n, n, n, n, n, 3, 3, 1, 1, 1, HISTORY * n])

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
 from typing import Any
 
 from rejoint.arms import Arm
+from rejoint.arms.loaded import bare
 from rejoint.control.robot import Robot
 from rejoint.robots.address import SerialAddress, TcpAddress, serial_address, tcp_address
 from rejoint.robots.bus import Bus
@@ -26,28 +28,63 @@ _EMULATED_PERIOD = (0.020, 0.030)
 """[s] Park et al. 2024 name 20 ms; the wire adds up to half of it (chosen)"""
 
 
-def _profile(text: str) -> str:
-    profile = text.partition(":")[2]
-    if not profile or profile.startswith("//"):
+@dataclass(frozen=True, kw_only=True)
+class EmulatedAddress:
+    """An arm that is emulated in this process."""
+
+    profile: str
+    """of its wear"""
+    payload: float = 0.0
+    """[kg] that its hand really carries, whatever anybody was told"""
+
+    @property
+    def text(self) -> str:
+        """The address of the same arm with an empty hand."""
+        return f"emulated:{self.profile}"
+
+
+def _profile(text: str) -> EmulatedAddress:
+    detail = text.partition(":")[2]
+    if not detail or detail.startswith("//"):
         raise ValueError("not of the form emulated:PROFILE")
-    return profile
+    base, _, query = detail.partition("?")
+    loads = [part for part in query.split("&") if part.startswith("payload=")]
+    rest = "&".join(part for part in query.split("&") if part not in loads)
+    profile = f"{base}?{rest}" if rest else base
+    if not loads:
+        return EmulatedAddress(profile=detail)
+    try:
+        payload = float(loads[-1].removeprefix("payload="))
+    except ValueError:
+        payload = -1.0
+    if not 0.0 <= payload < 100.0:
+        raise ValueError(f"a payload is a mass in kg, such as payload=0.1, got {loads[-1]!r}")
+    return EmulatedAddress(profile=profile, payload=payload)
 
 
-def _profile_arm(profile: str) -> str:
+def _profile_arm(address: EmulatedAddress) -> str:
     """Name of the arm that a wear profile describes, as ``so101``; most scale with any arm."""
     from rejoint.lab.plant.wear import wear_arm
 
-    return wear_arm(profile) or DEFAULT_ARM
+    return wear_arm(address.profile) or DEFAULT_ARM
 
 
-def _emulated(place: Place[str], opening: Opening) -> Robot:
+def _emulated(place: Place[EmulatedAddress], opening: Opening) -> Robot:
     from rejoint.lab.plant.wear import load_wear
     from rejoint.robots.emulated import EmulatedRobot
 
-    wears = [load_wear(place.detail, opening.arm)] * opening.count
+    # What was told of the hand is a description: of it only where the tip is becomes true by being told.
+    true = bare(opening.arm)
+    bodies = None if true is opening.arm else [replace(true, tip=opening.arm.tip)] * opening.count
     return EmulatedRobot(
-        opening.arm, wears, address=place.text, seed=opening.seed, period=opening.period, threads=opening.threads
-    )
+        opening.arm, [load_wear(place.detail.profile, true)] * opening.count, address=place.text, seed=opening.seed,
+        period=opening.period, threads=opening.threads, payload=place.detail.payload, bodies=bodies,
+    )  # fmt: skip
+
+
+def unloaded(address: str) -> str:
+    """Return the address of an emulated arm without what it carries: it is the same arm; others as they are."""
+    return _profile(address).text if address.startswith("emulated:") else address
 
 
 def _mycobot(address: TcpAddress | SerialAddress, arm: Arm) -> Bus:

@@ -1,4 +1,4 @@
-"""What was learned about an arm, for other programs and people: a URDF of this unit, joint zeros, a data sheet."""
+"""What was learned about an arm, for other programs and people: URDF, joint zeros, data sheet, controller."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from rejoint.runs.run import Run
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.extras import require
 
-Kind = Literal["urdf", "lerobot", "datasheet"]
+Kind = Literal["urdf", "lerobot", "datasheet", "onnx", "ros2"]
 KINDS: tuple[str, ...] = get_args(Kind)
 
 
@@ -22,8 +22,10 @@ def export_run(run: RunLike, kind: str, out: Path | None = None, *, lerobot: Pat
     """Write what a run has found out about its arm; returns the file and a sentence about it.
 
     ``kind`` is ``urdf``: the description of this unit, its zeros and links corrected by the calibration; ``lerobot``:
-    the calibration file ``lerobot`` of LeRobot with corrected homing offsets; ``datasheet``: one page about the arm. By
-    default the file is written into the run's folder. FileError or InputError where something that it takes is missing.
+    the calibration file ``lerobot`` of LeRobot with corrected homing offsets; ``datasheet``: one page about the arm;
+    ``onnx``: the whole controller as ``controller.onnx`` with a LEAPP description beside it; ``ros2``: a folder that
+    makes it a node. By default the file is written into the run's folder. FileError or InputError where something that
+    it takes is missing.
     """
     about = as_run(run)
     if kind not in KINDS:
@@ -37,6 +39,8 @@ def export_run(run: RunLike, kind: str, out: Path | None = None, *, lerobot: Pat
         from rejoint.runs.report.datasheet import write_datasheet
 
         return write_datasheet(about.path, out or about.path / "datasheet.html"), "One page; print it on A4."
+    if kind in ("onnx", "ros2"):
+        return _controller(about, kind, out)
     return _urdf(about, out) if lerobot is None else _homing(about, lerobot, out)
 
 
@@ -73,3 +77,17 @@ def _homing(run: Run, source: Path, out: Path | None) -> tuple[Path, str]:
     write_homing(path, motors)
     told = ", ".join(f"{name} {change:+d}" for name, change in changes.items())
     return path, f"Homing offsets changed by {told} counts (present position = raw - homing_offset)."
+
+
+def _controller(run: Run, kind: str, out: Path | None) -> tuple[Path, str]:
+    require(f"rejoint export --format {kind}", "onnx")
+    from rejoint.runs.exporting.bundle import OUTSIDE, write_controller
+    from rejoint.runs.exporting.ros2 import write_package
+
+    if kind == "ros2":
+        return write_package(run, out or run.path / "ros2"), OUTSIDE
+    path = out or run.path / "controller.onnx"
+    if path.suffix != ".onnx":
+        raise InputError(f"{path}: expected a file that ends with .onnx")
+    design = write_controller(run, path)
+    return path, f"The controller is the {design.name}; {path.with_suffix('.yaml').name} describes it. {OUTSIDE}"

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, tcp_position
 from rejoint.control.accuracy import NOT_KNOWN, TrueError
-from rejoint.control.controller import Controller
+from rejoint.control.controller import ControlInput, Controller
 from rejoint.control.correction import Modelled, checked
 from rejoint.control.guard import GuardLimits
 from rejoint.control.loop import Schedule, follow, move
@@ -19,10 +19,12 @@ from rejoint.control.moving.path import Path
 from rejoint.control.moving.posture import PathPostures
 from rejoint.control.moving.routes import Ahead, Guide, Routes, Stream
 from rejoint.control.recording import OnCycle, Recording
-from rejoint.control.robot import Robot
+from rejoint.control.robot import Mask, Robot
 from rejoint.logs.runlog import RunLog
 
 Rows = NDArray[np.intp]
+GiveUp = Callable[[ControlInput], Mask]
+"""Ends a motion early, see `rejoint.control.loop.Schedule`"""
 
 _STEP = 0.02  # [s] between the places of a path that is corrected or judged
 _APPROACH = 15  # of those back is where an arm came from: 0.3 s (chosen: longer than play takes to turn round)
@@ -84,17 +86,21 @@ def corrector(arm: Arm, correction: Modelled, start: Array) -> Callable[[Array],
     return correct
 
 
-def approach(robot: Robot, start: Array, sent: Array, limits: GuardLimits | None = None) -> Recording:
+def approach(
+    robot: Robot, start: Array, sent: Array, limits: GuardLimits | None = None, *, give_up: GiveUp | None = None,
+    on_cycle: OnCycle | None = None,
+) -> Recording:  # fmt: skip
     """Bring the arm slowly from the command ``sent`` (1, n) [rad] to the posture of ``start`` (3,) [m]."""
-    return move(robot, PathPostures(robot.arm, start[None]).last[0], sent=sent, settle=0.5, limits=limits)
+    posture = PathPostures(robot.arm, start[None]).last[0]
+    return move(robot, posture, sent=sent, settle=0.5, limits=limits, give_up=give_up, on_cycle=on_cycle)
 
 
 def follow_guide(
     robot: Robot, controller: Controller, guide: Guide, duration: float, sent: Array, *,
-    limits: GuardLimits | None = None, on_cycle: OnCycle | None = None,
+    limits: GuardLimits | None = None, give_up: GiveUp | None = None, on_cycle: OnCycle | None = None,
 ) -> Recording:  # fmt: skip
     """Drive one arm behind a guide for ``duration`` [s]; ``sent`` (1, n) [rad] is the command in force."""
-    schedule = Schedule(dwell=duration, sent=sent)
+    schedule = Schedule(dwell=duration, sent=sent, give_up=give_up)
     return follow(robot, controller, Routes([guide]), schedule, limits=limits, on_cycle=on_cycle)
 
 

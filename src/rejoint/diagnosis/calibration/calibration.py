@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from rejoint.arms import Arm, Array, Displacement, solve_position, tcp_position
+from rejoint.arms.loaded import bare
 from rejoint.control.contract import law_digests
 from rejoint.diagnosis.calibration.model import linearised, scatter
 from rejoint.diagnosis.calibration.parameters import DisplacementLayout, vector_of
@@ -71,7 +72,7 @@ class Calibration:
 
     def require(self, arm: Arm) -> None:
         """Refuse with a ContractError if this calibration is of another arm."""
-        check_arm(self.arm.name, geometry_of(self.arm), arm)
+        check_arm(self.arm.name, geometry_of(self.arm), bare(arm))
 
     def tool(self, position: Array, approach: Array | None = None) -> Array:
         """Where the tool (..., 3) [m] is by this calibration while the encoders say ``position`` (..., n) [rad].

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from rejoint.arms import Arm, Array
 from rejoint.control.comparison.compare import Settings, Trial
@@ -51,6 +52,7 @@ from rejoint.runs.stages.driving import (
     make_factories,
     stance_of,
 )
+from rejoint.runs.stages.loads import PayloadLike, Say, say_heavy, silent, with_load
 from rejoint.system.errors import GuardTripError
 from rejoint.system.files import digest, require_space, saving, set_aside, write_json
 from rejoint.system.progress import Progress, no_progress, paced
@@ -100,6 +102,8 @@ def compare(
     arm: ArmLike | None = None,
     twin: TwinLike | None = None,
     calibration: CalibrationLike | None = None,
+    payload: PayloadLike | None = None,
+    tool: ArrayLike | None = None,
     sets: int | None = None,
     repetitions: int | None = None,
     protocol: Protocol | None = None,
@@ -108,6 +112,7 @@ def compare(
     seed: int | None = None,
     full: bool = False,
     on_progress: Progress = no_progress,
+    say: Say = silent,
 ) -> Compared:
     """Try controllers on the same arm, with the same targets, from the same start, and recommend one.
 
@@ -139,6 +144,10 @@ def compare(
     calibration
         what lies behind the encoders, or its file: all controllers are aimed by it; ``none`` for no correction. By
         default that of ``run``
+    payload
+        [kg] that the hand carries at its tool centre point, or a `Payload`; everything is computed with it
+    tool
+        (3,) [m] from the tool centre point of the arm's description to the tip of a tool, in the frame of the former
     sets
         number of target sets that are drawn; by default 10, in a race at most 2
     repetitions
@@ -157,6 +166,8 @@ def compare(
         no race: a real arm is driven to all targets with every controller that does not miss three in a row
     on_progress
         called with the share that is done and what is being tried
+    say
+        told, in lines, which targets are too heavy, before an arm moves
 
     Returns
     -------
@@ -179,22 +190,23 @@ def compare(
     >>> print(found.comparison.row("integrator").hold.settled.mean.value)  # metres
     """
     about = None if run is None else as_run(run).seeded(seed)
-    chosen = arm_of(robot, arm) if about is None else about.arm
+    chosen = with_load(arm_of(robot, arm) if about is None else about.arm, robot, payload, tool)
     seed = seed or 0 if about is None else about.seed
     with exclusive(about):
         real = not is_batchable(robot)
         race = Race() if real and not full else None
         points = as_targets(targets, chosen, sets=sets or (SETS if race is None else RACE_SETS), seed=seed)
         known = as_twin(twin) if twin is not None else None if about is None else about.twin
+        say_heavy(chosen, known, points, say)
         factories = make_factories(controllers, chosen, period_of(robot, period), run=about, twin=known, real=real)
         settings = Settings(
             repetitions=repetitions or (REPETITIONS if race is None else 1), seed=seed, batched=not real,
             protocol=protocol or (Protocol() if race is None else RACE_PROTOCOL), leave_out=not controllers, race=race,
         )  # fmt: skip
         model = calibration_of(calibration, about, chosen, address_of(robot))
-        before = (
-            None if race is None or about is None else open_loop(about, address_of(robot), settings.protocol, model)
-        )
+        before = None
+        if race is not None and about is not None and payload is None and tool is None:
+            before = open_loop(about, address_of(robot), settings.protocol, model)
         if before is not None and targets is None:
             points[0] = before.targets
         job = _Job(

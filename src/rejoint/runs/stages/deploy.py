@@ -6,6 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+from numpy.typing import ArrayLike
+
 from rejoint.arms import Arm
 from rejoint.control.controller import Controller
 from rejoint.control.deployment import REACHED, Deployed, Deployment, deployed_of
@@ -41,6 +43,7 @@ from rejoint.runs.stages.driving import (
     usual_controller,
 )
 from rejoint.runs.stages.eyes import EyeLike, opened_eye, watched, with_sightings
+from rejoint.runs.stages.loads import PayloadLike, Say, say_heavy, say_noticed, silent, with_load
 from rejoint.system.errors import InputError
 from rejoint.system.files import require_space, saving
 from rejoint.system.progress import Progress, no_progress, paced
@@ -63,6 +66,8 @@ def deploy(
     arm: ArmLike | None = None,
     twin: TwinLike | None = None,
     calibration: CalibrationLike | None = None,
+    payload: PayloadLike | None = None,
+    tool: ArrayLike | None = None,
     eye: EyeLike | None = None,
     dwell: float = 4.0,
     within: float = REACHED,
@@ -70,6 +75,7 @@ def deploy(
     seed: int | None = None,
     on_progress: Progress = no_progress,
     on_end: Callable[[Deployed], object] | None = None,
+    say: Say = silent,
 ) -> Deployed:
     """Drive an arm to targets with a policy or another controller, under the guard.
 
@@ -95,6 +101,10 @@ def deploy(
     calibration
         what lies behind the encoders, or its file: targets are aimed at by it; ``none`` for no correction. By default
         that of ``run``
+    payload
+        [kg] that the hand carries at its tool centre point, or a `Payload`; everything is computed with it
+    tool
+        (3,) [m] from the tool centre point of the arm's description to the tip of a tool, in the frame of the former
     eye
         sees the tool (`rejoint.control.seeing.Eye`), or makes such a one for the open robot; the number of the camera,
         as ``0``, that ``run`` was calibrated with; ``emulated`` for one that watches an emulated arm. The last
@@ -111,6 +121,8 @@ def deploy(
         called with the share that is done and which target it is
     on_end
         called with what was done until then where an error ends the deployment early
+    say
+        told, in lines, which targets are too heavy, before the arm moves, and of a load that was not given, at the end
 
     Returns
     -------
@@ -136,13 +148,14 @@ def deploy(
     ...     print(visit.target, visit.error, visit.reached, visit.remark)
     """
     about = None if run is None else as_run(run).seeded(seed)
-    chosen = arm_of(robot, arm) if about is None else about.arm
+    chosen = with_load(arm_of(robot, arm) if about is None else about.arm, robot, payload, tool)
     seed = seed or 0 if about is None else about.seed
     with exclusive(about):
         points = as_targets(targets, chosen, sets=1, seed=seed)
         if len(points) != 1:
             raise InputError(f"deployment: {len(points)} sets of targets, expected one: (targets, 3) in metres")
         known = as_twin(twin) if twin is not None else None if about is None else about.twin
+        say_heavy(chosen, known, points, say)
         correct = correction_of(calibration, about, chosen, address_of(robot))
         usual = period_of(robot, period)
         wanted = usual_controller(about) if controller is None else controller
@@ -166,7 +179,9 @@ def deploy(
                 model=calibration_of(calibration, about, chosen, address_of(robot)),
                 eye=sees,
             )
-            return drive.to_targets(rows, on_progress, on_end or (lambda _: None))
+            done = drive.to_targets(rows, on_progress, on_end or (lambda _: None))
+        say_noticed(chosen, known, done.log, say)
+        return done
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, TypeAlias, cast
 import numpy as np
 
 from rejoint.arms import Arm
+from rejoint.arms.loaded import bare
 from rejoint.control.bands import standing_bands
 from rejoint.control.catalogue import POLICY, PREDICTIVE, contenders, make_controller
 from rejoint.control.comparison.recommend import recommend
@@ -30,6 +31,7 @@ from rejoint.control.start import Stance
 from rejoint.logs.journal import Journal
 from rejoint.logs.runlog import read_log
 from rejoint.robots import place_of
+from rejoint.robots.own import unloaded
 from rejoint.runs.given import CalibrationLike, Period, as_calibration, as_policy
 from rejoint.runs.run import Run
 from rejoint.system.errors import AddressError, ContractError, FileError
@@ -62,7 +64,7 @@ def guard_limits(run: Run | None, arm: Arm, robot: str) -> GuardLimits:
 
     That is at which pushes they stand, and the lines of load over error of servos that tell loads.
     """
-    limits = GuardLimits.of(arm)
+    limits, arm = GuardLimits.of(arm), bare(arm)  # the logs are of an empty hand
     paths = [] if run is None else [run.folder.log(name) for name in ("excitation", "targets")]
     if run is None or not _is_own(run, robot) or not all(path.exists() for path in paths):
         return limits
@@ -74,7 +76,7 @@ def guard_limits(run: Run | None, arm: Arm, robot: str) -> GuardLimits:
 
 def _is_own(run: Run, robot: str) -> bool:
     """Whether ``robot`` may be the arm that a run measured: a real one has many addresses, a virtual one has one."""
-    if robot == run.robot:
+    if unloaded(robot) == unloaded(run.robot):
         return True
     try:
         return not any(place_of(address).virtual for address in (run.robot, robot))

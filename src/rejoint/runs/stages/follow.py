@@ -2,33 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-from pathlib import Path as FilePath
-from typing import TYPE_CHECKING, TypeAlias
+from dataclasses import dataclass
 
-import numpy as np
+from numpy.typing import ArrayLike
 
-from rejoint.arms import Arm, Array
+from rejoint.arms import Array
 from rejoint.control.controller import Controller
 from rejoint.control.guard import GuardLimits
-from rejoint.control.moving.drive import (
-    Followed,
-    Pass,
-    approach,
-    corrected_path,
-    corrector,
-    follow_guide,
-    judge,
-    missed,
-)
-from rejoint.control.moving.path import Path, read_path
-from rejoint.control.moving.repeating import learned
-from rejoint.control.moving.routes import LAG, LEAD_IN, Ahead, Stream, played
-from rejoint.control.moving.sender import Sender
-from rejoint.control.moving.servos import Servos
-from rejoint.control.moving.standard import is_standard, standard_path
-from rejoint.control.moving.tracker import Tracker
+from rejoint.control.moving.drive import Followed, approach, follow_guide
+from rejoint.control.moving.path import Path
+from rejoint.control.moving.routes import Ahead, Stream
 from rejoint.control.recording import Cycle, Recording, recording_of
 from rejoint.control.robot import Robot
 from rejoint.control.start import begin
@@ -47,34 +30,24 @@ from rejoint.runs.given import (
     period_of,
 )
 from rejoint.runs.run import Run, exclusive
-from rejoint.runs.stages.driving import (
-    ControllerLike,
-    correction_of,
-    guard_limits,
-    make_factories,
-    stance_of,
-    start_journal,
+from rejoint.runs.stages.driving import ControllerLike, correction_of, guard_limits, stance_of, start_journal
+from rejoint.runs.stages.loads import PayloadLike, Say, say_heavy, say_noticed, silent, with_load
+from rejoint.runs.stages.pathdrive import (
+    TRACKER,
+    WITHIN,
+    PathDrive,
+    PathLike,
+    Piece,
+    followable,
+    follower,
+    require_repeatable,
 )
-from rejoint.system.errors import InputError
 from rejoint.system.files import require_space, saving
 from rejoint.system.progress import Progress, no_progress, paced
 from rejoint.system.stopping import noted
 
-if TYPE_CHECKING:
-    from rejoint.control.correction import Modelled
-    from rejoint.twin.twin import Twin
-
-PathLike: TypeAlias = "Path | FilePath | str | Array"
-"""A path, its CSV file, the name of a standard one, or (T, 4) times [s] and places [m]"""
-
-TRACKER, SENT = "tracker", "default"
-"""Names of the controller that follows by the twin, and of the path sent as it comes"""
-
-Factory = Callable[[Arm, float], Controller]
-"""Makes a controller for an arm and the usual length [s] of its control periods"""
-
-WITHIN = 5e-3
-"""[m] root mean square, after the best single lag, within which a path counts as followed (chosen: as for targets)"""
+LOOKED_AT = 50
+"""Places of a path that are judged by their load (chosen: a wave has a dozen)"""
 
 
 @paced
@@ -87,6 +60,8 @@ def follow(
     arm: ArmLike | None = None,
     twin: TwinLike | None = None,
     calibration: CalibrationLike | None = None,
+    payload: PayloadLike | None = None,
+    tool: ArrayLike | None = None,
     repeat: int = 1,
     rate: float | None = None,
     duration: float | None = None,
@@ -94,6 +69,7 @@ def follow(
     period: Period | None = None,
     seed: int | None = None,
     on_progress: Progress = no_progress,
+    say: Say = silent,
 ) -> Followed:
     """Drive an arm along a path, under the guard, and say how well it followed.
 
@@ -118,6 +94,10 @@ def follow(
         twin that the arm is driven by; by default that of the run
     calibration
         what lies behind the encoders, or its file; ``none`` for no correction. By default that of ``run``
+    payload
+        [kg] that the hand carries at its tool centre point, or a `Payload`; everything is computed with it
+    tool
+        (3,) [m] from the tool centre point of the arm's description to the tip of a tool, in the frame of the former
     repeat
         how often; from the second time on the path is aimed at by what was missed before
     rate
@@ -132,6 +112,8 @@ def follow(
         of an emulated arm's noise, and of a random standard path; by default that of the run, else 0
     on_progress
         called with the share that is done
+    say
+        told, in lines, which places are too heavy, before the arm moves, and of a load that was not given, at the end
 
     Returns
     -------
@@ -154,162 +136,74 @@ def follow(
     >>> print(done.passes[-1].encoder.rms)
     """
     about = None if run is None else as_run(run).seeded(seed)
-    chosen = arm_of(robot, arm) if about is None else about.arm
+    chosen = with_load(arm_of(robot, arm) if about is None else about.arm, robot, payload, tool)
     seed = seed or 0 if about is None else about.seed
-    if repeat < 1 or (repeat > 1 and (rate is not None or isinstance(path, Stream))):
-        raise InputError("follow: to be repeated at least once, and more often only where the path is known ahead")
+    require_repeatable(path, repeat, rate)
     with exclusive(about):
-        given = path if isinstance(path, Stream) else as_path(path, chosen, seed)
-        if isinstance(given, Path):
-            given.require_followable(chosen)
-        elif duration is None or not duration > 0.0:
-            raise InputError("follow: a stream needs a duration in seconds for which it is followed")
+        given = followable(path, chosen, seed, duration)
         known = as_twin(twin) if twin is not None else None if about is None else about.twin
+        if isinstance(given, Path):
+            say_heavy(chosen, known, given.place[:: max(1, len(given.place) // LOOKED_AT)], say)
         correct = correction_of(calibration, about, chosen, address_of(robot))
         usual = period_of(robot, period)
-        name, make = _controller(controller, chosen, usual, about, known)
+        name, make = follower(controller, chosen, usual, about, known)
         if about is not None:
             require_space(about.path)
         with noted(), opened(robot, chosen, seed, period) as connection:
-            drive = _PathDrive(
-                robot=connection, name=name, make=make, run=about, twin=known,
-                correction=None if correct is None else correct(chosen), within=within, on_progress=on_progress,
-                period=0.02 if usual is None else min(usual),
+            limits = guard_limits(about, chosen, connection.address)
+            start = begin(connection, limits, stance_of(known))
+            carrier = _Logged(
+                robot=connection, run=about, limits=limits,
+                on_progress=on_progress, period=0.02 if usual is None else min(usual),
+            )  # fmt: skip
+            drive = PathDrive(
+                arm=chosen, name=name, make=make, usual=start.usual_period(), within=within, carrier=carrier,
+                correction=None if correct is None else correct(chosen),
             )  # fmt: skip
             if isinstance(given, Stream):
-                return drive.behind(given, duration or 0.0)
-            return drive.along(given, repeat, rate)
-
-
-def as_path(given: PathLike, arm: Arm, seed: int) -> Path:
-    """Return the path itself, of its file or numbers, or the standard one of that name."""
-    if isinstance(given, Path):
-        return given
-    if isinstance(given, str) and is_standard(given):
-        return standard_path(given, arm, seed)
-    if isinstance(given, str | FilePath):
-        return read_path(FilePath(given))
-    numbers = np.asarray(given, dtype=float)
-    if numbers.ndim != 2 or numbers.shape[-1] != 4:
-        raise InputError(f"path: an array of shape {numbers.shape}, expected (points, 4): time [s] and x, y, z [m]")
-    return Path(time=numbers[:, 0], place=numbers[:, 1:])
-
-
-def servos_of(twin: Twin, count: int = 1) -> Servos:
-    """Return what a tracker of ``count`` arms takes from a twin."""
-    own = twin.parameters.repeat(count)
-    return Servos(
-        stiffness=own.stiffness, damping=own.damping, coulomb=own.coulomb, armature=own.armature,
-        torque_limit=own.torque_limit, offset=own.offset, delay=own.delay,
-    )  # fmt: skip
-
-
-def _controller(
-    given: ControllerLike, arm: Arm, usual: Period | None, run: Run | None, twin: Twin | None
-) -> tuple[str, Factory]:
-    """Return the name of a controller and what makes it, for each time along the path."""
-    if given == SENT:
-        return SENT, lambda arm, period: Sender(arm)  # noqa: ARG005 - it knows no time
-    if given == TRACKER:
-        if twin is None:
-            raise InputError(
-                "follow: the tracker needs a twin; run `rejoint identify` first, or take --controller default"
-            )
-        return TRACKER, lambda arm, period: Tracker(arm, servos_of(twin), period=period)
-    if isinstance(given, str) and not given.endswith(".onnx"):
-        raise InputError(f"no controller called {given!r} follows paths; known: {TRACKER}, {SENT}")
-    ((name, make),) = make_factories([given], arm, usual, run=run, twin=twin).items()
-    return name, lambda arm, period: make(arm)  # noqa: ARG005 - its own affair
+                done = drive.behind(given, duration or 0.0, start.command[-1])
+            else:
+                done = drive.along(given, repeat, rate, start.command[-1])
+        say_noticed(chosen, known, done.passes[-1].log, say)
+        return done
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class _PathDrive:
-    """Paths on an open robot."""
+class _Logged:
+    """Carries an open robot; in a run, what is recorded is kept as it comes, also where ``kill -9`` ends it."""
 
     robot: Robot
-    name: str
-    make: Factory
     run: Run | None
-    twin: Twin | None
-    correction: Modelled | None
-    within: float
+    limits: GuardLimits
     on_progress: Progress
     period: float
 
-    def along(self, path: Path, repeat: int, rate: float | None) -> Followed:
-        """Go along a path, ``repeat`` times; at a ``rate`` [Hz] it is told as it goes."""
-        arm = self.robot.arm
-        wanted = path if self.correction is None else corrected_path(arm, path, self.correction)
-        (sent, usual), aim, passes = self._begin(), wanted, list[Pass]()
-        last: Recording | None = None
-        for number in range(repeat):
-            sent = approach(self.robot, wanted.at(0.0), sent, self._limits()).command[-1]
-            guide = Ahead(path=path, aim=aim)
-            told = guide if rate is None else played(wanted, rate)
-            duration = LEAD_IN + path.duration + (0.0 if rate is None else LAG)
-            last = self._pass(told, self.make(arm, usual), path.name, duration, sent, number, repeat)
-            done = replace(judge(arm, last, Ahead(path=path, aim=wanted)), log=last.log(0, self._label(path.name)))
-            passes.append(done)
-            aim, sent = learned(wanted, aim, *missed(arm, last, guide, wanted), number), last.command[-1]
-        return self._followed(path.name, passes, last)
+    def approach(self, start: Array, sent: Array) -> Recording:
+        return approach(self.robot, start, sent, self.limits)
 
-    def behind(self, stream: Stream, duration: float) -> Followed:
-        """Go behind a stream for ``duration`` [s]."""
-        arm, start = self.robot.arm, stream.place(0.0)
-        if self.correction is not None and stream.corrected is None:
-            stream.corrected = corrector(arm, self.correction, start)
-        sent, usual = self._begin()
-        sent = approach(self.robot, start, sent, self._limits()).command[-1]
-        last = self._pass(stream, self.make(arm, usual), "stream", duration, sent, 0, 1)
-        done = replace(judge(arm, last, stream), log=last.log(0, self._label("stream")))
-        return self._followed("stream", [done], last)
-
-    def _begin(self) -> tuple[Array, float]:
-        """Look at the arm and bring it to rest; return the command (1, n) [rad] in force, and the usual period [s]."""
-        start = begin(self.robot, self._limits(), stance_of(self.twin))
-        return start.command[-1], start.usual_period()
-
-    def _limits(self) -> GuardLimits:
-        return guard_limits(self.run, self.robot.arm, self.robot.address)
-
-    def _label(self, path: str) -> str:
-        return f"follow/{self.name}/{path}"
-
-    def _pass(
-        self, guide: Ahead | Stream, controller: Controller, path: str, duration: float, sent: Array, number: int,
-        total: int,
-    ) -> Recording:  # fmt: skip
-        """Drive; in a run, what is recorded is kept as it comes, also where ``kill -9`` ends it."""
-        label, rows = self._label(path), int(duration / self.period)
+    def carry(self, guide: Ahead | Stream, controller: Controller, sent: Array, piece: Piece) -> Recording:
+        rows, number, total = int(piece.duration / self.period), piece.number, piece.total
         name = "follow" if total == 1 else f"follow-{number + 1:02d}"
-        journal = None if self.run is None else start_journal(self.run, name, self.robot, label, rows)
+        journal = None if self.run is None else start_journal(self.run, name, self.robot, piece.label, rows)
 
         def watch(cycle: Cycle) -> None:
             if journal is not None:
                 journal.see(cycle)
-            share = min(float(cycle.since_target[0]) / duration, 1.0)
+            share = min(float(cycle.since_target[0]) / piece.duration, 1.0)
             self.on_progress((number + share) / total, f"time {number + 1} of {total}" if total > 1 else "")
 
         try:
             recording = follow_guide(
-                self.robot, controller, guide, duration, sent, limits=self._limits(), on_cycle=watch
+                self.robot, controller, guide, piece.duration, sent, limits=self.limits, on_cycle=watch
             )
         except BaseException as error:
             partial = recording_of(error)
             if journal is not None and partial is not None and len(partial.time):
-                error.add_note(journal.keep(partial.log(0, f"{label}/stopped")))
+                error.add_note(journal.keep(partial.log(0, f"{piece.label}/stopped")))
             elif journal is not None:
                 journal.discard()
             raise
         if journal is not None:
             with saving(recording):
-                journal.finish(recording.log(0, label))
+                journal.finish(recording.log(0, piece.label))
         return recording
-
-    def _followed(self, path: str, passes: list[Pass], last: Recording | None) -> Followed:
-        period = float("nan") if last is None else last.usual_period()
-        gaps = () if last is None else tuple(float(gap) for gap in last.gaps() if gap > 0.0)
-        return Followed(
-            path=path, controller=self.name, within=self.within, passes=tuple(passes),
-            period=period if np.isfinite(period) else None, gaps=gaps,
-        )  # fmt: skip

@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from datetime import datetime
 from typing import TYPE_CHECKING, cast
 
+from numpy.typing import ArrayLike
+
 from rejoint.arms import Arm
 from rejoint.control.guard import GuardLimits
 from rejoint.control.posture import PostureController
@@ -26,6 +28,7 @@ from rejoint.robots.serving.server import WireServer, listen_tcp, pty_wire, tcp_
 from rejoint.runs.given import CalibrationLike, Period, RobotLike, RunLike, TwinLike, as_run, as_twin, opened
 from rejoint.runs.run import exclusive
 from rejoint.runs.stages.driving import correction_of, guard_limits, stance_of, start_journal
+from rejoint.runs.stages.loads import PayloadLike, with_load
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import require_space
 from rejoint.system.stopping import Interrupted, noted
@@ -62,6 +65,8 @@ def serve(
     pty: bool = False,
     twin: TwinLike | None = None,
     calibration: CalibrationLike | None = None,
+    payload: PayloadLike | None = None,
+    tool: ArrayLike | None = None,
     period: Period | None = None,
     pace: float = 1.0,
     stop: threading.Event | None = None,
@@ -88,6 +93,10 @@ def serve(
     calibration
         what lies behind the encoders, or its file: coordinates are then those of the tool itself; ``none`` for those
         by the encoders. By default that of ``run``
+    payload
+        [kg] that the hand carries at its tool centre point, or a `Payload`; everything is computed with it
+    tool
+        (3,) [m] from the tool centre point of the arm's description to the tip of a tool, in the frame of the former
     period
         [s] interval of the control periods; by default what the robot suits
     pace
@@ -123,6 +132,7 @@ def serve(
     about = as_run(run)
     if about.arm.joints != WIRE_JOINTS:
         raise InputError(f"serve: the wire is that of a myCobot with {WIRE_JOINTS} joints, not of {about.arm.name}")
+    arm = with_load(about.arm, robot, payload, tool)
     over = threading.Event() if stop is None else stop
     with exclusive(about), ExitStack() as stack:
         known = _twin(about, twin)
@@ -132,13 +142,13 @@ def serve(
         log = OrderLog(path, say=say)
         stack.callback(log.close)
         stack.enter_context(noted())
-        connection = stack.enter_context(opened(robot, about.arm, about.seed, period))
+        connection = stack.enter_context(opened(robot, arm, about.seed, period))
         connection = _in_wall_time(connection, robot, pace)
-        limits = guard_limits(about, about.arm, connection.address)
+        limits = guard_limits(about, arm, connection.address)
         start = begin(connection, limits, stance_of(known))
-        make = correction_of(calibration, about, about.arm, connection.address)
-        shift = None if make is None else make(about.arm).shift
-        drive, server = _put_together(connection, about.arm, known, shift, limits, log, listener, over, say)
+        make = correction_of(calibration, about, arm, connection.address)
+        shift = None if make is None else make(arm).shift
+        drive, server = _put_together(connection, arm, known, shift, limits, log, listener, over, say)
         log.write("begin", address=server.address, robot=connection.address)
         try:
             with server:

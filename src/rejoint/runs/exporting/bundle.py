@@ -1,0 +1,182 @@
+"""The controller of a run as files for other runtimes: ``controller.onnx`` and a LEAPP description beside it."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from rejoint.arms import Arm
+from rejoint.arms.size import torque_size
+from rejoint.control.catalogue import POLICY
+from rejoint.control.contract import check_contract
+from rejoint.control.feedforward import NOMINAL_STIFFNESS, FeedforwardController
+from rejoint.control.law import STEP_LIMIT
+from rejoint.control.residual import CommandLaw
+from rejoint.runs.given import as_policy
+from rejoint.runs.run import Run
+from rejoint.runs.stages.driving import recommended
+from rejoint.system.errors import InputError
+from rejoint.system.extras import require
+from rejoint.system.files import write_whole
+from rejoint.system.version import __version__
+
+if TYPE_CHECKING:
+    from rejoint.runs.exporting.controllergraph import Design
+
+OUTSIDE = (
+    "No guard is inside: nothing limits the speed of commands, sees collisions, a hot or a stuck joint, or old joint "
+    "states; the runtime must. Positions are kept within the joint limits. No calibration is inside either: the target "
+    "is where the encoders are to see the tool."
+)
+"""What whoever runs the file must know"""
+
+_PERIODS = (0.018, 0.055)
+"""[s] for a controller without a network (chosen: those that policies are trained for)"""
+
+
+def design_of(run: Run) -> Design:
+    """Return what to write of a run: the controller that it recommends, if that is its policy or the feed-forward.
+
+    Where it recommends another one, its policy is written if it has one, else the feed-forward. InputError for
+    policies that were trained in the manner of the paper.
+    """
+    from rejoint.runs.exporting.controllergraph import Design
+
+    arm, twin = run.arm, run.twin
+    damping = () if twin is None else tuple(float(value) for value in twin.parameters.damping)
+    if not run.folder.policy.exists() or recommended(run) == FeedforwardController.name:
+        stiffness = np.full(arm.joints, NOMINAL_STIFFNESS * torque_size(arm))
+        known = stiffness if twin is None else twin.parameters.stiffness
+        law = CommandLaw(
+            anchor="goal", stiffness=tuple(float(value) for value in known), step_limit=float(STEP_LIMIT),
+            authority_floor=0.0, authority_slope=0.0, load_penalty=0.0, envelope_margin=2.0 * np.pi,
+        )  # fmt: skip
+        return Design(
+            arm=arm, law=law, network=None, name=FeedforwardController.name, damping=damping, periods=_PERIODS
+        )
+    policy = as_policy(run.folder.policy)
+    contract = policy.contract
+    check_contract(contract, arm)
+    if contract.law.anchor != "goal" or contract.layout != "residual":
+        raise InputError(
+            f"{run.folder.policy}: a law of the anchor {contract.law.anchor!r} and the layout {contract.layout!r}, "
+            "expected 'goal' and 'residual'; train with the default preset"
+        )
+    periods = contract.min_period, contract.max_period
+    return Design(arm=arm, law=contract.law, network=policy.content, name=POLICY, damping=damping, periods=periods)
+
+
+def write_controller(run: Run, out: Path) -> Design:
+    """Write ``out`` and, with the suffix ``.yaml``, what describes it; returns what was written."""
+    require("rejoint export --format onnx", "onnx")
+    from onnx import helper
+
+    from rejoint.runs.exporting.controllergraph import controller_graph
+
+    design = design_of(run)
+    model = controller_graph(design)
+    helper.set_model_props(model, metadata(design))
+    data = model.SerializeToString()
+    text = leapp_text(design, out.name, data)
+    write_whole(out, lambda temporary: temporary.write_bytes(data))
+    write_whole(out.with_suffix(".yaml"), lambda temporary: temporary.write_text(text, encoding="utf-8"))
+    return design
+
+
+def metadata(design: Design) -> dict[str, str]:
+    """Return the keys that C++ runtimes of policies read, and those that say what the file is.
+
+    Commands are absolute: by the rule of those runtimes, ``default_joint_pos + action_scale * output``, they are the
+    output itself.
+    """
+    from rejoint.runs.exporting.controllergraph import memory_slots
+
+    arm, n = design.arm, design.arm.joints
+    low, high = design.periods
+    return {
+        "joint_names": ",".join(arm.joint_names),
+        "joint_stiffness": _list(design.law.stiffness),
+        **({"joint_damping": _list(design.damping)} if design.damping else {}),
+        "default_joint_pos": _list([0.0] * n),
+        "action_scale": _list([1.0] * n),
+        "command_names": "target",
+        "observation_names": "joint_pos,target,period,state_in",
+        "rejoint.controller": design.name,
+        "rejoint.arm": arm.name,
+        "rejoint.rest_joint_pos": _list(arm.rest),
+        "rejoint.joint_lower": _list(arm.lower),
+        "rejoint.joint_upper": _list(arm.upper),
+        "rejoint.period_s": f"{low:g},{high:g}",
+        "rejoint.memory": ",".join(f"{name}:{size}" for name, size in memory_slots(n).items()),
+        "rejoint.memory_use": (
+            "zeros begin anew; where a command was limited on its way, write what was sent into the entries 'sent' of "
+            "state_out before it goes back as state_in"
+        ),
+        "rejoint.not_inside": OUTSIDE,
+        "rejoint.software": __version__,
+    }
+
+
+def leapp_text(design: Design, file: str, data: bytes) -> str:
+    """Return the LEAPP description (version 1.3) of a file with the content ``data``, as YAML.
+
+    Values are written as JSON, which YAML contains.
+    """
+    from rejoint.runs.exporting.controllergraph import memory_slots
+
+    arm, size = design.arm, sum(memory_slots(design.arm.joints).values())
+    names = list(arm.joint_names)
+    slots = [name if length == 1 else f"{name}[{k}]" for name, length in memory_slots(arm.joints).items()
+             for k in range(length)]  # fmt: skip
+    low, high = design.periods
+
+    def tensor(name: str, kind: str, elements: list[str]) -> str:
+        return json.dumps({
+            "name": name, "dtype": "float32", "shape": [1, len(elements)], "type": "tensor", "kind": kind,
+            "element_names": [elements],
+        })  # fmt: skip
+
+    parameters = {
+        "model_path": file, "md5sum": hashlib.md5(data, usedforsecurity=False).hexdigest(),
+        "sha256sum": hashlib.sha256(data).hexdigest(), "backend": "onnx", "warp_segments": 0,
+    }  # fmt: skip
+    assert len(slots) == size  # noqa: S101 - written by the same table
+    return f"""# {OUTSIDE}
+# It was made for control periods of {1e3 * low:g} to {1e3 * high:g} ms; refuse others. state_in of zeros begins anew.
+models:
+  controller:
+    inputs:
+    - {tensor("joint_pos", "state/joint/position", names)}
+    - {tensor("target", "command/body/position", ["x", "y", "z"])}
+    - {tensor("period", "state/period", ["period"])}
+    - {tensor("state_in", "state/memory", slots)}
+    outputs:
+    - {tensor("joint_command", "target/joint/position", names)}
+    - {tensor("state_out", "state/memory", slots)}
+    parameters: {json.dumps(parameters)}
+pipeline:
+  inputs: {{controller: [joint_pos, target, period]}}
+  outputs: {{controller: [joint_command]}}
+  data_flow: {{}}
+  feedback_flow: {{controller/state_out: [controller/state_in]}}
+frequency: {2.0 / (low + high):.4g}
+system information: {{leapp config version: '1.3', written by: rejoint}}
+"""
+
+
+def _list(values: object) -> str:
+    return ",".join(f"{value:.9g}" for value in np.asarray(values, dtype=float))
+
+
+def usual_period(design: Design) -> float:
+    """Return the control period [s] in the middle of those that a controller was made for."""
+    return sum(design.periods) / 2
+
+
+def package_name(arm: Arm) -> str:
+    """Return a name for a ROS package: lower case, digits and underscores."""
+    return "rejoint_" + "".join(letter if letter.isalnum() else "_" for letter in arm.name.lower())

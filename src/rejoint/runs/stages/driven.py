@@ -1,0 +1,251 @@
+"""The arm of `rejoint.connect` with a run: sent to points and along paths, it hits."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Literal, Self, overload
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from rejoint.arms import Arm, Array, tcp_position
+from rejoint.control.comparison.targets import require_reachable
+from rejoint.control.moving.drive import Followed
+from rejoint.control.moving.routes import Stream
+from rejoint.control.servogains import limits_under, under_gains
+from rejoint.robots import open_robot
+from rejoint.runs.given import CalibrationLike, Period
+from rejoint.runs.run import Run, exclusive
+from rejoint.runs.stages.armdrive import ArmDrive
+from rejoint.runs.stages.driving import (
+    ControllerLike,
+    correction_of,
+    guard_limits,
+    make_factories,
+    recommended,
+    stance_of,
+)
+from rejoint.runs.stages.loads import Say, say_heavy
+from rejoint.runs.stages.motions import AlongPath, MotionThread, MoveTo
+from rejoint.runs.stages.pathdrive import TRACKER, WITHIN, PathLike, followable, follower, require_repeatable
+from rejoint.system.errors import InputError, NotReachedError, NotReadyError
+from rejoint.system.files import require_space
+from rejoint.system.stopping import noted, pause
+
+_LOOK = 0.01  # [s] between two looks at whether a motion has ended (chosen)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ArmState:
+    """What is known of an arm at a moment."""
+
+    time_s: float
+    """on the robot's clock"""
+    joints_rad: Array
+    """(n,) measured"""
+    tool_m: Array
+    """(3,) tool centre point by the encoders"""
+    moving: bool
+    """whether a motion is under way"""
+    target_m: Array | None = None
+    """(3,) where the arm was sent last"""
+    error_m: float | None = None
+    """of the tool from where it was sent, by the encoders"""
+
+
+class DrivenArm:
+    """An arm that is sent to points, and hits them: by the controller that its run recommends, under the guard.
+
+    Before its first motion the arm is looked at and goes slowly to its rest posture. Between motions it holds. Made by
+    `rejoint.connect`; use it in a ``with`` block, which ends in a hold.
+
+    Examples
+    --------
+    >>> with rejoint.connect("tcp://192.168.1.20:9000", run="runs/mine") as arm:
+    ...     arm.move_to([0.2, 0.05, 0.18])
+    ...     print(arm.state.error_m)
+    ...     print(arm.follow("drawing.csv").passes[-1].encoder.rms)
+    """
+
+    def __init__(
+        self, address: str, run: Run, *, arm: Arm, controller: ControllerLike | None,
+        calibration: CalibrationLike | None, seed: int, period: Period | None, say: Say,
+    ) -> None:  # fmt: skip
+        """Connect; see `rejoint.connect`."""
+        self._run, self._arm, self._period, self._say = run, arm, period, say
+        with ExitStack() as stack:
+            stack.enter_context(exclusive(run))
+            require_space(run.path)
+            self._twin = run.twin
+            ((self.controller, make),) = make_factories(
+                [recommended(run) if controller is None else controller], arm, period, run=run, twin=self._twin
+            ).items()
+            robot = open_robot(address, arm=arm, seed=seed, period=period)
+            stack.callback(robot.close)
+            correct, driver = correction_of(calibration, run, arm, address), make(arm)
+            stack.enter_context(under_gains(robot, driver))
+            self._drive = ArmDrive(
+                run=run, robot=robot, controller=driver, name=self.controller,
+                limits=limits_under(guard_limits(run, arm, address), robot, driver),
+                stance=stance_of(self._twin),
+                correction=None if correct is None else correct(arm),
+            )  # fmt: skip
+            self._stack = stack.pop_all()
+        self._motion: MotionThread | None = None
+        self._followed: Followed | None = None
+
+    @property
+    def arm(self) -> Arm:
+        """The arm's kinematics, limits and masses, with the load and tool that were told."""
+        return self._arm
+
+    @property
+    def state(self) -> ArmState:
+        """What is known now: during a motion of its last control cycle, else read from the arm."""
+        cycle, motion = self._drive.last, self._motion
+        if motion is not None and motion.is_alive() and cycle is not None:
+            return self._state(float(cycle.time[0]), cycle.position[0], moving=True)
+        read = self._drive.robot.read()
+        return self._state(float(read.time[0]), read.position[0], moving=False)
+
+    @property
+    def followed(self) -> Followed | None:
+        """How well the last path was followed; None while the first one is under way."""
+        return self._followed
+
+    def move_to(
+        self, target_m: ArrayLike, *, within_m: float = 0.002, timeout_s: float = 10.0, wait: bool = True
+    ) -> ArmState | None:
+        """Bring the tool to ``target_m`` (3,) [m] in the base frame.
+
+        It counts as reached once the tool stays ``within_m`` of where it is sent, by the encoders. With ``wait`` this
+        returns the state at the end; without, it returns None at once: then `wait`, `state` and `stop` tell and end the
+        motion. InputError for a target out of reach, before anything moves; NotReachedError after ``timeout_s``;
+        GuardTripError or RobotError where the motion had to be ended. In any case the arm then holds.
+        """
+        target = np.asarray(target_m, dtype=float)
+        if target.shape != (3,) or not np.isfinite(target).all():
+            raise InputError(f"move_to: expected a point (3,) in metres, got {target_m!r}")
+        if not (within_m > 0.0 and timeout_s > 0.0):
+            raise InputError(f"move_to: within_m and timeout_s are positive, got {within_m} and {timeout_s}")
+        require_reachable(self.arm, target[None, None])
+        self._require_free()
+        say_heavy(self.arm, self._twin, target, self._say)
+        self._start(MoveTo(self._drive, target, within_m, timeout_s))
+        return self.wait() if wait else None
+
+    @overload
+    def follow(
+        self, path: PathLike | Stream, *, repeat: int = 1, rate_hz: float | None = None,
+        duration_s: float | None = None, within_m: float = WITHIN, wait: Literal[True] = True,
+    ) -> Followed: ...  # fmt: skip
+    @overload
+    def follow(
+        self, path: PathLike | Stream, *, repeat: int = 1, rate_hz: float | None = None,
+        duration_s: float | None = None, within_m: float = WITHIN, wait: bool,
+    ) -> Followed | None: ...  # fmt: skip
+    def follow(
+        self, path: PathLike | Stream, *, repeat: int = 1, rate_hz: float | None = None,
+        duration_s: float | None = None, within_m: float = WITHIN, wait: bool = True,
+    ) -> Followed | None:  # fmt: skip
+        """Drive the tool along ``path``, with the twin of the run; path, ``repeat`` and rate as in `rejoint.follow`.
+
+        From where it stands the arm goes slowly to the start, stands there for two seconds, and moves off. A `Stream`
+        needs a ``duration_s``, and a first target. With ``wait`` this returns how well the path was followed; where
+        another thread has called `stop`, NotReachedError. Without, it returns None at once: then `wait`, `state` and
+        `stop` tell and end the motion, and `followed` says at its end how well.
+        InputError for a path out of reach or too fast, and where the run has no twin, before anything moves;
+        GuardTripError or RobotError where the motion had to be ended. In any case the arm then holds.
+        """
+        self._require_free()
+        require_repeatable(path, repeat, rate_hz)
+        if not within_m > 0.0:
+            raise InputError(f"follow: within_m is positive, got {within_m}")
+        given = followable(path, self.arm, self._run.seed, duration_s)
+        name, make = follower(TRACKER, self.arm, self._period, self._run, self._twin)
+        self._followed = None
+        self._start(
+            AlongPath(
+                self._drive, given, make, name, repeat=repeat, rate=rate_hz, duration=duration_s, within=within_m,
+                keep=self._keep_followed,
+            )
+        )  # fmt: skip
+        if not wait:
+            return None
+        self.wait()
+        found = self.followed
+        if found is None:
+            raise NotReachedError("the path was ended before its end; the arm holds")
+        return found
+
+    def wait(self, timeout_s: float | None = None) -> ArmState:
+        """Wait until the motion under way has ended, and return the state then.
+
+        NotReachedError if it does not end within ``timeout_s``; the motion then goes on. Otherwise raises what ended
+        the motion. Ctrl-C brings the arm to a hold.
+        """
+        motion, waited = self._motion, 0.0
+        if motion is None:
+            return self.state
+        try:
+            with noted():
+                while motion.is_alive() and (timeout_s is None or waited < timeout_s):
+                    pause(_LOOK)
+                    waited += _LOOK
+        except KeyboardInterrupt:
+            self.stop()
+            raise
+        if motion.is_alive():
+            raise NotReachedError(f"the arm is still on its way to {motion.goal} after {timeout_s} s of waiting")
+        self._motion = None
+        if motion.error is not None:
+            raise motion.error
+        return self.state
+
+    def stop(self) -> None:
+        """End the motion under way; the arm holds where it is."""
+        motion, self._motion = self._motion, None
+        if motion is not None:
+            motion.ended.set()
+            motion.join()
+        self._drive.robot.stop()
+
+    def close(self) -> None:
+        """End the motion under way, keep the log, and let go of the arm, which holds."""
+        try:
+            if self._motion is not None:
+                self.stop()
+            self._drive.keep()
+        finally:
+            self._stack.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _require_free(self) -> None:
+        if self._motion is not None and self._motion.is_alive():
+            raise NotReadyError("the arm is still on its way; wait() for it, or stop() it first")
+
+    def _start(self, motion: MotionThread) -> None:
+        self._motion = motion
+        motion.start()
+
+    def _keep_followed(self, followed: Followed) -> None:
+        self._followed = followed
+
+    def _state(self, time: float, joints: Array, *, moving: bool) -> ArmState:
+        tool = tcp_position(self.arm, joints)
+        cycle = self._drive.last
+        aimed = cycle is not None and bool(np.isfinite(cycle.aim[0]).all())
+        return ArmState(
+            time_s=time, joints_rad=joints.copy(), tool_m=tool, moving=moving,
+            target_m=cycle.target[0] if cycle is not None and aimed else None,
+            error_m=float(np.linalg.norm(cycle.aim[0] - tool)) if cycle is not None and aimed else None,
+        )  # fmt: skip

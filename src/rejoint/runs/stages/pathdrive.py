@@ -1,0 +1,181 @@
+"""One arm along one path, however often: what each time is aimed at, and how well it went.
+
+Who carries the arm, and where that is written, is another's affair: `rejoint.follow` and the arm of `rejoint.connect`
+each bring a `Carrier`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path as FilePath
+from typing import TYPE_CHECKING, Protocol, TypeAlias
+
+import numpy as np
+
+from rejoint.arms import Arm, Array
+from rejoint.control.controller import Controller
+from rejoint.control.correction import Modelled
+from rejoint.control.moving.drive import Followed, Pass, corrected_path, corrector, judge, missed
+from rejoint.control.moving.path import Path, read_path
+from rejoint.control.moving.repeating import learned
+from rejoint.control.moving.routes import LAG, LEAD_IN, Ahead, Stream, played
+from rejoint.control.moving.sender import Sender
+from rejoint.control.moving.servos import Servos
+from rejoint.control.moving.standard import is_standard, standard_path
+from rejoint.control.moving.tracker import Tracker
+from rejoint.control.recording import Recording
+from rejoint.runs.given import Period
+from rejoint.runs.run import Run
+from rejoint.runs.stages.driving import ControllerLike, make_factories
+from rejoint.system.errors import InputError
+
+if TYPE_CHECKING:
+    from rejoint.twin.twin import Twin
+
+PathLike: TypeAlias = "Path | FilePath | str | Array"
+"""A path, its CSV file, the name of a standard one, or (T, 4) times [s] and places [m]"""
+
+TRACKER, SENT = "tracker", "default"
+"""Names of the controller that follows by the twin, and of the path sent as it comes"""
+
+WITHIN = 5e-3
+"""[m] root mean square, after the best single lag, within which a path counts as followed (chosen: as for targets)"""
+
+Factory = Callable[[Arm, float], Controller]
+"""Makes a controller for an arm and the usual length [s] of its control periods"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Piece:
+    """One time along a path."""
+
+    label: str
+    duration: float
+    """[s]"""
+    number: int
+    """from 0"""
+    total: int
+
+
+class Carrier(Protocol):
+    """Drives the arm, and keeps what it does."""
+
+    def approach(self, start: Array, sent: Array) -> Recording:
+        """Bring the arm slowly from the command ``sent`` (1, n) [rad] to the place ``start`` (3,) [m]."""
+
+    def carry(self, guide: Ahead | Stream, controller: Controller, sent: Array, piece: Piece) -> Recording:
+        """Drive the arm behind a guide; ``sent`` (1, n) [rad] is the command in force."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PathDrive:
+    """What an arm is driven along paths by."""
+
+    arm: Arm
+    name: str
+    """of the controller"""
+    make: Factory
+    usual: float
+    """[s] usual length of the control periods"""
+    correction: Modelled | None
+    within: float
+    """[m] root mean square within which a path counts as followed"""
+    carrier: Carrier
+
+    def along(self, path: Path, repeat: int, rate: float | None, sent: Array) -> Followed:
+        """Go along a path, ``repeat`` times, from the command ``sent`` (1, n) [rad]; at a ``rate`` [Hz] it is told."""
+        wanted = path if self.correction is None else corrected_path(self.arm, path, self.correction)
+        duration = LEAD_IN + path.duration + (0.0 if rate is None else LAG)
+        aim, passes = wanted, list[Pass]()
+        last: Recording | None = None
+        for number in range(repeat):
+            sent = self.carrier.approach(wanted.at(0.0), sent).command[-1]
+            guide = Ahead(path=path, aim=aim)
+            piece = Piece(label=self._label(path.name), duration=duration, number=number, total=repeat)
+            told = guide if rate is None else played(wanted, rate)
+            last = self.carrier.carry(told, self.make(self.arm, self.usual), sent, piece)
+            done = judge(self.arm, last, Ahead(path=path, aim=wanted))
+            passes.append(replace(done, log=last.log(0, piece.label)))
+            aim, sent = learned(wanted, aim, *missed(self.arm, last, guide, wanted), number), last.command[-1]
+        return self._followed(path.name, passes, last)
+
+    def behind(self, stream: Stream, duration: float, sent: Array) -> Followed:
+        """Go behind a stream for ``duration`` [s], from the command ``sent`` (1, n) [rad]."""
+        start = stream.place(0.0)
+        if self.correction is not None and stream.corrected is None:
+            stream.corrected = corrector(self.arm, self.correction, start)
+        sent = self.carrier.approach(start, sent).command[-1]
+        piece = Piece(label=self._label("stream"), duration=duration, number=0, total=1)
+        last = self.carrier.carry(stream, self.make(self.arm, self.usual), sent, piece)
+        done = replace(judge(self.arm, last, stream), log=last.log(0, piece.label))
+        return self._followed("stream", [done], last)
+
+    def _label(self, path: str) -> str:
+        return f"follow/{self.name}/{path}"
+
+    def _followed(self, path: str, passes: list[Pass], last: Recording | None) -> Followed:
+        period = float("nan") if last is None else last.usual_period()
+        gaps = () if last is None else tuple(float(gap) for gap in last.gaps() if gap > 0.0)
+        return Followed(
+            path=path, controller=self.name, within=self.within, passes=tuple(passes),
+            period=period if np.isfinite(period) else None, gaps=gaps,
+        )  # fmt: skip
+
+
+def as_path(given: PathLike, arm: Arm, seed: int) -> Path:
+    """Return the path itself, of its file or numbers, or the standard one of that name."""
+    if isinstance(given, Path):
+        return given
+    if isinstance(given, str) and is_standard(given):
+        return standard_path(given, arm, seed)
+    if isinstance(given, str | FilePath):
+        return read_path(FilePath(given))
+    numbers = np.asarray(given, dtype=float)
+    if numbers.ndim != 2 or numbers.shape[-1] != 4:
+        raise InputError(f"path: an array of shape {numbers.shape}, expected (points, 4): time [s] and x, y, z [m]")
+    return Path(time=numbers[:, 0], place=numbers[:, 1:])
+
+
+def followable(given: PathLike | Stream, arm: Arm, seed: int, duration: float | None) -> Path | Stream:
+    """Return the stream, or the path that ``arm`` is able to follow; InputError where it cannot."""
+    if isinstance(given, Stream):
+        if duration is None or not duration > 0.0:
+            raise InputError("follow: a stream needs a duration in seconds for which it is followed")
+        return given
+    path = as_path(given, arm, seed)
+    path.require_followable(arm)
+    return path
+
+
+def require_repeatable(path: PathLike | Stream, repeat: int, rate: float | None) -> None:
+    """Raise InputError where a path cannot be gone along ``repeat`` times."""
+    if repeat < 1 or (repeat > 1 and (rate is not None or isinstance(path, Stream))):
+        raise InputError("follow: to be repeated at least once, and more often only where the path is known ahead")
+
+
+def servos_of(twin: Twin, count: int = 1) -> Servos:
+    """Return what a tracker of ``count`` arms takes from a twin."""
+    own = twin.parameters.repeat(count)
+    return Servos(
+        stiffness=own.stiffness, damping=own.damping, coulomb=own.coulomb, armature=own.armature,
+        torque_limit=own.torque_limit, offset=own.offset, delay=own.delay,
+    )  # fmt: skip
+
+
+def follower(
+    given: ControllerLike, arm: Arm, usual: Period | None, run: Run | None, twin: Twin | None
+) -> tuple[str, Factory]:
+    """Return the name of a controller and what makes it, for each time along the path."""
+    if given == SENT:
+        return SENT, lambda arm, period: Sender(arm)  # noqa: ARG005 - it knows no time
+    if given == TRACKER:
+        if twin is None:
+            raise InputError(
+                "follow: the tracker needs a twin; run `rejoint identify` first, or take --controller default"
+            )
+        return TRACKER, lambda arm, period: Tracker(arm, servos_of(twin), period=period)
+    if isinstance(given, str) and not given.endswith(".onnx"):
+        raise InputError(f"no controller called {given!r} follows paths; known: {TRACKER}, {SENT}")
+    ((name, make),) = make_factories([given], arm, usual, run=run, twin=twin).items()
+    return name, lambda arm, period: make(arm)  # noqa: ARG005 - its own affair

@@ -1,0 +1,222 @@
+"""The controller of a run as files: other runtimes compute the same commands, and a stub of ROS drives an arm."""
+
+import importlib
+import json
+import os
+import subprocess
+import sys
+import types
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from xml.etree import ElementTree
+
+import numpy as np
+import onnx
+import onnxruntime
+import pytest
+import torch
+from ruamel.yaml import YAML
+from torch import nn
+
+import rejoint
+from rejoint.arms import Arm, mycobot280, so101, tcp_position
+from rejoint.control.contract import PolicyContract, law_digests
+from rejoint.control.feedforward import FeedforwardController
+from rejoint.control.loop import Schedule, run
+from rejoint.control.observation import layout_slots
+from rejoint.control.policy import Policy
+from rejoint.control.recording import Recording
+from rejoint.control.residual import CommandLaw
+from rejoint.robots import open_robot
+from rejoint.runs.exporting.bundle import OUTSIDE
+from rejoint.runs.exports import export_run
+from rejoint.runs.run import Run
+from rejoint.training.export import export_policy
+
+ARM = mycobot280()
+JUDGE = Path(os.environ.get("REJOINT_JUDGE", Path(__file__).parents[2] / ".judge"))
+BOUND = 1e-5
+"""[rad] by which other runtimes may differ"""
+
+
+def write_policy(path: Path, arm: Arm, **changes) -> Policy:
+    """A policy with a random network, which does something in every cycle."""
+    n = arm.joints
+    law = CommandLaw(anchor="goal", stiffness=(7.0,) * n, load_penalty=3.0, decay_start=1.0)
+    size = sum(slot.size for slot in layout_slots("residual", n))
+    torch.manual_seed(1)
+    network = nn.Sequential(nn.Linear(size, 16), nn.ELU(), nn.Linear(16, n), nn.Tanh())
+    contract = PolicyContract(
+        arm=arm.name, arm_digests=law_digests(arm), joint_names=arm.joint_names, lower=tuple(arm.lower.tolist()),
+        upper=tuple(arm.upper.tolist()), layout="residual", observation=layout_slots("residual", n),
+        law=replace(law, **changes), min_period=0.018, max_period=0.055, probe=(), twin_digest="", preset="default",
+        seed=0, software="0",
+    )  # fmt: skip
+    export_policy(path, network, contract)
+    return Policy.load(path)
+
+
+def differences(file: Path, recording: Recording) -> np.ndarray:
+    """How far (T,) [rad] commands of a file are from recorded ones that the guard left alone."""
+    session = onnxruntime.InferenceSession(file.read_bytes(), providers=["CPUExecutionProvider"])
+    memory = np.zeros((1, session.get_inputs()[3].shape[1]), np.float32)
+    time, n = recording.time[:, 0], recording.position.shape[-1]
+    found = []
+    for k in range(len(time) - 1):  # in the last row nothing is decided any more
+        feed = {
+            "joint_pos": recording.position[k], "target": recording.aim[k + 1],  # a new one comes with its command
+            "period": [[time[k] - time[max(k - 1, 0)]]], "state_in": memory,
+        }  # fmt: skip
+        if k:
+            memory[0, :n] = recording.command[k - 1, 0]  # what the guard left of it
+        command, memory = session.run(None, {name: np.asarray(value, np.float32) for name, value in feed.items()})
+        if not recording.reasons[k, 0]:
+            found.append(np.abs(command[0] - recording.command[k, 0]).max())
+    return np.array(found)
+
+
+@pytest.mark.parametrize(("arm", "address"), [(ARM, "emulated:worn"), (so101(), "emulated:so101")])
+def test_onnx_runtime_commands_what_our_controller_commands(arm: Arm, address: str, tmp_path: Path) -> None:
+    about = Run.create(tmp_path / "run", address, arm, 0)
+    targets = arm.targets.sample(np.random.default_rng(0), (1, 4))
+    policy = write_policy(about.folder.policy, arm)
+    for controller in (policy.controller(arm), FeedforwardController(arm)):
+        recording = run(open_robot(address, arm=arm, seed=0), controller, targets, Schedule(dwell=2.5))
+        file, _ = export_run(about, "onnx")
+        found = differences(file, recording)
+        assert len(found) > 60
+        assert found.max() < BOUND
+        about.folder.policy.unlink(missing_ok=True)  # then the run has the feed-forward
+
+
+def test_a_file_says_what_it_is_and_what_is_not_in_it(tmp_path: Path) -> None:
+    about = Run.create(tmp_path / "run", "emulated:worn", ARM, 0)
+    write_policy(about.folder.policy, ARM)
+    file, said = export_run(about, "onnx", tmp_path / "mine.onnx")
+    assert OUTSIDE in said
+    told = {prop.key: prop.value for prop in onnx.load(file).metadata_props}
+    assert told["joint_names"] == ",".join(ARM.joint_names)
+    assert told["rejoint.not_inside"] == OUTSIDE
+    assert np.allclose(np.fromstring(told["default_joint_pos"], sep=","), 0.0), "commands are absolute"
+    text = (tmp_path / "mine.yaml").read_text(encoding="utf-8")
+    assert OUTSIDE in text
+    leapp = YAML(typ="safe").load(text)
+    model = leapp["models"]["controller"]
+    session = onnxruntime.InferenceSession(file.read_bytes(), providers=["CPUExecutionProvider"])
+    for side, nodes in (("inputs", session.get_inputs()), ("outputs", session.get_outputs())):
+        assert [(one["name"], one["shape"]) for one in model[side]] == [(node.name, node.shape) for node in nodes]
+        assert all(len(one["element_names"][0]) == one["shape"][1] for one in model[side])
+    assert leapp["pipeline"]["feedback_flow"] == {"controller/state_out": ["controller/state_in"]}
+    write_policy(about.folder.policy, ARM, anchor="sent")
+    with pytest.raises(rejoint.InputError, match="expected 'goal'"):
+        export_run(about, "onnx")
+    with pytest.raises(rejoint.InputError, match=r"ends with \.onnx"):
+        export_run(about, "onnx", tmp_path / "mine.txt")
+
+
+class StubNode:
+    """As much of `rclpy.node.Node` as the node that is written needs."""
+
+    def __init__(self, name):
+        self.name, self.subscriptions, self.sent, self.said, self.time = name, {}, [], [], 0.0
+
+    def declare_parameter(self, name, value):  # noqa: ARG002
+        return SimpleNamespace(value=value)
+
+    def create_publisher(self, kind, topic, depth):  # noqa: ARG002
+        return SimpleNamespace(publish=lambda message: self.sent.append((topic, message.data)))
+
+    def create_subscription(self, kind, topic, callback, quality):  # noqa: ARG002
+        self.subscriptions[topic] = callback
+
+    def create_timer(self, period, callback):
+        self.timer = (period, callback)
+
+    def get_clock(self):
+        return SimpleNamespace(now=lambda: SimpleNamespace(nanoseconds=round(1e9 * self.time)))
+
+    def get_logger(self):
+        return SimpleNamespace(error=self.said.append, warning=self.said.append)
+
+
+@pytest.fixture
+def ros(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A stub of ROS 2."""
+    stubs = {
+        "rclpy": {"init": None, "spin": None}, "rclpy.node": {"Node": StubNode},
+        "rclpy.qos": {"qos_profile_sensor_data": "sensor data"}, "geometry_msgs": {}, "sensor_msgs": {}, "std_msgs": {},
+        "geometry_msgs.msg": {"PointStamped": SimpleNamespace}, "sensor_msgs.msg": {"JointState": SimpleNamespace},
+        "std_msgs.msg": {"Float64MultiArray": SimpleNamespace},
+    }  # fmt: skip
+    for name, content in stubs.items():
+        module = types.ModuleType(name)
+        vars(module).update(content)
+        monkeypatch.setitem(sys.modules, name, module)
+
+
+def test_a_node_drives_an_arm_to_its_target_and_is_silent_without_joint_states(
+    ros: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    about = Run.create(tmp_path / "run", "emulated:worn", ARM, 0)
+    folder, _ = export_run(about, "ros2")
+    ElementTree.parse(folder / "package.xml")
+    parameters = YAML(typ="safe").load((folder / "config/controllers.yaml").read_text(encoding="utf-8"))
+    assert parameters["rejoint_forward"]["ros__parameters"]["joints"] == list(ARM.joint_names)
+    for script in folder.rglob("*.py"):
+        compile(script.read_text(encoding="utf-8"), str(script), "exec")
+    assert not [
+        path for path in folder.rglob("*") if path.is_file() and path.suffix != ".onnx" and b"@P" in path.read_bytes()
+    ]
+    monkeypatch.syspath_prepend(str(folder))
+    node = importlib.import_module("rejoint_mycobot280.node").ControllerNode()
+
+    robot, target = open_robot("emulated:worn", arm=ARM, seed=0), np.array([0.18, 0.03, 0.21])
+    point, header = SimpleNamespace(x=target[0], y=target[1], z=target[2]), SimpleNamespace(frame_id="base_link")
+    _, timer = node.timer
+    timer()
+    assert not node.sent, "nothing is known yet"
+    node.subscriptions["/rejoint/target"](SimpleNamespace(header=header, point=point))
+    state, order = robot.read(), [3, 1, 2, 0, 5, 4]
+    for _ in range(300):
+        node.time = float(state.time[0])
+        names, places = [ARM.joint_names[j] for j in order], state.position[0, order]
+        node.subscriptions["/joint_states"](SimpleNamespace(name=names, position=places))
+        timer()
+        topic, data = node.sent[-1]
+        step = np.clip(np.array(data) - state.position[0], -0.5, 0.5)
+        state = robot.step((state.position[0] + step)[None])
+    assert topic == "/rejoint_forward/commands"
+    assert np.linalg.norm(tcp_position(ARM, state.position[0]) - target) < 3e-3, "a sent target is missed by 20 mm"
+    count = len(node.sent)
+    node.time += 1.0
+    timer()
+    assert len(node.sent) == count
+    assert "no fresh joint state" in node.said[-1]
+    header.frame_id = "camera"
+    node.subscriptions["/rejoint/target"](SimpleNamespace(header=header, point=point))
+    assert "expected base_link" in node.said[-1]
+    assert json.dumps(node.target) == json.dumps(tuple(target))
+
+
+@pytest.mark.skipif(not (JUDGE / "leapp").is_dir(), reason=f"LEAPP is not in {JUDGE}: `make judge` puts it there")
+def test_the_reader_of_nvidia_runs_the_bundle(tmp_path: Path) -> None:
+    about = Run.create(tmp_path / "run", "emulated:worn", ARM, 0)
+    policy = write_policy(about.folder.policy, ARM)
+    file, _ = export_run(about, "onnx")
+    target = ARM.targets.sample(np.random.default_rng(0), (1, 1))
+    recording = run(open_robot("emulated:worn", arm=ARM, seed=0), policy.controller(ARM), target, Schedule(dwell=2.0))
+    period = np.diff(recording.time[:, 0], prepend=recording.time[0, 0])[:, None]
+    rows = np.concatenate([recording.position[:, 0], np.repeat(target[0], len(period), axis=0), period], axis=1)
+    np.save(tmp_path / "states.npy", rows.astype(np.float32))
+    script = Path(__file__).with_name("leapp_judge.py")
+    words = [sys.executable, script, file.with_suffix(".yaml"), tmp_path / "states.npy", tmp_path / "out.npy"]
+    environment = os.environ | {"PYTHONPATH": str(JUDGE)}
+    done = subprocess.run(words, env=environment, capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 0, done.stderr
+    session = onnxruntime.InferenceSession(file.read_bytes(), providers=["CPUExecutionProvider"])
+    memory = np.zeros((1, session.get_inputs()[3].shape[1]), np.float32)
+    for row, command in zip(rows.astype(np.float32), np.load(tmp_path / "out.npy"), strict=True):
+        feed = {"joint_pos": row[None, :-4], "target": row[None, -4:-1], "period": row[None, -1:], "state_in": memory}
+        expected, memory = session.run(None, feed)
+        assert np.allclose(command, expected[0], atol=1e-6)

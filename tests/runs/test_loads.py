@@ -1,0 +1,127 @@
+"""Payloads and tools: told to everything that computes, refused by no policy, noticed where nobody told."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import rejoint
+from rejoint.arms import gravity_torque, mycobot280, position_kinematics, solve_position, tcp_pose, tcp_position
+from rejoint.arms.kinematics import GRAVITY
+from rejoint.arms.loaded import Payload, bare, loaded
+from rejoint.control.controller import ControlInput
+from rejoint.control.feedforward import FeedforwardController
+from rejoint.control.robot import JointState
+from rejoint.robots import open_robot, place_of
+from rejoint.robots.own import unloaded
+from rejoint.runs.run import Run
+from rejoint.runs.stages.driving import guard_limits
+from runs.test_connect import a_twin
+from runs.test_exporting import write_policy
+
+ARM = mycobot280()
+TARGETS = [[0.17, 0.0, 0.2], [0.18, 0.03, 0.21], [0.16, -0.05, 0.22]]
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Path:
+    path = Run.create(tmp_path / "run", "emulated:worn", ARM, 0).path
+    a_twin().save(path / "twin.toml")
+    return path
+
+
+def test_a_payload_pulls_on_joints_by_its_lever_and_a_tool_moves_the_tip() -> None:
+    posture = ARM.rest + 0.2
+    torque = gravity_torque(loaded(ARM, 0.1), posture) - gravity_torque(ARM, posture)
+    np.testing.assert_allclose(torque, -0.1 * position_kinematics(ARM, posture)[1].T @ GRAVITY, atol=1e-12)
+    away = loaded(ARM, Payload(mass=0.1, com=(0.0, 0.0, 0.05)), [0.0, 0.02, 0.08])
+    pose = tcp_pose(ARM, posture)
+    np.testing.assert_allclose(tcp_position(away, posture), pose[:3, 3] + pose[:3, :3] @ [0.0, 0.02, 0.08])
+    levers = position_kinematics(loaded(ARM, tool=[0.0, 0.0, 0.05]), posture)[1]
+    torque = gravity_torque(away, posture) - gravity_torque(ARM, posture)
+    np.testing.assert_allclose(torque, -0.1 * levers.T @ GRAVITY, atol=1e-12)
+    assert bare(away) is ARM
+    assert loaded(ARM) is ARM
+    for payload, tool in ((-0.1, None), (20.0, None), (None, [0.0, 80.0, 0.0]), (None, [0.1])):
+        with pytest.raises(rejoint.InputError, match="expected"):
+            loaded(ARM, payload, tool)
+
+
+def test_an_emulated_arm_carries_what_its_address_says_whatever_was_told() -> None:
+    stands = {}
+    for address, told in (("emulated:worn", 0.0), ("emulated:worn?payload=0.1", 0.0), ("emulated:worn", 0.1)):
+        robot = open_robot(address, arm=loaded(ARM, told))
+        for _ in range(80):
+            state = robot.step(ARM.rest[None])
+        stands[address, told] = state.position[0]
+    empty = stands["emulated:worn", 0.0]
+    np.testing.assert_array_equal(stands["emulated:worn", 0.1], empty)
+    assert np.abs(stands["emulated:worn?payload=0.1", 0.0] - empty).max() > np.radians(0.5)
+    assert place_of("emulated:worn?payload=0.1&seed=3").detail.profile == "worn?seed=3"
+    assert unloaded("emulated:worn?seed=3&payload=0.2") == "emulated:worn?seed=3"
+    with pytest.raises(rejoint.AddressError, match="mass in kg"):
+        place_of("emulated:worn?payload=much")
+
+
+def test_a_tool_is_where_an_emulated_arm_really_has_it() -> None:
+    told = loaded(ARM, tool=[0.0, 0.0, 0.05])
+    robot, plain = open_robot("emulated:healthy", arm=told), open_robot("emulated:healthy", arm=ARM)
+    away = np.linalg.norm(robot.true_tcp() - plain.true_tcp())
+    assert abs(away - 0.05) < 1e-3
+
+
+def test_an_untold_load_is_noticed_and_a_told_one_is_not(run: Path) -> None:
+    said = {}
+    for payload in (None, 0.1):
+        said[payload] = list[str]()
+        rejoint.deploy(
+            "emulated:worn?payload=0.1", "feedforward", TARGETS, run=run, dwell=3.0, payload=payload,
+            say=said[payload].append,
+        )  # fmt: skip
+    assert any("as if the hand carried" in line for line in said[None])
+    assert not any("as if the hand carried" in line for line in said[0.1])
+    quiet = list[str]()
+    rejoint.deploy("emulated:worn", "feedforward", TARGETS, run=run, dwell=3.0, say=quiet.append)
+    assert quiet == []
+
+
+def test_a_told_load_raises_commands_by_what_a_servo_gives_way() -> None:
+    state = JointState(time=np.zeros(1), position=ARM.rest[None], age=np.zeros(1))
+    target = np.array(TARGETS[:1])
+    inputs = ControlInput(state=state, target=target, sent=ARM.rest[None], since_target=np.zeros(1))
+    commands = []
+    for arm in (ARM, loaded(ARM, 0.1)):
+        controller = FeedforwardController(arm, 7.0)
+        controller.reset(inputs, np.ones(1, dtype=bool))
+        commands.append(controller.command(inputs)[0])
+    posture = solve_position(ARM, target, ARM.rest[None]).q[0]
+    expected = -0.1 * position_kinematics(ARM, posture)[1].T @ GRAVITY / 7.0
+    np.testing.assert_allclose(commands[1] - commands[0], expected, atol=1e-9)
+    assert np.abs(expected).max() > np.radians(1.0)
+
+
+def test_a_load_that_no_motor_lifts_is_said_before_the_arm_tries(run: Path) -> None:
+    said = list[str]()
+    with rejoint.connect("emulated:worn", run=run, payload=0.4, say=said.append) as arm:
+        assert said == []
+        with pytest.raises(rejoint.NotReachedError):
+            arm.move_to([0.2, 0.0, 0.12], timeout_s=0.5)
+    assert "Too heavy for the motor of joint2" in said[0]
+    with pytest.raises(rejoint.InputError, match="address"):
+        rejoint.deploy(open_robot("emulated:worn"), "feedforward", TARGETS, run=run, payload=0.1)
+    with pytest.raises(rejoint.InputError, match="need a run"):
+        rejoint.connect("emulated:worn", payload=0.1)
+
+
+def test_a_policy_drives_its_arm_with_a_told_load_and_guard_and_calibration_are_those_of_the_arm(run: Path) -> None:
+    policy = write_policy(run / "policy.onnx", ARM)
+    told = loaded(ARM, 0.1, [0.0, 0.0, 0.03])
+    assert policy.controller(told).arm is told
+    about = Run.open(run)
+    assert guard_limits(about, told, "emulated:worn?payload=0.1").arm is told
+    with pytest.raises(rejoint.ContractError, match="another"):
+        policy.controller(bare(told).__class__(**{**_fields(ARM), "mass": told.mass}))
+
+
+def _fields(arm: rejoint.Arm) -> dict[str, object]:
+    return {name: getattr(arm, name) for name in rejoint.Arm.__dataclass_fields__}
