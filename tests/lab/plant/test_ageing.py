@@ -54,7 +54,9 @@ def test_warmth_is_a_state_and_no_wear() -> None:
     assert Plant(ARM, [cold, warm], seed=0).temperature.tolist() == [[25.0] * 6, [35.0] * 6]
 
 
-@pytest.mark.parametrize("name", ["worn?hours=-1", "worn?hours=x", "worn?hours=1&hours=2", "worn?age=3", "worn?ambient=90"])
+@pytest.mark.parametrize(
+    "name", ["worn?hours=-1", "worn?hours=x", "worn?hours=1&hours=2", "worn?age=3", "worn?ambient=90"]
+)
 def test_options_are_refused_in_words(name: str) -> None:
-    with pytest.raises(ProfileError, match="hours=|ambient="):
+    with pytest.raises(ProfileError, match=r"hours=|ambient="):
         load_wear(name, ARM)

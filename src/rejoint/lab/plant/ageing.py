@@ -35,7 +35,8 @@ _WEAKENING = 0.3  # logarithm by which a damage of one lowers the torque of a mo
 _OFFSET_PER_DEGREE = np.radians(0.02)
 """[rad/K] by which the zero of an STS3215 moves, at most (shared facts on monitoring)"""
 _GREASE_PER_DEGREE = 0.01
-"""[1/K] by which friction falls with warmth (chosen: Bittencourt and Axehill 2012 see viscous friction halve in 47 K)"""
+"""[1/K] by which friction falls with warmth (chosen: Bittencourt and Axehill, J. Dyn. Syst. Meas. Control 134, 2012,
+see viscous friction halve in 47 K)"""
 
 _DRIVE, _FRICTION, _GEAR = range(3)
 _ADDED = {"coulomb": _FRICTION, "stiction": _FRICTION, "load_friction": _FRICTION, "ripple": _FRICTION,

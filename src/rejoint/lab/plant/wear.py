@@ -88,7 +88,9 @@ class Wear:
             )
 
 
-PARAMETERS = tuple(field.name for field in fields(Wear) if field.name not in ("name", "play_in_loop", "offset", "ambient"))
+PARAMETERS = tuple(
+    field.name for field in fields(Wear) if field.name not in ("name", "play_in_loop", "offset", "ambient")
+)
 """The names of the per-joint parameters that every profile gives."""
 _POSITIVE = ("position_gain", "torque_limit", "link_stiffness", "reflected_inertia")
 _FILE_NAMES = tuple("play_deg" if name == "play" else name for name in PARAMETERS)
@@ -112,7 +114,9 @@ def wear_names() -> tuple[str, ...]:
 
 
 def load_wear(name: str, arm: Arm) -> Wear:
-    """Load a profile for ``arm``: a name of `wear_names` or the path of a TOML file, and options as ``?seed=3&hours=500``.
+    """Load a profile for ``arm``: a name of `wear_names` or the path of a TOML file, each with options or without.
+
+    Options stand behind it, as in ``worn?seed=3&hours=500``.
 
     A profile that scales is brought to the size of the arm, see `rejoint.lab.plant.scaling`; one that belongs to
     another arm is refused. ``seed=N`` draws every parameter of every joint from +-30 % around the profile; ``hours=H``
@@ -183,7 +187,7 @@ def parse_wear(text: str, *, name: str, joints: int) -> Wear:
             f"wear {name}: [joints] lacks {sorted(missing)} and has unknown {sorted(unknown)}; "
             f"fields: {', '.join(_FILE_NAMES)}; optional: {', '.join(_OPTIONAL_NAMES)}"
         )
-    values = {field: _per_joint(table[field], field, name, joints) for field in _FILE_NAMES}
+    values: dict[str, Any] = {field: _per_joint(table[field], field, name, joints) for field in _FILE_NAMES}
     values["play"] = np.radians(values.pop("play_deg"))
     offset = np.radians(_per_joint(table.get("offset_deg", 0.0), "offset_deg", name, joints))
     return Wear(name=name, play_in_loop=data.get("play_in_loop", False), offset=offset, **values)
@@ -192,7 +196,7 @@ def parse_wear(text: str, *, name: str, joints: int) -> Wear:
 def scale_wear(wear: Wear, arm: Arm) -> Wear:
     """Bring the profile of a myCobot 280 to the size of ``arm``."""
     scale = scale_of(arm)
-    values = {name: getattr(wear, name)[scale.row] for name in (*PARAMETERS, "offset")}
+    values: dict[str, Any] = {name: getattr(wear, name)[scale.row] for name in (*PARAMETERS, "offset")}
     for name in _TORQUES:
         values[name] = values[name] * scale.torque
     values["damping_gain"] = values["damping_gain"] * (scale.torque * scale.time)
