@@ -2,8 +2,8 @@
 
 Exit codes: 0 done; 1 a bug, here or in the driver of another package; 2 input that cannot be used; 3 the guard stopped
 the motion; 4 the robot failed; 5 done, but not all targets were reached, or the path was not followed; 6 checked, and
-the arm drifts; 7 checked, and it is an alarm, or the tolerance is reached; 128 and the number of the signal, such as 130
-for Ctrl-C and 143 for SIGTERM, interrupted.
+the arm drifts; 7 checked, and it is an alarm, or the tolerance is reached; 128 and the number of the signal, such as
+130 for Ctrl-C and 143 for SIGTERM, interrupted.
 Results go to standard output, everything else to standard error.
 """
 
