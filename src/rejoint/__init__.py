@@ -115,13 +115,13 @@ _HOME = {name: home for home, names in _HOMES.items() for name in names}
 
 __all__ = [
     "AddressError", "Arm", "ArmState", "Calibrated", "Calibration", "Checked", "Compared", "Comparison",
-    "ConnectionLostError", "ContractError", "Controller", "Deployed", "Diagnosed", "Diagnosis", "DrivenArm", "FileError", "Followed",
-    "GuardTripError", "ImpossibleReplyError", "InputError", "Interrupted", "Judgement", "Loaded", "Measurements",
-    "MissingExtraError", "NoReplyError", "NotReachedError", "NotReadyError", "Path", "Policy", "PowerLostError",
-    "ProfileError", "Progress", "Recommendation", "RejointError", "Repaired", "Replayed", "Robot", "RobotError", "Run",
-    "RunLog", "Serving", "Stage", "StaleReplyError", "Stream", "TrainedPolicy", "Twin", "UnsavedError", "__version__",
-    "calibrate", "check", "compare", "connect", "deploy", "diagnose", "follow", "identify", "load_arm", "read_arm",
-    "repair", "replay", "report", "serve", "train",
+    "ConnectionLostError", "ContractError", "Controller", "Deployed", "Diagnosed", "Diagnosis", "DrivenArm",
+    "FileError", "Followed", "GuardTripError", "ImpossibleReplyError", "InputError", "Interrupted", "Judgement",
+    "Loaded", "Measurements", "MissingExtraError", "NoReplyError", "NotReachedError", "NotReadyError", "Path",
+    "Policy", "PowerLostError", "ProfileError", "Progress", "Recommendation", "RejointError", "Repaired", "Replayed",
+    "Robot", "RobotError", "Run", "RunLog", "Serving", "Stage", "StaleReplyError", "Stream", "TrainedPolicy", "Twin",
+    "UnsavedError", "__version__", "calibrate", "check", "compare", "connect", "deploy", "diagnose", "follow",
+    "identify", "load_arm", "read_arm", "repair", "replay", "report", "serve", "train",
 ]  # fmt: skip
 
 

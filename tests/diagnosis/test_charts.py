@@ -14,7 +14,7 @@ def seasons(rng: np.random.Generator, count: int) -> np.ndarray:
     return 23 + 5 * np.sin(2 * np.pi * (np.arange(count) + rng.integers(12)) / 12) + rng.normal(0, 1.5, count)
 
 
-def test_nothing_is_said_before_there_is_a_baseline() -> None:
+def test_nothing_is_said_before_there_is_a_norm() -> None:
     drawn = chart(np.arange(FEWEST, dtype=float), COLD[:FEWEST], scatter=SCATTER, per_degree=0.1)
     assert drawn.state == "learning"
     assert np.isnan(drawn.z).all()

@@ -1,7 +1,6 @@
 """The check of an emulated arm, from motion to rows; one of them is driven for the whole file."""
 
 import json
-from collections.abc import Iterator
 from dataclasses import replace
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -113,11 +112,10 @@ def test_guarded_and_in_batches_bit_for_bit(checked: tuple[rejoint.Checked, Path
 
 
 @pytest.fixture
-def stood_in(checked: tuple[rejoint.Checked, Path], monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+def stood_in(checked: tuple[rejoint.Checked, Path], monkeypatch: pytest.MonkeyPatch) -> None:
     """Let checks take the log of the one that was driven: what is tried here is what becomes of it."""
     log = RunLog.load(checked[0].folder / "check.parquet")
     monkeypatch.setattr(stage, "_drive", lambda *_: (log, np.full(ARM.joints, 25.0)))
-    yield
 
 
 @pytest.mark.usefixtures("stood_in")
@@ -137,7 +135,7 @@ def test_a_history_grows_and_begins_anew(tmp_path: Path) -> None:
     other = replace(ARM, mass=1.1 * ARM.mass)
     changed = once(12, arm=other)
     assert changed.outlook.checks == 1
-    assert read_rows(changed.folder / SUMMARY)[0].baseline == "set up"
+    assert read_rows(changed.folder / SUMMARY)[0].norm == "set up"
     with pytest.raises(InputError, match="later date"):
         once(3)
 

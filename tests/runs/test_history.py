@@ -18,7 +18,6 @@ from rejoint.runs.history.prometheus import prometheus_text
 from rejoint.runs.history.rows import SUMMARY, HistoryRow, find_rows, read_rows, write_rows
 from rejoint.runs.history.sql import ask
 from rejoint.runs.history.table import arms_of, cells
-from rejoint.runs.stages.check import Checked
 from rejoint.system.errors import FileError, InputError
 
 BEGIN = datetime(2027, 1, 1)
@@ -95,13 +94,13 @@ def test_many_write_at_once(tmp_path: Path) -> None:
     ("rows", "count"),
     [
         ([head(0), head(1), head(2)], 3),
-        ([head(0), head(1), head(2, baseline="moved"), head(3)], 2),
+        ([head(0), head(1), head(2, norm="moved"), head(3)], 2),
         ([head(0), head(1), head(1.5, kind="repair", arm="mycobot280-tcp-10.0.0.1-9000"), head(2)], 1),
         ([head(0), head(1), head(1.5, kind="run"), head(2)], 3),
         ([head(0), head(1, arm="a2"), head(2)], 2),
     ],
 )
-def test_a_repair_or_a_moved_arm_begin_a_new_baseline(rows: list[HistoryRow], count: int) -> None:
+def test_a_repair_or_a_moved_arm_begin_a_new_norm(rows: list[HistoryRow], count: int) -> None:
     every = [row for one in rows for row in (rows_of(one, measures()) if one.kind == "check" else [one])]
     past, setup = visits_of(every, "a1", name_of("tcp://10.0.0.1:9000", "mycobot280"))
     assert len(past) == count
@@ -187,7 +186,7 @@ def test_prometheus_reads_every_line() -> None:
         state="alarm", checks=9, since=BEGIN, changes=(change,), error_mm=2.5, error_known=False, tolerance_mm=3.0,
         due=Due(early=BEGIN, middle=None, late=None),
     )  # fmt: skip
-    text = prometheus_text(Checked(arm="a7", robot="R", line="", outlook=seen, measures=measures(), folder=Path()))
+    text = prometheus_text("a7", seen, measures())
     samples = [line for line in text.splitlines() if not line.startswith("#")]
     assert 'rejoint_error_mm{arm="a7",by="encoders"} 2.5' in samples
     assert 'rejoint_state{arm="a7",state="alarm"} 1' in samples

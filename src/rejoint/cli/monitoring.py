@@ -33,9 +33,9 @@ def check(
         datetime | None, typer.Option(help="Date of the check, by default now; for trying years in minutes.")
     ] = None,
     moved: Annotated[
-        bool, typer.Option("--moved", help="The arm was moved, or its zeros set anew: begin a new baseline.")
+        bool, typer.Option("--moved", help="The arm was moved, or its zeros set anew: begin a new norm.")
     ] = False,
-    repeat: Annotated[int, typer.Option(help="Checks in a row; 5 after a repair are a baseline.", min=1)] = 1,
+    repeat: Annotated[int, typer.Option(help="Checks in a row; 5 after a repair are a norm.", min=1)] = 1,
     prometheus: Annotated[
         Path | None, typer.Option(help="Write the result for Prometheus here, as its node exporter reads text files.")
     ] = None,
@@ -69,7 +69,7 @@ def check(
     if prometheus is not None:
         from rejoint.runs.history.prometheus import write_prometheus
 
-        write_prometheus(prometheus, found)
+        write_prometheus(prometheus, found.arm, found.outlook, found.measures)
     terminal.finish(
         {"arm": found.arm, "robot": found.robot, "line": found.line, "outlook": found.outlook,
          "measures": found.measures, "folder": found.folder}

@@ -15,9 +15,9 @@ import numpy as np
 from rejoint.arms import Array
 
 FEWEST = 5
-"""Checks that a baseline needs (shared facts on monitoring: 5 to 8)"""
+"""Checks that a norm needs (shared facts on monitoring: 5 to 8)"""
 MOST = 8
-"""Checks that a baseline takes in, as they come"""
+"""Checks that a norm takes in, as they come"""
 WEIGHT = 0.25
 """Of the newest check in the EWMA (shared facts on monitoring)"""
 DRIFTING = 2.7 * (WEIGHT / (2.0 - WEIGHT)) ** 0.5
@@ -30,7 +30,7 @@ ALARM = 5.0
 CUT = 4.0
 """Standard deviations as which a larger distance counts, so that no single odd check is an alarm"""
 PRIOR_CHECKS = 6.0
-"""Checks that what is known of the scatter before counts for (chosen: a baseline of five alone would often have next to
+"""Checks that what is known of the scatter before counts for (chosen: a norm of five alone would often have next to
 none, and call out at nothing)"""
 
 State = Literal["learning", "steady", "drifting", "alarm"]
@@ -39,7 +39,7 @@ State = Literal["learning", "steady", "drifting", "alarm"]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Chart:
-    """One quantity of one arm since its baseline began; T checks, the newest last."""
+    """One quantity of one arm since its norm began; T checks, the newest last."""
 
     z: Array
     """(T,) distance from what is usual at that warmth, in standard deviations; NaN in the first `FEWEST` checks"""
@@ -48,9 +48,9 @@ class Chart:
     cusum: Array
     """(T,) the larger of both sides, positive where the quantity grows"""
     usual: float
-    """mean of the baseline, at its own warmth"""
+    """mean of the norm, at its own warmth"""
     change: float
-    """newest value, at the warmth of the baseline, less `usual`"""
+    """newest value, at the warmth of the norm, less `usual`"""
     state: State
     since: int | None
     """index of the last check before the quantity began to leave, as the CUSUM sees it; None where it has not"""
@@ -70,7 +70,7 @@ def chart(value: Array, temperature: Array, *, scatter: float, per_degree: float
     usual, change, since = float(np.mean(value)) if count else 0.0, 0.0, None
     for t in range(FEWEST, count):
         seen = slice(t + 1)
-        mean, slope, deviation = _baseline(value[seen], warm[seen], min(t, MOST), scatter, per_degree)
+        mean, slope, deviation = _norm(value[seen], warm[seen], min(t, MOST), scatter, per_degree)
         usual, change = mean, float(value[t] - mean - slope)
         z[t] = change / deviation
         step = float(np.clip(z[t], -CUT, CUT))
@@ -90,7 +90,7 @@ def chart(value: Array, temperature: Array, *, scatter: float, per_degree: float
     )  # fmt: skip
 
 
-def _baseline(value: Array, warm: Array, count: int, scatter: float, per_degree: float) -> tuple[float, float, float]:
+def _norm(value: Array, warm: Array, count: int, scatter: float, per_degree: float) -> tuple[float, float, float]:
     """Mean of the first ``count`` checks, what warmth adds to the last one, and the standard deviation of that one.
 
     The scatter is that of neighbouring checks, which a slow change hardly widens, with what is known of it before. The

@@ -70,7 +70,7 @@ class Due:
 
 @dataclass(frozen=True, kw_only=True)
 class Outlook:
-    """How an arm stands by its checks since its baseline began."""
+    """How an arm stands by its checks since its norm began."""
 
     state: State
     checks: int
@@ -93,7 +93,7 @@ class Outlook:
 
 
 def outlook(visits: Sequence[PastCheck], tolerance_mm: float | None = None) -> Outlook:
-    """Judge an arm by its checks since the baseline began, the oldest first; there is at least one."""
+    """Judge an arm by its checks since the norm began, the oldest first; there is at least one."""
     newest = visits[-1].measures
     warm = np.array([_nan(visit.measures.temperature_c) for visit in visits])
     drawn = [_change(visits, *one) for one in _quantities(visits, warm)]

@@ -21,7 +21,7 @@ def rows_of(head: HistoryRow, measures: CheckMeasures) -> list[HistoryRow]:
     return [tool, *(replace(head, **asdict(joint)) for joint in measures.joints)]
 
 
-def told(rows: Sequence[HistoryRow], found: Outlook, line: str) -> list[HistoryRow]:
+def with_outlook(rows: Sequence[HistoryRow], found: Outlook, line: str) -> list[HistoryRow]:
     """Add to the rows of a check how the arm stands by it, and each joint."""
     due = found.due
     joints = {name: _worst(found, name) for name in {row.joint for row in rows}}
@@ -34,7 +34,7 @@ def told(rows: Sequence[HistoryRow], found: Outlook, line: str) -> list[HistoryR
 
 
 def visits_of(rows: Sequence[HistoryRow], arm: str, key: str) -> tuple[list[PastCheck], str]:
-    """Return the checks of an arm since its baseline began, the oldest first, and the setup of the newest.
+    """Return the checks of an arm since its norm began, the oldest first, and the setup of the newest.
 
     ``key`` is the name that the arm has by its address alone: a repair of that arm counts, whatever its name is.
     """
@@ -51,7 +51,7 @@ def visits_of(rows: Sequence[HistoryRow], arm: str, key: str) -> tuple[list[Past
             measures = None if head is None else _measures(head, [row for row in members if row.joint])
             if head is None or measures is None:
                 continue
-            visits, setup = [] if head.baseline else visits, head.setup
+            visits, setup = [] if head.norm else visits, head.setup
             visits.append(PastCheck(time=head.time, measures=measures, used_h=head.used_h))
     return visits, setup
 

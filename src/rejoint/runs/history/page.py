@@ -68,7 +68,7 @@ def _joints(arms: Sequence[ArmHistory]) -> Section:
     rows = []
     for arm in arms:
         checks = [row.time for row in arm.rows if row.kind == "check"]
-        begun = max((row.time for row in arm.rows if row.kind == "repair" or row.baseline), default=datetime.min)
+        begun = max((row.time for row in arm.rows if row.kind == "repair" or row.norm), default=datetime.min)
         mine = [time for time in checks if time >= begun]
         if len(mine) < 2:
             continue
@@ -112,7 +112,7 @@ def trend_svg(arm: ArmHistory) -> Markup:
     parts += [
         f'<path d="M{x(row.time):.1f} {_EDGE / 2}V{floor}" stroke="currentColor" opacity=".5"/>'
         for row in rows
-        if row.kind == "repair" or row.baseline
+        if row.kind == "repair" or row.norm
     ]
     if limit is not None:
         parts.append(

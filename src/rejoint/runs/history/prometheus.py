@@ -4,26 +4,23 @@ from __future__ import annotations
 
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from rejoint.diagnosis.monitoring.judge import Outlook
+from rejoint.diagnosis.monitoring.measures import CheckMeasures
 from rejoint.system.files import write_whole
-
-if TYPE_CHECKING:
-    from rejoint.runs.stages.check import Checked
 
 _STATES = ("learning", "steady", "drifting", "alarm")
 
 
-def write_prometheus(path: Path, found: Checked) -> None:
-    """Write a check into ``path``, whole or not at all; FileError if it cannot."""
-    text = prometheus_text(found)
+def write_prometheus(path: Path, name: str, seen: Outlook, measures: CheckMeasures) -> None:
+    """Write the check of the arm ``name`` into ``path``, whole or not at all; FileError if it cannot."""
+    text = prometheus_text(name, seen, measures)
     write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
 
 
-def prometheus_text(found: Checked) -> str:
+def prometheus_text(name: str, seen: Outlook, measures: CheckMeasures) -> str:
     """Return the metrics of a check in Prometheus' text format; times are seconds since 1970."""
-    seen, measures = found.outlook, found.measures
-    arm = f'arm="{_escaped(found.arm)}"'
+    arm = f'arm="{_escaped(name)}"'
     lines: list[str] = []
 
     def metric(name: str, what: str, values: list[tuple[str, float]]) -> None:

@@ -52,9 +52,9 @@ class HistoryRow:
     version: str = __version__
     """of the software"""
     setup: str = ""
-    """fingerprint of the arm's description and calibration; with another one a new baseline begins"""
-    baseline: str = ""
-    """why a new baseline begins with this row: repaired, moved or set up; empty where none does"""
+    """fingerprint of the description of the arm; with another one a new norm begins"""
+    norm: str = ""
+    """why a new norm begins with this check: moved, or set up with another description; empty where none does"""
     used_h: float | None = None
     """[h] of use so far, where the owner counts them"""
     temperature_c: float | None = None

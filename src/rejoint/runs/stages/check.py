@@ -13,7 +13,7 @@ from rejoint.control.robot import Robot
 from rejoint.logs.journal import Journal
 from rejoint.logs.runlog import RunLog
 from rejoint.runs.given import FIRST_ROBOT, ArmLike, Period, RobotLike, address_of, arm_of, opened
-from rejoint.runs.history.checks import rows_of, told, visits_of
+from rejoint.runs.history.checks import rows_of, visits_of, with_outlook
 from rejoint.runs.history.identity import hours_of, name_of, plain_name, setup_of
 from rejoint.runs.history.rows import SUMMARY, HistoryRow, find_rows, utc_now, write_rows
 from rejoint.runs.run import RUNS
@@ -171,7 +171,7 @@ def _once(
         arm=head.arm, robot=head.robot, line=line, outlook=found, measures=measures, folder=folder, unread=unread
     )
     with saving(result):
-        write_rows(folder / SUMMARY, told(rows_of(replace(head, baseline=begins), measures), found, line))
+        write_rows(folder / SUMMARY, with_outlook(rows_of(replace(head, norm=begins), measures), found, line))
     return result
 
 
