@@ -18,7 +18,8 @@ from rejoint.diagnosis.segments import attach_segments
 from rejoint.lab.plant.wear import load_wear
 from rejoint.logs.runlog import RunLog
 from rejoint.robots.emulated import EmulatedRobot
-from rejoint.runs.history.rows import SUMMARY, find_rows, read_rows, write_rows
+from rejoint.runs.history.index import find_rows
+from rejoint.runs.history.rows import SUMMARY, read_rows, write_rows
 from rejoint.runs.stages import check as stage
 from rejoint.system.errors import InputError
 

@@ -13,9 +13,10 @@ from rejoint.diagnosis.monitoring.measures import CheckMeasures, JointCheck
 from rejoint.diagnosis.monitoring.words import say
 from rejoint.runs.history.checks import rows_of, visits_of
 from rejoint.runs.history.identity import hours_of, name_of
+from rejoint.runs.history.index import INDEX, find_rows
 from rejoint.runs.history.page import history_page, write_history
 from rejoint.runs.history.prometheus import prometheus_text
-from rejoint.runs.history.rows import SUMMARY, HistoryRow, find_rows, read_rows, write_rows
+from rejoint.runs.history.rows import SUMMARY, HistoryRow, read_rows, write_rows
 from rejoint.runs.history.sql import ask
 from rejoint.runs.history.table import arms_of, cells
 from rejoint.system.errors import FileError, InputError
@@ -88,6 +89,24 @@ def test_many_write_at_once(tmp_path: Path) -> None:
     assert not unread
     assert not any(problems)
     assert len(rows) == 4 * 15 * 3
+
+
+def test_what_was_read_once_is_a_copy_and_no_more(tmp_path: Path) -> None:
+    """The copy follows files that come, change and go, and is made anew where it is damaged or missing."""
+    paths = [put(tmp_path / "checks", f"a{i}/t", rows_of(head(i, arm=f"a{i}"), measures())) for i in range(3)]
+    first = find_rows(tmp_path)
+    assert find_rows(tmp_path) == first
+    assert len(first[0]) == 9
+    paths[0].unlink()
+    write_rows(paths[1], rows_of(head(1, arm="a1"), measures(error=9.0)))
+    put(tmp_path, "run", [head(5, arm="a9", kind="repair")])
+    rows = find_rows(tmp_path)[0]
+    assert {row.arm for row in rows} == {"a1", "a2", "a9"}
+    assert [row.error_mm for row in rows if row.arm == "a1" and not row.joint] == [9.0]
+    assert {row.arm for row in find_rows(tmp_path, "a2")[0]} == {"a2", "a9"}
+    for damage in (b"", b"PAR1", (tmp_path / INDEX).read_bytes()[:-9]):
+        (tmp_path / INDEX).write_bytes(damage)
+        assert find_rows(tmp_path)[0] == rows
 
 
 @pytest.mark.parametrize(

@@ -90,7 +90,7 @@ def history(
 
     Example: `rejoint history runs --sql "select arm, max(error_mm) from history where joint = '' group by arm"`
     """
-    from rejoint.runs.history.rows import find_rows
+    from rejoint.runs.history.index import find_rows
     from rejoint.runs.history.table import HEADERS, arms_of, cells
 
     terminal = Terminal(json=json)

@@ -119,29 +119,33 @@ def write_rows(path: Path, rows: Sequence[HistoryRow]) -> None:
     write_whole(path, lambda temporary: pq.write_table(table, temporary, write_page_checksum=True))
 
 
-def read_rows(path: Path) -> list[HistoryRow]:
-    """Read a file of summary rows; FileError if it is damaged, of a later version, or holds something else."""
+def read_table(path: Path) -> pa.Table:
+    """Read a file of summary rows as a table of `SCHEMA`, checksums included.
+
+    FileError if it is damaged, of a later version, or holds something else.
+    """
+    remedy = "delete it; the other files are not concerned"
     try:
-        table = read_parquet(path, "delete it; the other files are not concerned")
+        table = read_parquet(path, remedy)
         version = int((table.schema.metadata or {}).get(_FORMAT_KEY, b"0"))
         if not 1 <= version <= FORMAT:
             raise FileError(path, f"summary rows of format {version}, expected {FORMAT}", "update rejoint")
-        known = table.select([name for name in table.column_names if name in SCHEMA.names])
-        return [HistoryRow(**row) for row in known.to_pylist()]
+        count, found = len(table), table.column_names
+        columns = [table[item.name] if item.name in found else pa.nulls(count, item.type) for item in SCHEMA]
+        return pa.table(columns, schema=SCHEMA)
     except (OSError, pa.ArrowException, TypeError, ValueError) as error:
-        raise FileError(
-            path, f"damaged ({first_line(error)})", "delete it; the other files are not concerned"
-        ) from error
+        raise FileError(path, f"damaged ({first_line(error)})", remedy) from error
 
 
-def find_rows(folder: Path) -> tuple[list[HistoryRow], tuple[str, ...]]:
-    """Read all summary rows below a folder, the oldest first, and say which files could not be read."""
-    rows: list[HistoryRow] = []
-    problems = []
-    for path in sorted(folder.glob(f"**/{SUMMARY}")):
-        try:
-            rows += read_rows(path)
-        except FileError as error:
-            problems.append(str(error))
-    rows.sort(key=lambda row: (row.arm, row.time, row.kind, row.joint))
-    return rows, tuple(problems)
+def read_rows(path: Path) -> list[HistoryRow]:
+    """Read a file of summary rows; errors as `read_table`."""
+    return rows_from(read_table(path))
+
+
+def rows_from(table: pa.Table) -> list[HistoryRow]:
+    """Return the rows of a table of `SCHEMA`; text that is missing in it is empty."""
+    texts = {item.name for item in SCHEMA if item.type == pa.string()}
+    return [
+        HistoryRow(**{name: "" if value is None and name in texts else value for name, value in row.items()})
+        for row in table.to_pylist()
+    ]

@@ -1,11 +1,11 @@
-"""SQL over the summary rows of a folder, which DuckDB reads where they lie."""
+"""SQL over the summary rows of a folder, by DuckDB."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import Any
 
-from rejoint.runs.history.rows import SUMMARY, read_rows
+from rejoint.runs.history.index import find_table
 from rejoint.system.errors import FileError, InputError, first_line
 from rejoint.system.extras import require
 
@@ -20,22 +20,14 @@ def ask(folder: Path, query: str) -> tuple[list[str], list[tuple[Any, ...]]]:
     require("rejoint history --sql", "history")
     import duckdb
 
-    files = [path for path in sorted(folder.glob(f"**/{SUMMARY}")) if _is_readable(path)]
-    if not files:
+    table, _ = find_table(folder)
+    if not len(table):
         raise FileError(folder, "no run and no check has left rows here", "check an arm first: rejoint check ROBOT")
     with duckdb.connect() as connection:
-        connection.read_parquet([str(path) for path in files], union_by_name=True).to_table("history")
+        connection.from_arrow(table).to_table("history")
         connection.execute("set enable_external_access = false")
         try:
             found = connection.execute(query)
+            return [column[0] for column in found.description], found.fetchall()
         except duckdb.Error as error:
             raise InputError(f"--sql: {first_line(error)}") from error
-        return [column[0] for column in found.description], found.fetchall()
-
-
-def _is_readable(path: Path) -> bool:
-    try:
-        read_rows(path)
-    except FileError:
-        return False
-    return True

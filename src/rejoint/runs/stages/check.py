@@ -15,7 +15,8 @@ from rejoint.logs.runlog import RunLog
 from rejoint.runs.given import FIRST_ROBOT, ArmLike, Period, RobotLike, address_of, arm_of, opened
 from rejoint.runs.history.checks import rows_of, visits_of, with_outlook
 from rejoint.runs.history.identity import hours_of, name_of, plain_name, setup_of
-from rejoint.runs.history.rows import SUMMARY, HistoryRow, find_rows, utc_now, write_rows
+from rejoint.runs.history.index import CHECKS, find_rows
+from rejoint.runs.history.rows import SUMMARY, HistoryRow, utc_now, write_rows
 from rejoint.runs.run import RUNS
 from rejoint.system.errors import InputError
 from rejoint.system.files import require_space, saving
@@ -150,7 +151,7 @@ def _once(
     from rejoint.diagnosis.monitoring.measures import measure_check
     from rejoint.diagnosis.monitoring.words import say
 
-    rows, unread = find_rows(home)
+    rows, unread = find_rows(home, head.arm)
     past, setup = visits_of(rows, head.arm, key)
     begins = "moved" if moved else "set up" if past and setup != head.setup else ""
     past = [] if begins else past
@@ -161,7 +162,7 @@ def _once(
             f"date than that, got {head.time:%Y-%m-%d %H:%M}"
         )
     tolerance = head.tolerance_mm if head.tolerance_mm is not None or not mine else mine[-1].tolerance_mm
-    folder = home / "checks" / head.arm / f"{head.time:%Y%m%dT%H%M%S}-{os.urandom(2).hex()}"
+    folder = home / CHECKS / head.arm / f"{head.time:%Y%m%dT%H%M%S}-{os.urandom(2).hex()}"
     with noted(), opened(robot, arm, len(mine) if seed is None else seed, period) as connection:
         log, warm = _drive(connection, folder, on_progress)
     measures = measure_check(arm, log, warm)
