@@ -49,7 +49,7 @@ def find_table(folder: Path) -> tuple[pa.Table, tuple[str, ...]]:
     known = known.filter(pc.is_in(known[_FILE], pa.array(list(paths), pa.string())))
     seen = set(known[_FILE].to_pylist())
     fresh, problems = _read({key: path for key, path in paths.items() if key not in seen})
-    table = pa.concat_tables([known, fresh])
+    table = pa.concat_tables([known, fresh]).combine_chunks()
     if len(fresh):
         with suppress(FileError):  # a folder that may only be read is read again the next time
             write_whole(folder / INDEX, lambda temporary: pq.write_table(table, temporary, write_page_checksum=True))
@@ -66,7 +66,7 @@ def _read(paths: dict[str, Path]) -> tuple[pa.Table, tuple[str, ...]]:
             tables.append(table.append_column(_FILE, pa.array([key] * len(table), pa.string())))
         except FileError as error:
             problems.append(str(error))
-    return pa.concat_tables([_INDEXED.empty_table(), *tables]), tuple(problems)
+    return pa.concat_tables([_INDEXED.empty_table(), *tables]).combine_chunks(), tuple(problems)
 
 
 def _copy(folder: Path) -> pa.Table:

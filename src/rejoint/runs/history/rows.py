@@ -145,7 +145,8 @@ def read_rows(path: Path) -> list[HistoryRow]:
 def rows_from(table: pa.Table) -> list[HistoryRow]:
     """Return the rows of a table of `SCHEMA`; text that is missing in it is empty."""
     texts = {item.name for item in SCHEMA if item.type == pa.string()}
-    return [
-        HistoryRow(**{name: "" if value is None and name in texts else value for name, value in row.items()})
-        for row in table.to_pylist()
-    ]
+    found = []
+    for row in table.to_pylist():
+        values: dict[str, Any] = {name: "" if value is None and name in texts else value for name, value in row.items()}
+        found.append(HistoryRow(**values))
+    return found
