@@ -121,7 +121,7 @@ def grown_at(arm: Sequence[CheckMeasures]) -> float:
 def dates_hold(arm: Sequence[CheckMeasures], start: int, stop: int) -> list[bool]:
     """Whether intervals of predictions in the months from ``start`` to ``stop`` hold what came then, every third one.
 
-    What lies beyond the last month counts as held where the interval reaches beyond it, too.
+    What lies beyond the last month counts as held where the interval does not end before it.
     """
     past, error = history(arm), [one.error_mm for one in arm]
     limit = error[0] + TOLERANCE
@@ -136,7 +136,7 @@ def dates_hold(arm: Sequence[CheckMeasures], start: int, stop: int) -> list[bool
             continue
         low = (due.early - BEGIN) / timedelta(days=30.4)
         high = np.inf if due.late is None else (due.late - BEGIN) / timedelta(days=30.4)
-        held.append(low <= min(reached, DATES[len(past) - 1] + 1) <= high or (not np.isfinite(reached) and low > month))
+        held.append(low <= reached <= high if np.isfinite(reached) else high >= DATES[len(past) - 1])
     return held
 
 

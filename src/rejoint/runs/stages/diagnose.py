@@ -198,6 +198,7 @@ def _from_logs(
         )
         if run is not None:
             write_json(run.begin().folder.diagnosis, found)
+            summarise(run)
     return found
 
 
