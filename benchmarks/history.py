@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 
 from rejoint.diagnosis.monitoring.measures import CheckMeasures, JointCheck
+from rejoint.logs.history.index import CHECKS, find_rows
+from rejoint.logs.history.rows import SUMMARY, HistoryRow, write_rows
+from rejoint.logs.history.sql import ask
 from rejoint.runs.history.checks import rows_of
-from rejoint.runs.history.index import CHECKS, find_rows
 from rejoint.runs.history.page import write_history
-from rejoint.runs.history.rows import SUMMARY, HistoryRow, write_rows
-from rejoint.runs.history.sql import ask
 from rejoint.runs.history.table import arms_of
 
 ARMS, VISITS, JOINTS = 100, 24, 6

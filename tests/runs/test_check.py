@@ -16,10 +16,10 @@ from rejoint.diagnosis.monitoring.record import record_check
 from rejoint.diagnosis.monitoring.routine import CYCLES, POSES, iso_poses, plan_check
 from rejoint.diagnosis.segments import attach_segments
 from rejoint.lab.plant.wear import load_wear
+from rejoint.logs.history.index import find_rows
+from rejoint.logs.history.rows import SUMMARY, read_rows, write_rows
 from rejoint.logs.runlog import RunLog
 from rejoint.robots.emulated import EmulatedRobot
-from rejoint.runs.history.index import find_rows
-from rejoint.runs.history.rows import SUMMARY, read_rows, write_rows
 from rejoint.runs.stages import check as stage
 from rejoint.system.errors import InputError
 

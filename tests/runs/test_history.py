@@ -11,13 +11,13 @@ import pytest
 from rejoint.diagnosis.monitoring.judge import Change, Due, Outlook, PastCheck, outlook
 from rejoint.diagnosis.monitoring.measures import CheckMeasures, JointCheck
 from rejoint.diagnosis.monitoring.words import say
+from rejoint.logs.history.identity import hours_of, name_of
+from rejoint.logs.history.index import INDEX, find_rows
+from rejoint.logs.history.rows import SUMMARY, HistoryRow, read_rows, write_rows
+from rejoint.logs.history.sql import ask
 from rejoint.runs.history.checks import rows_of, visits_of
-from rejoint.runs.history.identity import hours_of, name_of
-from rejoint.runs.history.index import INDEX, find_rows
 from rejoint.runs.history.page import history_page, write_history
 from rejoint.runs.history.prometheus import prometheus_text
-from rejoint.runs.history.rows import SUMMARY, HistoryRow, read_rows, write_rows
-from rejoint.runs.history.sql import ask
 from rejoint.runs.history.table import arms_of, cells
 from rejoint.system.errors import FileError, InputError
 

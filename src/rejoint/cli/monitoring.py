@@ -90,12 +90,12 @@ def history(
 
     Example: `rejoint history runs --sql "select arm, max(error_mm) from history where joint = '' group by arm"`
     """
-    from rejoint.runs.history.index import find_rows
+    from rejoint.logs.history.index import find_rows
     from rejoint.runs.history.table import HEADERS, arms_of, cells
 
     terminal = Terminal(json=json)
     if sql is not None:
-        from rejoint.runs.history.sql import ask
+        from rejoint.logs.history.sql import ask
 
         names, answer = ask(folder, sql)
         terminal.table(

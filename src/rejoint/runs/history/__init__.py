@@ -1,1 +1,1 @@
-"""What runs and checks leave for later: summary rows in Parquet, read in place, without a service."""
+"""The history as its owner sees it: rows of checks and runs, the table, the page, and what Prometheus reads."""

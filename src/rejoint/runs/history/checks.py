@@ -9,8 +9,8 @@ from itertools import groupby
 from rejoint.diagnosis.monitoring.judge import Outlook, PastCheck
 from rejoint.diagnosis.monitoring.measures import CheckMeasures, JointCheck
 from rejoint.diagnosis.monitoring.words import cause_of
-from rejoint.runs.history.identity import name_of
-from rejoint.runs.history.rows import HistoryRow
+from rejoint.logs.history.identity import name_of
+from rejoint.logs.history.rows import HistoryRow
 
 _TOOL = ("error_mm", "repeatability_mm", "approach_mm", "true_error_mm", "true_approach_mm", "temperature_c")
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from markupsafe import Markup, escape
 
-from rejoint.runs.history.rows import HistoryRow
+from rejoint.logs.history.rows import HistoryRow
 from rejoint.runs.history.table import HEADERS, ArmHistory, cells
 from rejoint.runs.report.page import render
 from rejoint.runs.report.view import Cell, Page, Part, Picture, Row, Section, Table

@@ -6,8 +6,8 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from rejoint.control.comparison.recommend import recommend
-from rejoint.runs.history.identity import name_of, setup_of
-from rejoint.runs.history.rows import SUMMARY, HistoryRow, utc_now, write_rows
+from rejoint.logs.history.identity import name_of, setup_of
+from rejoint.logs.history.rows import SUMMARY, HistoryRow, utc_now, write_rows
 from rejoint.runs.run import Run, is_finished
 
 if TYPE_CHECKING:

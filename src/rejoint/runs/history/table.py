@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
 
-from rejoint.runs.history.rows import HistoryRow
+from rejoint.logs.history.rows import HistoryRow
 
 HEADERS = ("arm", "state", "error [mm]", "tolerance [mm]", "reached", "last check", "what to do")
 _ORDER = ("alarm", "bad", "drifting", "worn", "steady", "ok", "learning", "unknown", "")

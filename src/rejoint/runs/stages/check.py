@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING
 
 from rejoint.arms import Arm, Array
 from rejoint.control.robot import Robot
+from rejoint.logs.history.identity import hours_of, name_of, plain_name, setup_of
+from rejoint.logs.history.index import CHECKS, find_rows
+from rejoint.logs.history.rows import SUMMARY, HistoryRow, utc_now, write_rows
 from rejoint.logs.journal import Journal
 from rejoint.logs.runlog import RunLog
 from rejoint.runs.given import FIRST_ROBOT, ArmLike, Period, RobotLike, address_of, arm_of, opened
 from rejoint.runs.history.checks import rows_of, visits_of, with_outlook
-from rejoint.runs.history.identity import hours_of, name_of, plain_name, setup_of
-from rejoint.runs.history.index import CHECKS, find_rows
-from rejoint.runs.history.rows import SUMMARY, HistoryRow, utc_now, write_rows
 from rejoint.runs.run import RUNS
 from rejoint.system.errors import InputError
 from rejoint.system.files import require_space, saving

@@ -13,8 +13,8 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
+from rejoint.logs.history.rows import SCHEMA, SUMMARY, HistoryRow, read_table, rows_from
 from rejoint.logs.runlog import read_parquet
-from rejoint.runs.history.rows import SCHEMA, SUMMARY, HistoryRow, read_table, rows_from
 from rejoint.system.errors import FileError
 from rejoint.system.files import write_whole
 

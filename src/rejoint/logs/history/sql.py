@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from rejoint.runs.history.index import find_table
+from rejoint.logs.history.index import find_table
 from rejoint.system.errors import FileError, InputError, first_line
 from rejoint.system.extras import require
 
@@ -13,7 +13,7 @@ from rejoint.system.extras import require
 def ask(folder: Path, query: str) -> tuple[list[str], list[tuple[Any, ...]]]:
     """Answer a query over the table ``history``: names of the columns, and rows.
 
-    The columns are those of `rejoint.runs.history.rows.HistoryRow`. A damaged file is left out. Nothing but the rows
+    The columns are those of `rejoint.logs.history.rows.HistoryRow`. A damaged file is left out. Nothing but the rows
     can be read, and nothing written. InputError for a query that DuckDB refuses, FileError if there are no rows,
     MissingExtraError without DuckDB.
     """
