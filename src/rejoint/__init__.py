@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from rejoint.runs.repair import Repaired, Stage, repair
     from rejoint.runs.run import Run
     from rejoint.runs.stages.calibrate import Calibrated, calibrate
+    from rejoint.runs.stages.check import Checked, check
     from rejoint.runs.stages.compare import Compared, compare
     from rejoint.runs.stages.connect import connect
     from rejoint.runs.stages.deploy import deploy
@@ -87,6 +88,7 @@ _HOMES = {
     "runs.repair": ("Repaired", "Stage", "repair"),
     "runs.run": ("Run",),
     "runs.stages.calibrate": ("Calibrated", "calibrate"),
+    "runs.stages.check": ("Checked", "check"),
     "runs.stages.compare": ("Compared", "compare"),
     "runs.stages.connect": ("connect",),
     "runs.stages.deploy": ("deploy",),
@@ -116,14 +118,14 @@ _HOMES = {
 _HOME = {name: home for home, names in _HOMES.items() for name in names}
 
 __all__ = [
-    "AddressError", "Arm", "ArmState", "Calibrated", "Calibration", "Compared", "Comparison", "ConnectionLostError",
-    "ContractError", "Controller", "Deployed", "Diagnosed", "Diagnosis", "DrivenArm", "FileError", "Followed",
-    "GuardTripError", "ImpossibleReplyError", "InputError", "Interrupted", "Judgement", "Loaded", "Measurements",
-    "MissingExtraError", "NoReplyError", "NotReachedError", "NotReadyError", "Path", "Policy", "PowerLostError",
-    "ProfileError", "Progress", "Recommendation", "RejointError", "Repaired", "Replayed", "Robot", "RobotError", "Run",
-    "RunLog", "Serving", "Stage", "StaleReplyError", "Stream", "TrainedPolicy", "Twin", "UnsavedError", "__version__",
-    "calibrate", "compare", "connect", "deploy", "diagnose", "follow", "gains", "identify", "load_arm", "read_arm",
-    "repair", "replay", "report", "serve", "train",
+    "AddressError", "Arm", "ArmState", "Calibrated", "Calibration", "Checked", "Compared", "Comparison",
+    "ConnectionLostError", "ContractError", "Controller", "Deployed", "Diagnosed", "Diagnosis", "DrivenArm",
+    "FileError", "Followed", "GuardTripError", "ImpossibleReplyError", "InputError", "Interrupted", "Judgement",
+    "Loaded", "Measurements", "MissingExtraError", "NoReplyError", "NotReachedError", "NotReadyError", "Path",
+    "Policy", "PowerLostError", "ProfileError", "Progress", "Recommendation", "RejointError", "Repaired", "Replayed",
+    "Robot", "RobotError", "Run", "RunLog", "Serving", "Stage", "StaleReplyError", "Stream", "TrainedPolicy", "Twin",
+    "UnsavedError", "__version__", "calibrate", "check", "compare", "connect", "deploy", "diagnose", "follow", "gains",
+    "identify", "load_arm", "read_arm", "repair", "replay", "report", "serve", "train",
 ]  # fmt: skip
 
 

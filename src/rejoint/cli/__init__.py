@@ -1,8 +1,9 @@
 """The command line: one command per stage, and `repair` for the whole chain.
 
 Exit codes: 0 done; 1 a bug, here or in the driver of another package; 2 input that cannot be used; 3 the guard stopped
-the motion; 4 the robot failed; 5 done, but not all targets were reached, or the path was not followed; 128 and the
-number of the signal, such as 130 for Ctrl-C and 143 for SIGTERM, interrupted.
+the motion; 4 the robot failed; 5 done, but not all targets were reached, or the path was not followed; 6 checked, and
+the arm drifts; 7 checked, and it is an alarm, or the tolerance is reached; 128 and the number of the signal, such as
+130 for Ctrl-C and 143 for SIGTERM, interrupted.
 Results go to standard output, everything else to standard error.
 """
 
@@ -18,7 +19,19 @@ import msgspec
 import typer
 from rich.console import Console
 
-from rejoint.cli import boards, chain, evaluation, foreign, gains, measuring, offline, reproducing, serving, stages
+from rejoint.cli import (
+    boards,
+    chain,
+    evaluation,
+    foreign,
+    gains,
+    measuring,
+    monitoring,
+    offline,
+    reproducing,
+    serving,
+    stages,
+)  # fmt: skip
 from rejoint.system.errors import RejointError, first_line
 from rejoint.system.extras import explain
 from rejoint.system.stopping import Interrupted, close, install, interruption
@@ -35,9 +48,10 @@ app = typer.Typer(
     rich_markup_mode="markdown",
 )
 COMMANDS: tuple[Callable[..., None], ...] = (
-    chain.repair, stages.diagnose, stages.identify, stages.train, measuring.calibrate, gains.gains, stages.compare,
-    stages.deploy, stages.follow, stages.report, boards.board, offline.replay, foreign.import_, foreign.export,
-    serving.emulate, serving.serve, reproducing.reproduce, evaluation.evaluate, evaluation.tune,
+    chain.repair, monitoring.check, monitoring.history, stages.diagnose, stages.identify, stages.train,
+    measuring.calibrate, gains.gains, stages.compare, stages.deploy, stages.follow, stages.report, boards.board,
+    offline.replay, foreign.import_, foreign.export, serving.emulate, serving.serve, reproducing.reproduce,
+    evaluation.evaluate, evaluation.tune,
 )  # fmt: skip
 for command in COMMANDS:
     app.command(command.__name__.rstrip("_"), context_settings={"help_option_names": ["-h", "--help"]})(command)

@@ -29,6 +29,7 @@ from rejoint.runs.given import (
     is_batchable,
     run_about,
 )
+from rejoint.runs.history.summary import summarise
 from rejoint.runs.run import Run, finish, newest_or_new, require_same_pace
 from rejoint.runs.stages.calibrate import calibrate
 from rejoint.runs.stages.compare import Compared, compare
@@ -229,6 +230,7 @@ def repair(
     ))  # fmt: skip
     chain.do("report", lambda _: report(found))
     finish(found)
+    summarise(found)
     return Repaired(run=found)
 
 

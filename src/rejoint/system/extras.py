@@ -16,6 +16,7 @@ EXTRAS: dict[str, tuple[str, ...]] = {
     "logs": ("mcap", "mcap_protobuf", "mcap_ros2", "rosbags", "zstandard"),
     "camera": ("cv2", "scipy"),
     "feetech": ("scservo_sdk",),
+    "history": ("duckdb",),
 }
 """Modules that this package imports, by the extra that installs them"""
 

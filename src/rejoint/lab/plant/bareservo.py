@@ -32,6 +32,7 @@ class BareServos:
         }  # fmt: skip
         for name, value in known.items():
             self.joints[name] = value
+        self.joints["ambient"] = servo.AMBIENT
         self.joints["torque_limit"] = self.settings["stall"]
         self.servos["temperature"], self.servos["powered"] = servo.AMBIENT, True
         self.angle, self.speed, self.push = np.zeros(count), np.zeros(count), np.zeros(count)

@@ -81,7 +81,7 @@ class Plant:
         """(B, 2 n) [rad] and [rad/s]: by turns the angle of a servo's output and that of the gear behind it"""
         self._applied = self.batch.bind("qfrc_applied")
         self.servos["speed_limit"] = servo.ramp_speed(arm.max_speed)
-        self.servos["temperature"] = servo.AMBIENT
+        self.servos["temperature"] = self.joints["ambient"]
         self.reset(np.tile(arm.rest, (self.count, 1)))
 
     @property
@@ -329,6 +329,7 @@ def joint_records(arm: Arm, wear: Wear) -> NDArray[np.void]:
         records[name] = getattr(wear, name)
     records["play_in_loop"], records["encoder_step"] = wear.play_in_loop, arm.encoder_step
     records["lower"], records["upper"] = arm.lower, arm.upper
+    records["ambient"] = wear.ambient
     records["no_load_speed"] = servo.no_load_speed(arm.max_speed)
     scale = scale_of(arm)
     servo.fill_constants(records, scale.torque, scale.time)

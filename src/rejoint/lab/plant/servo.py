@@ -65,6 +65,7 @@ JOINT = np.dtype(
         ("reflected_inertia", "f8"), ("ripple", "f8"), ("torque_noise", "f8"), ("play_in_loop", "?"),
         ("encoder_step", "f8"), ("lower", "f8"), ("upper", "f8"), ("offset", "f8"), ("no_load_speed", "f8"),
         ("grease", "f8"), ("stop_stiffness", "f8"), ("stop_damping", "f8"),
+        ("ambient", "f8"),
     ]
 )  # fmt: skip
 """What a joint is made of; the first fields and the offset are those of `rejoint.lab.plant.wear.Wear`."""
@@ -175,7 +176,7 @@ def warm_up(joint, servo):
     """One step of a first-order thermal model heated by the copper losses."""
     load = servo.torque / joint.torque_limit
     rise = _HEAT_RISE * load * load
-    servo.temperature += STEP / _HEAT_TIME * (AMBIENT + rise - servo.temperature)
+    servo.temperature += STEP / _HEAT_TIME * (joint.ambient + rise - servo.temperature)
 
 
 @njit(cache=True)

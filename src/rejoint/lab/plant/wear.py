@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 from dataclasses import dataclass, fields, replace
 from importlib.resources import files
@@ -12,8 +13,9 @@ import numpy as np
 
 from rejoint.arms import Arm, Array
 from rejoint.arms.size import reference_arm
+from rejoint.lab.plant.ageing import aged, warmed
 from rejoint.lab.plant.scaling import largest_load, scale_of
-from rejoint.lab.plant.servo import STEP
+from rejoint.lab.plant.servo import AMBIENT, STEP
 from rejoint.system.errors import FileError, ProfileError
 from rejoint.system.files import TOML_MOST, read_bounded
 
@@ -58,6 +60,8 @@ class Wear:
     """whether the encoder sits behind the gear and sees the play (never the flex)"""
     offset: Array | float = 0.0
     """[rad] where the firmware brings a joint without load, minus the command"""
+    ambient: float = AMBIENT
+    """[deg C] of the room; a servo that never worked is as warm"""
 
     def __post_init__(self) -> None:
         n = np.shape(self.position_gain)
@@ -84,12 +88,21 @@ class Wear:
             )
 
 
-PARAMETERS = tuple(field.name for field in fields(Wear) if field.name not in ("name", "play_in_loop", "offset"))
+PARAMETERS = tuple(
+    field.name for field in fields(Wear) if field.name not in ("name", "play_in_loop", "offset", "ambient")
+)
 """The names of the per-joint parameters that every profile gives."""
 _POSITIVE = ("position_gain", "torque_limit", "link_stiffness", "reflected_inertia")
 _FILE_NAMES = tuple("play_deg" if name == "play" else name for name in PARAMETERS)
 _OPTIONAL_NAMES = ("offset_deg",)
 _HEAD = ("arm", "scales", "play_in_loop")
+_NUMBER = re.compile(r"-?\d+(\.\d+)?", re.ASCII)
+_OPTIONS = {
+    "seed": ("a whole number, draws another arm", 0.0, 2.0**63),
+    "hours": ("of use", 0.0, 100_000.0),
+    "ambient": ("deg C of the room", -10.0, 50.0),
+}
+"""What may stand behind the name of a profile: what it means, its least and its largest value"""
 _TORQUES = ("position_gain", "torque_limit", "coulomb", "stiction", "link_stiffness", "ripple", "torque_noise")
 
 
@@ -101,15 +114,30 @@ def wear_names() -> tuple[str, ...]:
 
 
 def load_wear(name: str, arm: Arm) -> Wear:
-    """Load a profile for ``arm``: a name of `wear_names`, one with ``?seed=N``, or the path of a TOML file.
+    """Load a profile for ``arm``: a name of `wear_names` or the path of a TOML file, each with options or without.
+
+    Options stand behind it, as in ``worn?seed=3&hours=500``.
 
     A profile that scales is brought to the size of the arm, see `rejoint.lab.plant.scaling`; one that belongs to
-    another arm is refused. ``?seed=N`` draws every parameter of every joint from +-30 % around the profile.
+    another arm is refused. ``seed=N`` draws every parameter of every joint from +-30 % around the profile; ``hours=H``
+    lets the arm age by that much use, and ``ambient=C`` [deg C] stand in a warmer or colder room, both in the way of
+    that seed, see `rejoint.lab.plant.ageing`.
     Raises ProfileError, which names the alternatives or the fields, for anything that is not a usable profile.
     """
-    base, query, seed = name.partition("?seed=")
-    if query and not (seed.isascii() and seed.isdecimal()):
-        raise ProfileError(f"wear {name!r}: expected a whole number after '?seed=', got {seed!r}")
+    base, options = _options(name)
+    wear = _fitted(base, arm)
+    seed = int(options.get("seed", 0))
+    if "seed" in options:
+        wear = draw_wear(wear, arm, seed)
+    if "hours" in options:
+        young, old = _fitted("healthy", arm), _fitted("worn", arm)
+        least = _LIFT_MARGIN * lifting_torque(wear, arm)
+        wear = aged(wear, arm, options["hours"], seed=seed, young=young, old=old, least_torque=least)
+    return warmed(wear, options["ambient"], seed=seed) if "ambient" in options else wear
+
+
+def _fitted(base: str, arm: Arm) -> Wear:
+    """Return the profile ``base`` for ``arm``, without options."""
     text = _profile_text(base)
     owner, scales = _head(_tables(text, base), base)
     if owner is not None and owner != arm.name and not scales:
@@ -118,15 +146,32 @@ def load_wear(name: str, arm: Arm) -> Wear:
             f"scales with the arm: {', '.join(n for n in wear_names() if wear_arm(n) is None)}"
         )
     if scales:
-        wear = scale_wear(parse_wear(text, name=base, joints=reference_arm().joints), arm)
-    else:
-        wear = parse_wear(text, name=base, joints=arm.joints)
-    return draw_wear(wear, arm, int(seed)) if query else wear
+        return scale_wear(parse_wear(text, name=base, joints=reference_arm().joints), arm)
+    return parse_wear(text, name=base, joints=arm.joints)
+
+
+def _options(name: str) -> tuple[str, dict[str, float]]:
+    """Part a profile's name from its options; ProfileError for one that is not known or not a number in its range."""
+    base, query, rest = name.partition("?")
+    options: dict[str, float] = {}
+    for part in rest.split("&") if query else []:
+        key, _, value = part.partition("=")
+        meaning, lowest, highest = _OPTIONS.get(key, ("", 0.0, 0.0))
+        if not meaning or key in options:
+            known = ", ".join(f"{one}=N ({what})" for one, (what, _, _) in _OPTIONS.items())
+            raise ProfileError(f"wear {name!r}: option {part!r} is not known or stands there twice; options: {known}")
+        if not _NUMBER.fullmatch(value) or not lowest <= float(value) <= highest or (key == "seed" and "." in value):
+            whole = "a whole number" if key == "seed" else "a number"
+            raise ProfileError(
+                f"wear {name!r}: expected {whole} from {lowest:g} to {highest:g} after '{key}=', got {value!r}"
+            )
+        options[key] = int(value) if key == "seed" else float(value)
+    return base, options
 
 
 def wear_arm(name: str) -> str | None:
     """Name of the one arm that a profile describes; None for a profile that fits or scales to others."""
-    base = name.partition("?seed=")[0]
+    base, _ = _options(name)
     owner, scales = _head(_tables(_profile_text(base), base), base)
     return None if scales else owner
 
@@ -142,7 +187,7 @@ def parse_wear(text: str, *, name: str, joints: int) -> Wear:
             f"wear {name}: [joints] lacks {sorted(missing)} and has unknown {sorted(unknown)}; "
             f"fields: {', '.join(_FILE_NAMES)}; optional: {', '.join(_OPTIONAL_NAMES)}"
         )
-    values = {field: _per_joint(table[field], field, name, joints) for field in _FILE_NAMES}
+    values: dict[str, Any] = {field: _per_joint(table[field], field, name, joints) for field in _FILE_NAMES}
     values["play"] = np.radians(values.pop("play_deg"))
     offset = np.radians(_per_joint(table.get("offset_deg", 0.0), "offset_deg", name, joints))
     return Wear(name=name, play_in_loop=data.get("play_in_loop", False), offset=offset, **values)
@@ -151,7 +196,7 @@ def parse_wear(text: str, *, name: str, joints: int) -> Wear:
 def scale_wear(wear: Wear, arm: Arm) -> Wear:
     """Bring the profile of a myCobot 280 to the size of ``arm``."""
     scale = scale_of(arm)
-    values = {name: getattr(wear, name)[scale.row] for name in (*PARAMETERS, "offset")}
+    values: dict[str, Any] = {name: getattr(wear, name)[scale.row] for name in (*PARAMETERS, "offset")}
     for name in _TORQUES:
         values[name] = values[name] * scale.torque
     values["damping_gain"] = values["damping_gain"] * (scale.torque * scale.time)
@@ -192,7 +237,7 @@ def _profile_text(base: str) -> str:
         return _read_file(base)
     raise ProfileError(
         f"no wear profile is called {base!r}; known profiles: {', '.join(wear_names())}, "
-        "each also with ?seed=N, or the path of a .toml file"
+        "each also with ?seed=N or ?hours=H, or the path of a .toml file"
     )
 
 

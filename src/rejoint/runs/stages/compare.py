@@ -41,6 +41,7 @@ from rejoint.runs.given import (
     is_batchable,
     period_of,
 )
+from rejoint.runs.history.summary import summarise
 from rejoint.runs.openloop import DEFAULT, OpenLoopTrials, open_loop
 from rejoint.runs.run import Run, exclusive
 from rejoint.runs.stages.driving import (
@@ -259,6 +260,7 @@ class _Job:
             set_aside(run.folder.comparison)
             write_json(run.folder.comparison, found.comparison)
             ledger.close()
+            summarise(run)
         return found
 
     def _drive(self, ledger: Ledger, earlier: list[Path], on_progress: Progress) -> Compared:

@@ -28,6 +28,7 @@ from rejoint.runs.given import (
     run_of_logs,
     source_of,
 )
+from rejoint.runs.history.summary import summarise
 from rejoint.runs.run import Run, exclusive, mark_quick, remove_if_empty
 from rejoint.runs.stages.driving import start_journal
 from rejoint.system.errors import InputError
@@ -175,6 +176,7 @@ def _drive(
         with saving(result):
             mark_quick(run, quick=quick)
             _write(run.folder, found, logs)
+            summarise(run)
         journal.discard()
     return result
 
@@ -204,6 +206,7 @@ def _from_logs(
         )
         if run is not None:
             write_json(run.begin().folder.diagnosis, found)
+            summarise(run)
     return found
 
 

@@ -1,0 +1,178 @@
+"""What the checks of an arm say together: how it stands, which joint changed since when, and how long it will do."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+
+import numpy as np
+
+from rejoint.arms import Array
+from rejoint.diagnosis.monitoring.charts import FEWEST, Chart, State, chart
+from rejoint.diagnosis.monitoring.measures import CheckMeasures
+from rejoint.diagnosis.monitoring.remaining import remaining
+
+ZERO_PER_DEGREE = np.radians(0.02)
+"""[rad/K] by which the zero of an STS3215 may move (shared facts on monitoring)"""
+FRICTION_PER_DEGREE = 0.015
+"""[1/K] by which friction may go with warmth (Bittencourt and Axehill 2012: viscous friction halves in 47 K)"""
+LOAD_PER_DEGREE = 0.002
+"""[1/K] by which what weight does may go with warmth (chosen: copper loses 0.4 %/K of its conductance, of which a
+position servo makes up half)"""
+SCATTER_MM = {"hysteresis": 0.03, "reversal": 0.05, "sag": 0.07, "deviation": 0.06, "error": 0.10}
+"""[mm] standard deviation of one check of an arm that does not change (measured: `python -m benchmarks years`)"""
+SCATTER_SHARE = 0.005
+"""The same as a share of the value, which friction that is uneven makes of it (measured as above)"""
+SOON_DAYS = 90.0
+"""[days] within which a tolerance that will be reached is worth a warning (chosen: to plan a repair in)"""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PastCheck:
+    """One check in the history of an arm."""
+
+    time: datetime
+    """UTC, without a zone"""
+    measures: CheckMeasures
+    used_h: float | None = None
+    """[h] of use so far; None where nobody counts"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Change:
+    """One quantity of one joint, or of the tool, over the checks."""
+
+    joint: str
+    """empty for the tool"""
+    quantity: str
+    """hysteresis, reversal, sag, deviation or error"""
+    state: State
+    usual_mm: float
+    """at the beginning"""
+    now_mm: float
+    """at the warmth of the beginning"""
+    since: datetime | None
+    """of the last check before it began to leave; None where it has not"""
+    cusum: float
+    """standard deviations that have come together, with sign"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Due:
+    """When the tolerance will be reached; ten and ninety per cent of the times that are possible lie before."""
+
+    early: datetime
+    middle: datetime | None
+    late: datetime | None
+    """None where it may never be reached, or not in a lifetime"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outlook:
+    """How an arm stands by its checks since its norm began."""
+
+    state: State
+    checks: int
+    since: datetime
+    """of the first of them"""
+    changes: tuple[Change, ...]
+    """what changed most comes first"""
+    error_mm: float
+    """of the tool in the five poses, newest"""
+    error_known: bool
+    """whether that is where the tool really is; else it is by the encoders"""
+    tolerance_mm: float | None
+    due: Due | None
+    """None where nothing can be said, or no wear shows"""
+
+    @property
+    def over(self) -> bool:
+        """Whether the tolerance is reached already."""
+        return self.tolerance_mm is not None and self.error_mm >= self.tolerance_mm
+
+
+def outlook(visits: Sequence[PastCheck], tolerance_mm: float | None = None) -> Outlook:
+    """Judge an arm by its checks since the norm began, the oldest first; there is at least one."""
+    newest = visits[-1].measures
+    warm = np.array([_nan(visit.measures.temperature_c) for visit in visits])
+    drawn = [_change(visits, *one) for one in _quantities(visits, warm)]
+    changes = tuple(sorted(drawn, key=lambda one: -abs(one.cusum)))
+    order: tuple[State, ...] = ("learning", "steady", "drifting", "alarm")
+    known = all(visit.measures.true_error_mm is not None for visit in visits)
+    error = [visit.measures.true_error_mm if known else visit.measures.error_mm for visit in visits]
+    now = float(error[-1] or 0.0)
+    due = None
+    if tolerance_mm is not None and now < tolerance_mm:
+        due = _due(visits, np.array(error, dtype=float), warm, tolerance_mm)
+    return Outlook(
+        state=max((one.state for one in changes), key=order.index), checks=len(visits), since=visits[0].time,
+        changes=changes, error_mm=now if known else newest.error_mm, error_known=known, tolerance_mm=tolerance_mm,
+        due=due,
+    )  # fmt: skip
+
+
+def error_per_degree(measures: CheckMeasures) -> float:
+    """[mm/K] by which warmth may move the tool's error: the zeros of all joints, each for itself."""
+    return float(ZERO_PER_DEGREE * np.sqrt(sum(row.lever_mm**2 for row in measures.joints)))
+
+
+def error_scatter(error: Array) -> float:
+    """[mm] standard deviation of one check's tool error where the arm does not change."""
+    return max(SCATTER_MM["error"], SCATTER_SHARE * float(np.median(error[:FEWEST])))
+
+
+def _quantities(visits: Sequence[PastCheck], warm: Array) -> list[tuple[str, str, Array, Array, float]]:
+    """Joint, quantity, values (T,) [mm], temperature (T,), and mm per degree that warmth may do."""
+    found = []
+    first = visits[0].measures
+    for j, row in enumerate(first.joints):
+        rows = [visit.measures.joints[j] for visit in visits]
+        own = np.array([_nan(one.temperature_c) for one in rows])
+        zero = ZERO_PER_DEGREE * row.lever_mm
+        for name, share, least in (
+            ("hysteresis", FRICTION_PER_DEGREE, 0.0), ("reversal", FRICTION_PER_DEGREE, 0.0),
+            ("sag", LOAD_PER_DEGREE, 0.0), ("deviation", LOAD_PER_DEGREE, zero),
+        ):  # fmt: skip
+            values = [getattr(one, f"{name}_mm") for one in rows]
+            if all(value is not None for value in values):
+                value = np.array(values, dtype=float)
+                found.append((row.joint, name, value, own, least + share * abs(float(np.median(value[:FEWEST])))))
+    error = np.array([visit.measures.error_mm for visit in visits])
+    return [*found, ("", "error", error, warm, error_per_degree(first))]
+
+
+def _change(visits: Sequence[PastCheck], joint: str, name: str, value: Array, warm: Array, per_degree: float) -> Change:
+    scatter = max(SCATTER_MM[name], SCATTER_SHARE * abs(float(np.median(value[:FEWEST]))))
+    drawn: Chart = chart(value, warm, scatter=scatter, per_degree=per_degree)
+    return Change(
+        joint=joint, quantity=name, state=drawn.state, usual_mm=drawn.usual, now_mm=drawn.usual + drawn.change,
+        since=None if drawn.since is None else visits[drawn.since].time,
+        cusum=float(drawn.cusum[-1]),
+    )  # fmt: skip
+
+
+def _due(visits: Sequence[PastCheck], error: Array, warm: Array, tolerance: float) -> Due | None:
+    """Tell when the tolerance is reached: by use where the owner counts it, at the pace seen; else by the calendar."""
+    days = np.array([(visit.time - visits[0].time) / timedelta(days=1) for visit in visits])
+    hours = np.array([_nan(visit.used_h) for visit in visits])
+    counted = bool(np.isfinite(hours).all() and hours[-1] > hours[0] and days[-1] > days[0])
+    use = hours if counted else days
+    pace = (hours[-1] - hours[0]) / (days[-1] - days[0]) if counted else 1.0
+    scatter, per_degree = error_scatter(error), error_per_degree(visits[0].measures)
+    left = remaining(use, error, warm, tolerance, scatter=scatter, per_degree=per_degree)
+    if left is None:
+        return None
+    now = visits[-1].time
+    early = _after(now, left.early / pace)
+    return None if early is None else Due(early=early, middle=_after(now, left.middle / pace),
+                                          late=_after(now, left.late / pace))  # fmt: skip
+
+
+def _after(now: datetime, days: float) -> datetime | None:
+    """Return the time so many days later; None for more than a century, which is no prediction."""
+    return now + timedelta(days=days) if days < 36500.0 else None
+
+
+def _nan(value: float | None) -> float:
+    return np.nan if value is None else value

@@ -1,0 +1,162 @@
+"""What a check measures: each joint in slow motion and in the five poses, and the tool in the terms of ISO 9283.
+
+All of it is by the encoders, as every arm has them; where somebody knows where the tool really is, its error stands
+beside. ISO calls the distance of the mean attained position from the commanded one *accuracy* AP, the scatter about it
+*repeatability* RP, and the distance between the means of several directions of approach vAP; ISO 230-2 calls the
+difference that the direction of approach makes to a joint its *reversal value* B.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rejoint.arms import Arm, Array, gravity_torque, position_kinematics, tcp_position
+from rejoint.arms.size import torque_size
+from rejoint.diagnosis.monitoring.routine import CYCLES, POSES, SIDES
+from rejoint.diagnosis.segments import ExcitationLog
+from rejoint.logs.runlog import RunLog
+from rejoint.system.errors import InputError
+
+SETTLED_LAST = 0.4
+"""[s] of a stay in a pose that counts as settled (as the holds of a diagnosis)"""
+
+LEAST_LEVER = 0.02
+"""[m] by which angles are turned into millimetres at least: a joint that only turns the tool is to count as well
+(chosen: half the radius of a small arm's tool flange)"""
+
+_LEAST_RANGE = 0.1
+"""[N m] range of a joint's load over the poses from which its sag shows (chosen: a healthy joint of a myCobot 280 then
+moves by more than an encoder count; goes with the load of the arm)"""
+
+_SWEEP_MIDDLE = 0.6  # share of a sweep, about its middle, in which a joint moves steadily (chosen)
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointCheck:
+    """One joint, in millimetres at the tool: the angle times the mean way of the tool per radian in the poses."""
+
+    joint: str
+    hysteresis_mm: float
+    """following error of slow motion one way minus the other: friction, and what the servo gives way under it"""
+    reversal_mm: float
+    """ISO 230-2 B: where it comes to rest from above minus from below"""
+    deviation_mm: float
+    """command minus where it comes to rest, mean of both sides, with sign: sag and offset"""
+    sag_mm: float | None
+    """what it gives way to the weight it carries, by how `deviation_mm` goes with the weight from pose to pose, so that
+    its offset does not count; None where the weight hardly changes"""
+    lever_mm: float
+    """[mm/rad] that angles were multiplied with"""
+    temperature_c: float | None
+    """of the servo; None where it does not tell"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CheckMeasures:
+    """What one check measured."""
+
+    joints: tuple[JointCheck, ...]
+    error_mm: float
+    """mean over the poses and both sides of AP by the encoders"""
+    repeatability_mm: float
+    """largest RP of a pose from one side by the encoders; of `CYCLES` approaches, where the standard asks for 30"""
+    approach_mm: float
+    """largest vAP of a pose, of the two directions of approach, by the encoders"""
+    true_error_mm: float | None
+    """as `error_mm`, of the tool itself; None where nobody knows"""
+    true_approach_mm: float | None
+    """as `approach_mm`, of the tool itself"""
+    temperature_c: float | None
+    """mean of the servos; None where they do not tell"""
+
+
+def measure_check(arm: Arm, log: RunLog, temperature: Array | None) -> CheckMeasures:
+    """Measure an arm by the log of its check; ``temperature`` (n,) [deg C] of its servos, None where they do not tell.
+
+    InputError if the log is not of a whole check of this arm.
+    """
+    data = ExcitationLog.of(arm, log)
+    command, position, tool = _settled(data)
+    lever = _levers(arm, position.reshape(-1, arm.joints))
+    off = 1e3 * lever * (command - position)  # (poses, sides, cycles, n) [mm]
+    torque, least = gravity_torque(arm, position), _LEAST_RANGE * torque_size(arm)
+    reversal = (off[:, 0] - off[:, 1]).mean(axis=(0, 1))
+    rows = tuple(
+        JointCheck(
+            joint=name,
+            hysteresis_mm=1e3 * float(lever[j]) * _hysteresis(data, j),
+            reversal_mm=float(reversal[j]),
+            deviation_mm=float(off[..., j].mean()),
+            sag_mm=_sag(off[..., j].mean(axis=(1, 2)), torque[..., j].mean(axis=(1, 2)), least),
+            lever_mm=1e3 * float(lever[j]),
+            temperature_c=None if temperature is None else float(temperature[j]),
+        )
+        for j, name in enumerate(arm.joint_names)
+    )
+    goal = 1e3 * tcp_position(arm, command)
+    seen = _tool(goal, 1e3 * tcp_position(arm, position))
+    true = _tool(goal, 1e3 * tool) if np.isfinite(tool).all() else None
+    return CheckMeasures(
+        joints=rows, error_mm=seen[0], repeatability_mm=seen[1], approach_mm=seen[2],
+        true_error_mm=None if true is None else true[0], true_approach_mm=None if true is None else true[2],
+        temperature_c=None if temperature is None else float(np.mean(temperature)),
+    )  # fmt: skip
+
+
+def _settled(data: ExcitationLog) -> tuple[Array, Array, Array]:
+    """Means of command, position (poses, sides, cycles, n) [rad] and tool (poses, sides, cycles, 3) [m] at rest."""
+    log, shape = data.log, (POSES, len(SIDES), CYCLES)
+    found = [np.full((*shape, width), np.nan) for width in (data.arm.joints, data.arm.joints, 3)]
+    for segment in data.of_kind("pose"):
+        rows = data.rows(segment, last=SETTLED_LAST)
+        _, pose, side, cycle = segment.name.split("/")
+        place = (int(pose), SIDES.index(side), int(cycle))
+        if len(rows):
+            for array, values in zip(found, (log.command, log.position, log.true_tcp), strict=True):
+                array[place] = values[rows].mean(axis=0)
+    if not np.isfinite(found[1]).all():
+        raise InputError(
+            f"run log {log.label} is not of a whole check: it lacks poses of {POSES} x {CYCLES} approaches from two "
+            "sides; check the arm again"
+        )
+    return found[0], found[1], found[2]
+
+
+def _levers(arm: Arm, posture: Array) -> Array:
+    """Mean way of the tool per radian (n,) [m] in postures (K, n) [rad]."""
+    jacobian = position_kinematics(arm, posture)[1]
+    return np.maximum(np.linalg.norm(jacobian, axis=-2).mean(axis=0), LEAST_LEVER)
+
+
+def _hysteresis(data: ExcitationLog, joint: int) -> float:
+    """[rad] following error in the middle of slow sweeps upwards minus downwards."""
+    sides: tuple[list[float], list[float]] = ([], [])
+    for segment in data.of_kind("sweep", joint):
+        cut = 0.5 * (1.0 - _SWEEP_MIDDLE) * (segment.stop - segment.start)
+        rows = data.rows(segment, skip=cut)
+        rows = rows[data.log.time[rows] < segment.stop - cut]
+        command = data.log.command[rows, joint]
+        if len(rows) > 1:
+            sides[int(command[-1] < command[0])].append(float((command - data.log.position[rows, joint]).mean()))
+    data.require(bool(sides[0] and sides[1]), "sweeps", joint)
+    return float(np.mean(sides[0]) - np.mean(sides[1]))
+
+
+def _sag(deviation: Array, torque: Array, least: float) -> float | None:
+    """[mm] slope of deviations (poses,) [mm] over torques (poses,) [N m], at the mean torque."""
+    if np.ptp(torque) < least:
+        return None
+    slope = np.polyfit(torque - torque.mean(), deviation, 1)[0]
+    return float(slope * torque.mean())
+
+
+def _tool(goal: Array, attained: Array) -> tuple[float, float, float]:
+    """AP, RP and vAP [mm] of positions (poses, sides, cycles, 3) [mm]."""
+    middle = attained.mean(axis=2)
+    accuracy = np.linalg.norm(middle - goal.mean(axis=2), axis=-1)
+    away = np.linalg.norm(attained - middle[:, :, None], axis=-1)
+    scatter = away.mean(axis=2) + 3.0 * away.std(axis=2, ddof=1)
+    apart = np.linalg.norm(middle[:, 0] - middle[:, 1], axis=-1)
+    return float(accuracy.mean()), float(scatter.max()), float(apart.max())

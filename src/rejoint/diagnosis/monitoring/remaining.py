@@ -1,0 +1,130 @@
+"""When the tool's error will reach the owner's tolerance: a first-passage time, with an interval.
+
+Wear is taken for a Brownian motion with drift, and every check for a look at it with some scatter. Drift, diffusion and
+scatter are known as far as the checks tell: the time to the tolerance is drawn from all that they leave possible, each
+draw an inverse Gaussian (Folks and Chhikara, J. R. Stat. Soc. B 40, 1978). A drift that does not lead to the tolerance
+may never reach it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rejoint.arms import Array
+from rejoint.diagnosis.monitoring.charts import FEWEST
+
+DRAWS = 4000
+"""(chosen: the ends of an 80 % interval then repeat within a few per cent)"""
+SHARES = (0.1, 0.5, 0.9)
+"""Of the draws below the quantiles that are told"""
+_SEEN = 0.9
+"""Share of the possible drifts that has to lead to the tolerance before a time is told (chosen, as the interval)"""
+_UNEVEN, _UNEVEN_FACTOR = 0.5, 1.6
+"""Standard deviation of the random part of wear over the whole time seen, as a share of the change seen then, and the
+factor within which that is believed (chosen: wear comes in spells; with less the intervals are too narrow, see
+`python -m benchmarks years`)"""
+_DIFFUSIONS = np.geomspace(0.05, 2.0, 9)
+"""Such shares that are tried"""
+_SCATTERS = np.geomspace(0.6, 1.8, 4)
+"""Scatters of a check that are tried, as multiples of the one believed"""
+_SCATTER_FACTOR = 1.5
+"""Factor within which the scatter is believed (chosen: it was measured on other arms)"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Remaining:
+    """Use that is left until the tolerance is reached; the unit is that of the use given."""
+
+    early: float
+    """one in ten of the times possible lies before"""
+    middle: float
+    late: float
+    """one in ten lies after; infinite where it may never be reached"""
+
+
+def remaining(
+    use: Array, error: Array, warm: Array, tolerance: float, *, scatter: float, per_degree: float, seed: int = 0
+) -> Remaining | None:
+    """Tell how much more use an arm has until its ``error`` (T,) [mm] reaches ``tolerance`` [mm].
+
+    ``use`` (T,) grows from check to check; ``warm`` (T,) [K] is the servos' temperature over some reference, NaN where
+    they do not tell; ``scatter`` [mm] and ``per_degree`` [mm/K] are as for `chart`. None where nothing can be said: too
+    few checks, or no wear that shows.
+    """
+    if len(use) < FEWEST + 1 or use[-1] <= use[0]:
+        return None
+    span = float(use[-1] - use[0])
+    x = (use - use[-1]) / span  # in spans, and 0 now
+    design = np.stack(
+        [np.ones(len(x)), x, np.nan_to_num(warm - np.nanmean(warm) if np.isfinite(warm).any() else np.zeros(len(x)))],
+        axis=1,
+    )
+    believed = np.diag([0.0, 0.0, 1.0 / max(per_degree, 1e-9) ** 2])
+    common = np.minimum.outer(x - x[0], x - x[0])  # covariance of a Brownian motion
+    size = max(float(np.abs(np.polyfit(x, error, 1)[0])), scatter)
+    weights, fits = [], []
+    for uneven in _DIFFUSIONS:
+        for factor in _SCATTERS:
+            diffusion, noise = uneven * size, factor * scatter
+            fit = _fit(design, error, diffusion**2 * common + noise**2 * np.eye(len(x)), believed)
+            weights.append(fit[0] + _log_prior(uneven / _UNEVEN, _UNEVEN_FACTOR) + _log_prior(factor, _SCATTER_FACTOR))
+            fits.append((fit[1], fit[2], diffusion, noise))
+    weight = np.exp(np.array(weights) - max(weights))
+    rng = np.random.default_rng(seed)
+    counts = rng.multinomial(DRAWS, weight / weight.sum())
+    drawn = [_passages(rng, fit, int(n), x, error, design, tolerance) for fit, n in zip(fits, counts, strict=True) if n]
+    times, drifts = (np.concatenate(part) for part in zip(*drawn, strict=True))
+    if float((drifts > 0.0).mean()) < _SEEN:
+        return None
+    early, middle, late = (span * float(np.quantile(times, share, method="higher")) for share in SHARES)
+    return Remaining(early=early, middle=middle, late=late)
+
+
+def _log_prior(ratio: float, factor: float) -> float:
+    """Logarithm of how much a ``ratio`` to what is expected is believed, without its norm."""
+    return float(-0.5 * (np.log(ratio) / np.log(factor)) ** 2)
+
+
+def _fit(design: Array, value: Array, covariance: Array, believed: Array) -> tuple[float, Array, Array]:
+    """Generalised least squares: log evidence, coefficients and their covariance."""
+    root = np.linalg.cholesky(covariance)
+    a, y = np.linalg.solve(root, design), np.linalg.solve(root, value)
+    precision = a.T @ a + believed
+    spread = np.linalg.inv(precision)
+    best = spread @ (a.T @ y)
+    left = float(y @ y - best @ precision @ best)
+    logdet = 2.0 * float(np.log(np.diag(root)).sum()) + float(np.linalg.slogdet(precision)[1])
+    return -0.5 * (left + logdet), np.asarray(best, dtype=float), np.asarray(spread, dtype=float)
+
+
+def _passages(
+    rng: np.random.Generator, fit: tuple[Array, Array, float, float], count: int, x: Array, error: Array,
+    design: Array, tolerance: float,
+) -> tuple[Array, Array]:  # fmt: skip
+    """Draw times, in spans from now, to the tolerance, and the drifts behind them."""
+    best, spread, diffusion, noise = fit
+    drawn = rng.multivariate_normal(best, spread, count, method="cholesky")
+    drift = drawn[:, 1]
+    here = _state(rng, drawn, diffusion, noise, x, error, design)
+    way = tolerance - here
+    times = np.where(way <= 0.0, 0.0, np.inf)
+    ahead = way > 0.0
+    # Against the drift a motion still passes with a chance of exp(2 drift way / diffusion^2), then as with it.
+    chance = np.exp(np.minimum(2.0 * drift * way / diffusion**2, 0.0))
+    passes = ahead & (rng.uniform(size=count) < chance)
+    mean = np.where(passes, way, 1.0) / np.maximum(np.abs(drift), 1e-9 * max(diffusion, 1e-12))
+    shape = np.where(passes, way, 1.0) ** 2 / diffusion**2
+    return np.where(passes, rng.wald(mean, shape), times), drift
+
+
+def _state(
+    rng: np.random.Generator, drawn: Array, diffusion: float, noise: float, x: Array, error: Array, design: Array
+) -> Array:
+    """Draw where the error is now (N,), without the scatter of its last check, given lines ``drawn`` (N, 3)."""
+    common = diffusion**2 * np.minimum.outer(x - x[0], x - x[0])
+    gain = np.linalg.solve(common + noise**2 * np.eye(len(x)), common[:, -1])
+    left = error - drawn @ design.T
+    spread = max(float(common[-1, -1] - gain @ common[:, -1]), 0.0)
+    return np.asarray(drawn[:, 0] + left @ gain + spread**0.5 * rng.normal(size=len(drawn)))

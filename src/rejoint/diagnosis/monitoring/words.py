@@ -1,0 +1,80 @@
+"""An outlook in one line that its owner understands: cause, millimetres, date, and what to do."""
+
+from __future__ import annotations
+
+from datetime import datetime
+
+from rejoint.diagnosis.monitoring.charts import FEWEST
+from rejoint.diagnosis.monitoring.judge import Change, Outlook
+
+MEANINGS = {
+    "hysteresis": "friction or weakness in slow motion",
+    "reversal": "difference between its two directions",
+    "sag": "giving way under its weight",
+    "deviation": "distance from its commands",
+    "error": "tool error",
+}
+"""What each quantity is, in words"""
+
+
+def say(found: Outlook, robot: str) -> str:
+    """Say in one line how an arm stands."""
+    error = _error(found)
+    if found.state == "learning":
+        missing = FEWEST + 1 - found.checks
+        return (
+            f"Check {found.checks} since {_day(found.since)}: {FEWEST} are needed to know what is usual for this arm, "
+            f"nothing can be said yet. {error}. Do: check again, {missing} more time{'s' * (missing > 1)}; the first "
+            f"ones may follow each other at once."
+        )
+    worst = found.changes[0]
+    if found.state == "steady":
+        joints = len({one.joint for one in found.changes if one.joint})
+        act = _act(found, worst, robot) if found.over else "nothing; check again in a month"
+        return f"No change in {joints} joints since {_day(found.since)}. {error}. Do: {act}."
+    called = [one for one in found.changes if one.state == found.state]
+    others = sorted({one.joint or "the tool" for one in called} - {worst.joint or "the tool"})
+    also = f"; also {', '.join(others)}" if others else ""
+    return f"{_changed(called[0])} ({found.state}){also}. {error}. Do: {_act(found, called[0], robot)}."
+
+
+def cause_of(found: Outlook) -> str:
+    """Name what changed most; empty where nothing did."""
+    return _changed(found.changes[0]) if found.state in ("drifting", "alarm") else ""
+
+
+def _changed(change: Change) -> str:
+    since = "" if change.since is None else f" since {_day(change.since)}"
+    return (
+        f"{change.joint or 'Tool'}: {MEANINGS[change.quantity]} {change.usual_mm:.1f} -> {change.now_mm:.1f} mm{since}"
+    )
+
+
+def _error(found: Outlook) -> str:
+    known = "" if found.error_known else " by the encoders"
+    text = f"Tool error at the five poses {found.error_mm:.1f} mm{known}"
+    if found.tolerance_mm is None:
+        return text
+    text = f"{text}, tolerance {found.tolerance_mm:.1f} mm"
+    if found.over:
+        return f"{text}, which is reached"
+    if found.due is None:
+        return text if found.state == "learning" else f"{text}: no wear seen that leads there"
+    due = found.due
+    if due.late is None:
+        return f"{text}, reached not before {_day(due.early)}"
+    return f"{text}, reached between {_day(due.early)} and {_day(due.late)}"
+
+
+def _act(found: Outlook, worst: Change, robot: str) -> str:
+    if found.over or found.state == "alarm":
+        if worst.quantity == "deviation":
+            look = f"look whether {worst.joint} has slipped or was set anew (then check with --moved)"
+            return f"{look}; else rejoint repair {robot}"
+        part = f"; if it stays, change the servo of {worst.joint}" if worst.joint else ""
+        return f"rejoint repair {robot}{part}"
+    return "check again within a week; no repair yet"
+
+
+def _day(time: datetime) -> str:
+    return f"{time:%Y-%m-%d}"

@@ -1,0 +1,91 @@
+"""All summary rows below a folder, of which only files that are new are opened.
+
+What was read once is kept in ``.history.parquet`` beside the files, with the name, size and time of each: two thousand
+files take seconds to open, and a table of them does not. It is a copy; whoever deletes it loses nothing.
+"""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+
+from rejoint.logs.history.rows import SCHEMA, SUMMARY, HistoryRow, read_table, rows_from
+from rejoint.logs.runlog import read_parquet
+from rejoint.system.errors import FileError
+from rejoint.system.files import write_whole
+
+INDEX = ".history.parquet"
+"""Name of the copy"""
+CHECKS = "checks"
+"""Folder of the checks, one below it for each arm"""
+
+_FILE = "file"
+_INDEXED = SCHEMA.append(pa.field(_FILE, pa.string()))
+
+
+def find_rows(folder: Path, arm: str | None = None) -> tuple[list[HistoryRow], tuple[str, ...]]:
+    """Read all summary rows below a folder, the oldest first, and say which files could not be read.
+
+    With ``arm`` the checks of other arms are left out, and nothing is kept: for a check, which may run beside others.
+    """
+    if arm is None:
+        table, problems = find_table(folder)
+        rows = rows_from(table)
+    else:
+        paths = [path for path in folder.glob(f"**/{SUMMARY}") if _is_of(path.relative_to(folder), arm)]
+        table, problems = _read({_key(folder, path): path for path in paths})
+        rows = rows_from(table.select(SCHEMA.names))
+    return sorted(rows, key=lambda row: (row.arm, row.time, row.kind, row.joint)), problems
+
+
+def find_table(folder: Path) -> tuple[pa.Table, tuple[str, ...]]:
+    """Read all summary rows below a folder as a table of `SCHEMA`, and say which files could not be read."""
+    paths = {_key(folder, path): path for path in folder.glob(f"**/{SUMMARY}")}
+    known = _copy(folder)
+    known = known.filter(pc.is_in(known[_FILE], pa.array(list(paths), pa.string())))
+    seen = set(known[_FILE].to_pylist())
+    fresh, problems = _read({key: path for key, path in paths.items() if key not in seen})
+    table = pa.concat_tables([known, fresh]).combine_chunks()
+    if len(fresh):
+        with suppress(FileError):  # a folder that may only be read is read again the next time
+            write_whole(folder / INDEX, lambda temporary: pq.write_table(table, temporary, write_page_checksum=True))
+    return table.select(SCHEMA.names), problems
+
+
+def _read(paths: dict[str, Path]) -> tuple[pa.Table, tuple[str, ...]]:
+    """Read files by their keys."""
+    tables: list[pa.Table] = []
+    problems = []
+    for key, path in sorted(paths.items()):
+        try:
+            table = read_table(path)
+            tables.append(table.append_column(_FILE, pa.array([key] * len(table), pa.string())))
+        except FileError as error:
+            problems.append(str(error))
+    return pa.concat_tables([_INDEXED.empty_table(), *tables]).combine_chunks(), tuple(problems)
+
+
+def _copy(folder: Path) -> pa.Table:
+    """Return what was read before; nothing where that is missing, damaged or of other columns."""
+    empty = _INDEXED.empty_table()
+    try:
+        table = read_parquet(folder / INDEX, "delete it")
+    except (OSError, pa.ArrowException, FileError):
+        return empty
+    return table if table.schema.equals(_INDEXED) else empty
+
+
+def _key(folder: Path, path: Path) -> str:
+    """Name a file as it is now: with other contents it is another."""
+    found = path.stat()
+    return f"{path.relative_to(folder)} {found.st_size} {found.st_mtime_ns}"
+
+
+def _is_of(path: Path, arm: str) -> bool:
+    """Tell whether a file may hold rows of an arm: any run may, but only its own checks."""
+    parts = path.parts
+    return CHECKS not in parts or parts[parts.index(CHECKS) + 1] == arm

@@ -1,0 +1,152 @@
+"""Summary rows: what a run or a check came to, one row for the arm and one for each joint, in a file of their own.
+
+Every file is written whole under a name that nothing else has, so that several machines may write into one folder at
+once, and a damaged file loses itself alone. The columns are the fields of `HistoryRow`; whoever reads them needs no
+software of ours.
+"""
+
+from __future__ import annotations
+
+import logging
+import types
+import typing
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, fields
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from rejoint.logs.runlog import read_parquet
+from rejoint.system.errors import FileError, first_line
+from rejoint.system.files import write_whole
+from rejoint.system.version import __version__
+
+SUMMARY = "summary.parquet"
+"""Name of every file of summary rows"""
+FORMAT = 1
+"""Version of the columns; a reader leaves files of later ones out, and takes missing columns for unknown"""
+
+_FORMAT_KEY = b"rejoint.history"
+_LOGGER = logging.getLogger("rejoint")
+
+
+@dataclass(frozen=True, kw_only=True)
+class HistoryRow:
+    """What one run or check says of an arm, or of one joint of it; None is not known. Times are UTC."""
+
+    time: datetime
+    """when it was made, without a zone"""
+    kind: str
+    """check, run (a repair that is not finished, or single stages) or repair"""
+    arm: str
+    """name that its owner knows the arm by"""
+    joint: str = ""
+    """empty in the row of the arm itself"""
+    robot: str = ""
+    """address"""
+    model: str = ""
+    """name of its description, such as mycobot280"""
+    version: str = __version__
+    """of the software"""
+    setup: str = ""
+    """fingerprint of the description of the arm; with another one a new norm begins"""
+    norm: str = ""
+    """why a new norm begins with this check: moved, or set up with another description; empty where none does"""
+    used_h: float | None = None
+    """[h] of use so far, where the owner counts them"""
+    temperature_c: float | None = None
+    hysteresis_mm: float | None = None
+    reversal_mm: float | None = None
+    deviation_mm: float | None = None
+    sag_mm: float | None = None
+    lever_mm: float | None = None
+    """[mm/rad] by which angles were turned into millimetres"""
+    error_mm: float | None = None
+    """by the encoders: of a check its AP, of a run what the diagnosis found"""
+    repeatability_mm: float | None = None
+    approach_mm: float | None = None
+    true_error_mm: float | None = None
+    true_approach_mm: float | None = None
+    tolerance_mm: float | None = None
+    """that the owner gave"""
+    stiffness_nm_per_rad: float | None = None
+    """of the servo, as a diagnosis found it, as all below down to the offset"""
+    coulomb_nm: float | None = None
+    lag_s: float | None = None
+    offset_rad: float | None = None
+    controller: str = ""
+    """that a comparison recommends"""
+    settled_mm: float | None = None
+    """encoder error at rest with that controller"""
+    settled_true_mm: float | None = None
+    success: float | None = None
+    """share of targets reached with it"""
+    state: str = ""
+    """of a check: learning, steady, drifting or alarm; of a run the condition that its diagnosis tells"""
+    cause: str = ""
+    """what changed most, in words"""
+    line: str = ""
+    """what the owner was told"""
+    due_early: datetime | None = None
+    """when the tolerance is reached: one in ten of the times possible lies before"""
+    due: datetime | None = None
+    due_late: datetime | None = None
+    """one in ten lies after; None where it may never be reached"""
+
+
+def _column(kind: Any) -> pa.DataType:  # noqa: ANN401
+    plain = next(one for one in (typing.get_args(kind) or (kind,)) if one is not types.NoneType)
+    return {str: pa.string(), float: pa.float64(), datetime: pa.timestamp("us")}[plain]
+
+
+_KINDS = typing.get_type_hints(HistoryRow)
+SCHEMA = pa.schema([(item.name, _column(_KINDS[item.name])) for item in fields(HistoryRow)])
+"""Columns of every file"""
+
+
+def utc_now() -> datetime:
+    """Return the time in UTC, without a zone, as rows have it."""
+    return datetime.now(UTC).replace(tzinfo=None)
+
+
+def write_rows(path: Path, rows: Sequence[HistoryRow]) -> None:
+    """Write a file of summary rows, whole or not at all; FileError if that fails."""
+    table = pa.Table.from_pylist([asdict(row) for row in rows], schema=SCHEMA)
+    table = table.replace_schema_metadata({_FORMAT_KEY: str(FORMAT).encode()})
+    write_whole(path, lambda temporary: pq.write_table(table, temporary, write_page_checksum=True))
+
+
+def read_table(path: Path) -> pa.Table:
+    """Read a file of summary rows as a table of `SCHEMA`, checksums included.
+
+    FileError if it is damaged, of a later version, or holds something else.
+    """
+    remedy = "delete it; the other files are not concerned"
+    try:
+        table = read_parquet(path, remedy)
+        version = int((table.schema.metadata or {}).get(_FORMAT_KEY, b"0"))
+        if not 1 <= version <= FORMAT:
+            raise FileError(path, f"summary rows of format {version}, expected {FORMAT}", "update rejoint")
+        count, found = len(table), table.column_names
+        columns = [table[item.name] if item.name in found else pa.nulls(count, item.type) for item in SCHEMA]
+        return pa.table(columns, schema=SCHEMA)
+    except (OSError, pa.ArrowException, TypeError, ValueError) as error:
+        raise FileError(path, f"damaged ({first_line(error)})", remedy) from error
+
+
+def read_rows(path: Path) -> list[HistoryRow]:
+    """Read a file of summary rows; errors as `read_table`."""
+    return rows_from(read_table(path))
+
+
+def rows_from(table: pa.Table) -> list[HistoryRow]:
+    """Return the rows of a table of `SCHEMA`; text that is missing in it is empty."""
+    texts = {item.name for item in SCHEMA if item.type == pa.string()}
+    found = []
+    for row in table.to_pylist():
+        values: dict[str, Any] = {name: "" if value is None and name in texts else value for name, value in row.items()}
+        found.append(HistoryRow(**values))
+    return found

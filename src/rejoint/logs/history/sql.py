@@ -1,0 +1,33 @@
+"""SQL over the summary rows of a folder, by DuckDB."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from rejoint.logs.history.index import find_table
+from rejoint.system.errors import FileError, InputError, first_line
+from rejoint.system.extras import require
+
+
+def ask(folder: Path, query: str) -> tuple[list[str], list[tuple[Any, ...]]]:
+    """Answer a query over the table ``history``: names of the columns, and rows.
+
+    The columns are those of `rejoint.logs.history.rows.HistoryRow`. A damaged file is left out. Nothing but the rows
+    can be read, and nothing written. InputError for a query that DuckDB refuses, FileError if there are no rows,
+    MissingExtraError without DuckDB.
+    """
+    require("rejoint history --sql", "history")
+    import duckdb
+
+    table, _ = find_table(folder)
+    if not len(table):
+        raise FileError(folder, "no run and no check has left rows here", "check an arm first: rejoint check ROBOT")
+    with duckdb.connect() as connection:
+        connection.from_arrow(table).to_table("history")
+        connection.execute("set enable_external_access = false")
+        try:
+            found = connection.execute(query)
+            return [column[0] for column in found.description], found.fetchall()
+        except duckdb.Error as error:
+            raise InputError(f"--sql: {first_line(error)}") from error

@@ -1,0 +1,75 @@
+"""From checks to rows and back: what a check leaves, and the earlier ones that it is judged by."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, replace
+from itertools import groupby
+
+from rejoint.diagnosis.monitoring.judge import Outlook, PastCheck
+from rejoint.diagnosis.monitoring.measures import CheckMeasures, JointCheck
+from rejoint.diagnosis.monitoring.words import cause_of
+from rejoint.logs.history.identity import name_of
+from rejoint.logs.history.rows import HistoryRow
+
+_TOOL = ("error_mm", "repeatability_mm", "approach_mm", "true_error_mm", "true_approach_mm", "temperature_c")
+
+
+def rows_of(head: HistoryRow, measures: CheckMeasures) -> list[HistoryRow]:
+    """Return the rows of a check, that of the arm first; ``head`` says what is the same in all of them."""
+    tool = replace(head, **{name: getattr(measures, name) for name in _TOOL})
+    return [tool, *(replace(head, **asdict(joint)) for joint in measures.joints)]
+
+
+def with_outlook(rows: Sequence[HistoryRow], found: Outlook, line: str) -> list[HistoryRow]:
+    """Add to the rows of a check how the arm stands by it, and each joint."""
+    due = found.due
+    joints = {name: _worst(found, name) for name in {row.joint for row in rows}}
+    arm = replace(
+        rows[0], state=found.state, cause=cause_of(found), line=line, tolerance_mm=found.tolerance_mm,
+        due_early=None if due is None else due.early, due=None if due is None else due.middle,
+        due_late=None if due is None else due.late,
+    )  # fmt: skip
+    return [arm, *(replace(row, state=joints[row.joint]) for row in rows[1:])]
+
+
+def visits_of(rows: Sequence[HistoryRow], arm: str, key: str) -> tuple[list[PastCheck], str]:
+    """Return the checks of an arm since its norm began, the oldest first, and the setup of the newest.
+
+    ``key`` is the name that the arm has by its address alone: a repair of that arm counts, whatever its name is.
+    """
+    visits: list[PastCheck] = []
+    setup = ""
+    mine = [row for row in rows if row.arm == arm or (row.kind == "repair" and name_of(row.robot, row.model) == key)]
+    mine.sort(key=lambda row: (row.time, row.kind))
+    for (_, kind), group in groupby(mine, key=lambda row: (row.time, row.kind)):
+        members = list(group)
+        if kind == "repair":
+            visits = []
+        elif kind == "check":
+            head = next((row for row in members if not row.joint), None)
+            measures = None if head is None else _measures(head, [row for row in members if row.joint])
+            if head is None or measures is None:
+                continue
+            visits, setup = [] if head.norm else visits, head.setup
+            visits.append(PastCheck(time=head.time, measures=measures, used_h=head.used_h))
+    return visits, setup
+
+
+def _worst(found: Outlook, joint: str) -> str:
+    states = [one.state for one in found.changes if one.joint == joint]
+    return next((state for state in ("alarm", "drifting", "learning", "steady") if state in states), "")
+
+
+def _measures(head: HistoryRow, joints: Sequence[HistoryRow]) -> CheckMeasures | None:
+    """Put a check together from its rows; None where something is missing in them."""
+    needed = (head.error_mm, head.repeatability_mm, head.approach_mm)
+    if None in needed or not joints:
+        return None
+    found = []
+    for row in joints:
+        values = {name: getattr(row, name) for name in JointCheck.__annotations__}
+        if any(values[name] is None for name in ("hysteresis_mm", "reversal_mm", "deviation_mm", "lever_mm")):
+            return None
+        found.append(JointCheck(**values))
+    return CheckMeasures(joints=tuple(found), **{name: getattr(head, name) for name in _TOOL})

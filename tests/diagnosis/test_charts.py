@@ -1,0 +1,99 @@
+"""Charts and first passages on numbers drawn by hand: what is steady stays so, what moves is found."""
+
+import numpy as np
+import pytest
+
+from rejoint.diagnosis.monitoring.charts import ALARM, CUT, FEWEST, SLACK, chart
+from rejoint.diagnosis.monitoring.remaining import remaining
+
+SCATTER = 0.1
+COLD = np.full(40, np.nan)
+
+
+def seasons(rng: np.random.Generator, count: int) -> np.ndarray:
+    return 23 + 5 * np.sin(2 * np.pi * (np.arange(count) + rng.integers(12)) / 12) + rng.normal(0, 1.5, count)
+
+
+def test_nothing_is_said_before_there_is_a_norm() -> None:
+    drawn = chart(np.arange(FEWEST, dtype=float), COLD[:FEWEST], scatter=SCATTER, per_degree=0.1)
+    assert drawn.state == "learning"
+    assert np.isnan(drawn.z).all()
+    assert drawn.since is None
+
+
+def test_an_arm_that_does_not_change_is_hardly_ever_an_alarm() -> None:
+    rng = np.random.default_rng(1)
+    values = 3.0 + SCATTER * rng.normal(size=(400, 29))
+    alarms = [chart(row, COLD[:29], scatter=SCATTER, per_degree=0.1).cusum for row in values]
+    assert (np.abs(alarms).max(axis=1) >= ALARM).mean() <= 0.03
+
+
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_a_step_is_an_alarm_and_dated(sign: float) -> None:
+    rng = np.random.default_rng(2)
+    value = SCATTER * rng.normal(size=30)
+    value[18:] += sign * 6 * SCATTER
+    drawn = chart(value, COLD[:30], scatter=SCATTER, per_degree=0.1)
+    assert drawn.state == "alarm"
+    assert np.sign(drawn.cusum[-1]) == sign
+    assert drawn.since is not None
+    assert 17 <= drawn.since <= 18
+    assert drawn.change == pytest.approx(sign * 6 * SCATTER, abs=3 * SCATTER)
+
+
+def test_a_single_odd_check_is_no_alarm() -> None:
+    value = np.zeros(20)
+    value[-1] = 100.0
+    drawn = chart(value, COLD[:20], scatter=SCATTER, per_degree=0.1)
+    assert abs(drawn.cusum[-1]) == pytest.approx(CUT - SLACK)
+    assert CUT - SLACK < ALARM
+    assert drawn.z[-1] > 100
+
+
+def test_warmth_is_no_wear_and_wear_no_warmth() -> None:
+    """A slope over temperature is learnt; a change over time in the same seasons is still found."""
+    rng = np.random.default_rng(3)
+    alarms, found = 0, 0
+    for _ in range(60):
+        warm = seasons(rng, 26)
+        value = 0.08 * warm + SCATTER * rng.normal(size=26)
+        alarms += chart(value, warm, scatter=SCATTER, per_degree=0.1).state == "alarm"
+        wear = np.maximum(np.arange(26) - 8, 0) * 0.08
+        found += chart(value + wear, warm, scatter=SCATTER, per_degree=0.1).state == "alarm"
+    assert alarms <= 1
+    assert found >= 57
+    blind = [chart(0.08 * seasons(rng, 26), COLD[:26], scatter=SCATTER, per_degree=0.1).state for _ in range(20)]
+    assert blind.count("alarm") >= 10  # what the test above would find where warmth is not told apart
+
+
+def test_the_tolerance_is_reached_in_the_interval() -> None:
+    """Brownian motions with drift, seen with scatter: the interval holds the real first passage in about 80 %."""
+    rng = np.random.default_rng(4)
+    held = made = 0
+    for _ in range(120):
+        drift, spread = rng.uniform(0.08, 0.2), 0.12
+        path = np.cumsum(np.r_[0.0, drift + spread * rng.normal(size=400)])
+        tolerance = path[:14].max() + 1.0
+        left = remaining(
+            np.arange(14.0), path[:14] + SCATTER * rng.normal(size=14), COLD[:14], tolerance, scatter=SCATTER,
+            per_degree=0.1,
+        )  # fmt: skip
+        if left is None:
+            continue
+        made += 1
+        passed = int(np.argmax(path >= tolerance)) - 13
+        held += left.early - 1 <= passed <= left.late + 1
+        assert left.early <= left.middle <= left.late
+    assert made >= 100
+    assert 0.7 <= held / made <= 0.95
+
+
+def test_an_arm_that_does_not_wear_is_given_no_date() -> None:
+    rng = np.random.default_rng(5)
+    told = [
+        remaining(np.arange(20.0), SCATTER * rng.normal(size=20), COLD[:20], 3.0, scatter=SCATTER, per_degree=0.1)
+        for _ in range(20)
+    ]
+    assert sum(one is not None for one in told) <= 4  # of 90 % one-sided limits, one in ten is chance
+    few = remaining(np.arange(4.0), np.arange(4.0), COLD[:4], 9.0, scatter=SCATTER, per_degree=0.1)
+    assert few is None

@@ -1,0 +1,217 @@
+"""Rows that runs and checks leave: written by many at once, read in place, damaged one by one."""
+
+import threading
+import time
+from dataclasses import replace
+from datetime import datetime, timedelta
+from pathlib import Path
+
+import pytest
+
+from rejoint.diagnosis.monitoring.judge import Change, Due, Outlook, PastCheck, outlook
+from rejoint.diagnosis.monitoring.measures import CheckMeasures, JointCheck
+from rejoint.diagnosis.monitoring.words import say
+from rejoint.logs.history.identity import hours_of, name_of
+from rejoint.logs.history.index import INDEX, find_rows
+from rejoint.logs.history.rows import SUMMARY, HistoryRow, read_rows, write_rows
+from rejoint.logs.history.sql import ask
+from rejoint.runs.history.checks import rows_of, visits_of
+from rejoint.runs.history.page import history_page, write_history
+from rejoint.runs.history.prometheus import prometheus_text
+from rejoint.runs.history.table import arms_of, cells
+from rejoint.system.errors import FileError, InputError
+
+BEGIN = datetime(2027, 1, 1)
+JOINTS = ("shoulder", "elbow")
+
+
+def measures(error: float = 3.0, hysteresis: float = 2.0, temperature: float | None = 25.0) -> CheckMeasures:
+    joints = tuple(
+        JointCheck(
+            joint=name, hysteresis_mm=hysteresis, reversal_mm=0.4, deviation_mm=1.0, sag_mm=None, lever_mm=200.0,
+            temperature_c=temperature,
+        )
+        for name in JOINTS
+    )  # fmt: skip
+    return CheckMeasures(
+        joints=joints, error_mm=error, repeatability_mm=0.2, approach_mm=0.9, true_error_mm=None,
+        true_approach_mm=None, temperature_c=temperature,
+    )  # fmt: skip
+
+
+def head(month: float = 0.0, arm: str = "a1", **values: object) -> HistoryRow:
+    return replace(
+        HistoryRow(time=BEGIN + timedelta(days=30 * month), kind="check", arm=arm, robot="tcp://10.0.0.1:9000",
+                   model="mycobot280", setup="same"), **values)  # fmt: skip
+
+
+def put(folder: Path, name: str, rows: list[HistoryRow]) -> Path:
+    write_rows(folder / name / SUMMARY, rows)
+    return folder / name / SUMMARY
+
+
+def test_rows_come_back_as_they_were(tmp_path: Path) -> None:
+    row = replace(head(), due=BEGIN, used_h=3.5, line='shoulder: 1 mm; "so"', temperature_c=None)
+    path = put(tmp_path, "x", rows_of(row, measures()))
+    assert read_rows(path) == rows_of(row, measures())
+
+
+def test_a_damaged_file_loses_only_itself(tmp_path: Path) -> None:
+    paths = [put(tmp_path, str(i), rows_of(head(i), measures())) for i in range(4)]
+    paths[1].write_bytes(paths[1].read_bytes()[:-40])
+    data = bytearray(paths[2].read_bytes())
+    data[len(data) // 3] ^= 0xFF
+    paths[2].write_bytes(data)
+    (tmp_path / "3" / f".{SUMMARY}.partial").write_bytes(b"half")
+    rows, unread = find_rows(tmp_path)
+    assert {row.time for row in rows if not row.joint} >= {BEGIN, BEGIN + timedelta(days=90)}
+    assert len(unread) >= 1
+    assert any(str(paths[1]) in problem for problem in unread)
+    with pytest.raises(FileError, match="delete it"):
+        read_rows(paths[1])
+
+
+def test_many_write_at_once(tmp_path: Path) -> None:
+    """Several writers and a reader: every row is there at the end, and none is ever half there."""
+    problems: list[tuple[str, ...]] = []
+
+    def write(writer: int) -> None:
+        for i in range(15):
+            put(tmp_path, f"{writer}-{i}", rows_of(head(i, arm=f"a{writer}"), measures()))
+
+    threads = [threading.Thread(target=write, args=(writer,)) for writer in range(4)]
+    for thread in threads:
+        thread.start()
+    while any(thread.is_alive() for thread in threads):
+        problems.append(find_rows(tmp_path)[1])
+        time.sleep(0.01)
+    rows, unread = find_rows(tmp_path)
+    assert not unread
+    assert not any(problems)
+    assert len(rows) == 4 * 15 * 3
+
+
+def test_what_was_read_once_is_a_copy_and_no_more(tmp_path: Path) -> None:
+    """The copy follows files that come, change and go, and is made anew where it is damaged or missing."""
+    paths = [put(tmp_path / "checks", f"a{i}/t", rows_of(head(i, arm=f"a{i}"), measures())) for i in range(3)]
+    first = find_rows(tmp_path)
+    assert find_rows(tmp_path) == first
+    assert len(first[0]) == 9
+    paths[0].unlink()
+    write_rows(paths[1], rows_of(head(1, arm="a1"), measures(error=9.0)))
+    put(tmp_path, "run", [head(5, arm="a9", kind="repair")])
+    rows = find_rows(tmp_path)[0]
+    assert {row.arm for row in rows} == {"a1", "a2", "a9"}
+    assert [row.error_mm for row in rows if row.arm == "a1" and not row.joint] == [9.0]
+    assert {row.arm for row in find_rows(tmp_path, "a2")[0]} == {"a2", "a9"}
+    for damage in (b"", b"PAR1", (tmp_path / INDEX).read_bytes()[:-9]):
+        (tmp_path / INDEX).write_bytes(damage)
+        assert find_rows(tmp_path)[0] == rows
+
+
+@pytest.mark.parametrize(
+    ("rows", "count"),
+    [
+        ([head(0), head(1), head(2)], 3),
+        ([head(0), head(1), head(2, norm="moved"), head(3)], 2),
+        ([head(0), head(1), head(1.5, kind="repair", arm="mycobot280-tcp-10.0.0.1-9000"), head(2)], 1),
+        ([head(0), head(1), head(1.5, kind="run"), head(2)], 3),
+        ([head(0), head(1, arm="a2"), head(2)], 2),
+    ],
+)
+def test_a_repair_or_a_moved_arm_begin_a_new_norm(rows: list[HistoryRow], count: int) -> None:
+    every = [row for one in rows for row in (rows_of(one, measures()) if one.kind == "check" else [one])]
+    past, setup = visits_of(every, "a1", name_of("tcp://10.0.0.1:9000", "mycobot280"))
+    assert len(past) == count
+    assert setup == "same"
+    assert past[-1].measures == measures()
+
+
+def test_an_emulated_arm_stays_the_same_while_it_ages() -> None:
+    names = {name_of(f"emulated:worn{query}", "mycobot280") for query in ("", "?hours=5", "?hours=70&ambient=30")}
+    assert names == {"mycobot280-emulated-worn"}
+    seeded = {name_of(f"emulated:worn?{query}", "m") for query in ("seed=3", "seed=3&hours=5", "hours=5&seed=3")}
+    assert len({name.replace("&", "-") for name in seeded}) == 1
+    assert hours_of("emulated:worn?seed=2&hours=12.5") == 12.5
+    assert hours_of("tcp://hours=3") is None
+
+
+def history_of(hysteresis: list[float], tolerance: float | None = None) -> Outlook:
+    past = [
+        PastCheck(time=BEGIN + timedelta(days=30 * i), measures=measures(3.0 + value - 2.0, value))
+        for i, value in enumerate(hysteresis)
+    ]
+    return outlook(past, tolerance)
+
+
+def test_the_line_says_cause_millimetres_date_and_what_to_do() -> None:
+    assert "5 are needed" in say(history_of([2.0] * 3), "R")
+    steady = say(history_of([2.0] * 12, 6.0), "R")
+    assert steady.startswith("No change in 2 joints since 2027-01-01.")
+    assert "no wear seen" in steady
+    worn = history_of([2.0] * 7 + [2.2, 2.4, 2.6, 2.8, 3.0], 6.0)
+    assert worn.state == "alarm"
+    line = say(worn, "tcp://10.0.0.1:9000")
+    assert line.startswith("shoulder: friction or weakness in slow motion 2.0 -> 3.0 mm since 2027-06-30 (alarm)")
+    assert "also elbow" in line
+    assert "tolerance 6.0 mm, reached " in line
+    assert "Do: rejoint repair tcp://10.0.0.1:9000" in line
+    assert "which is reached" in say(history_of([2.0] * 12, 2.5), "R")
+
+
+def many(folder: Path, arms: int, checks: int) -> None:
+    """Histories of arms of which the last ones are the worst."""
+    for a in range(arms):
+        for c in range(checks):
+            row = head(c, arm=f"arm-{a:03}", tolerance_mm=6.0, state="alarm" if a >= arms - 2 else "steady",
+                       line=f"Something. Do: look at arm {a}.")  # fmt: skip
+            put(folder, f"{a}-{c}", rows_of(row, measures(3.0 + 0.001 * a * c)))
+
+
+def test_the_worst_arm_comes_first_in_table_and_page(tmp_path: Path) -> None:
+    many(tmp_path, 5, 3)
+    arms = arms_of(find_rows(tmp_path)[0])
+    assert [arm.name for arm in arms][:2] == ["arm-004", "arm-003"]
+    assert cells(arms[0])[1] == "alarm"
+    assert cells(arms[0])[-1] == "look at arm 4."
+    page = history_page(arms)
+    assert page.verdict[0] == "2 of 5 arms need somebody."
+    write_history(tmp_path / "history.html", arms)
+    text = (tmp_path / "history.html").read_text(encoding="utf-8")
+    assert text.count("<svg") == 5
+    assert "http" not in text.replace("http-equiv", "")
+    assert text.index("arm-004") < text.index("arm-000")
+
+
+def test_rows_are_asked_in_sql_where_they_lie(tmp_path: Path) -> None:
+    pytest.importorskip("duckdb")
+    many(tmp_path, 3, 4)
+    damaged = put(tmp_path, "damaged", rows_of(head(), measures()))
+    damaged.write_bytes(b"PAR1")
+    names, rows = ask(tmp_path, "select arm, count(*) n from history where joint = '' group by arm order by arm")
+    assert names == ["arm", "n"]
+    assert rows == [("arm-000", 4), ("arm-001", 4), ("arm-002", 4)]
+    with pytest.raises(InputError, match="--sql"):
+        ask(tmp_path, "select nothing from history")
+    with pytest.raises(InputError, match="--sql"):
+        ask(tmp_path, f"copy history to '{tmp_path}/out.csv'")
+    with pytest.raises(FileError, match="rejoint check"):
+        ask(tmp_path / "none", "select 1")
+
+
+def test_prometheus_reads_every_line() -> None:
+    change = Change(joint='el"bow', quantity="sag", state="alarm", usual_mm=1, now_mm=2, since=None, cusum=6.5)
+    seen = Outlook(
+        state="alarm", checks=9, since=BEGIN, changes=(change,), error_mm=2.5, error_known=False, tolerance_mm=3.0,
+        due=Due(early=BEGIN, middle=None, late=None),
+    )  # fmt: skip
+    text = prometheus_text("a7", seen, measures())
+    samples = [line for line in text.splitlines() if not line.startswith("#")]
+    assert 'rejoint_error_mm{arm="a7",by="encoders"} 2.5' in samples
+    assert 'rejoint_state{arm="a7",state="alarm"} 1' in samples
+    assert 'rejoint_cusum{arm="a7",joint="el\\"bow",quantity="sag"} 6.5' in samples
+    assert (
+        f'rejoint_due_seconds{{arm="a7",end="early"}} {(BEGIN - datetime(1970, 1, 1)).total_seconds():.0f}' in samples
+    )
+    assert text.endswith("\n")
+    assert len({line.split(" ")[2] for line in text.splitlines() if line.startswith("# TYPE")}) == 7
