@@ -31,7 +31,8 @@ if TYPE_CHECKING:
     from rejoint.runs.run import Run
     from rejoint.runs.stages.calibrate import Calibrated, calibrate
     from rejoint.runs.stages.check import Checked, check
-    from rejoint.runs.stages.compare import Compared, compare
+    from rejoint.runs.stages.compare import compare
+    from rejoint.runs.stages.comparing import Compared
     from rejoint.runs.stages.connect import connect
     from rejoint.runs.stages.deploy import deploy
     from rejoint.runs.stages.diagnose import Diagnosed, diagnose
@@ -89,7 +90,8 @@ _HOMES = {
     "runs.run": ("Run",),
     "runs.stages.calibrate": ("Calibrated", "calibrate"),
     "runs.stages.check": ("Checked", "check"),
-    "runs.stages.compare": ("Compared", "compare"),
+    "runs.stages.compare": ("compare",),
+    "runs.stages.comparing": ("Compared",),
     "runs.stages.connect": ("connect",),
     "runs.stages.deploy": ("deploy",),
     "runs.stages.diagnose": ("Diagnosed", "diagnose"),

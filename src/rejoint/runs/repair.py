@@ -32,7 +32,8 @@ from rejoint.runs.given import (
 from rejoint.runs.history.summary import summarise
 from rejoint.runs.run import Run, finish, newest_or_new, require_same_pace
 from rejoint.runs.stages.calibrate import calibrate
-from rejoint.runs.stages.compare import Compared, compare
+from rejoint.runs.stages.compare import compare
+from rejoint.runs.stages.comparing import Compared
 from rejoint.runs.stages.diagnose import Diagnosed, diagnose
 from rejoint.runs.stages.driving import Controllers, any_geared
 from rejoint.runs.stages.gains import gains
