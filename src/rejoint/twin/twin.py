@@ -172,16 +172,13 @@ class Twin:
         """Names of the parameters that keep their prior range."""
         return tuple(name for name, known in zip(self.names, self.identified, strict=True) if not known)
 
-    def sample(
-        self, rng: np.random.Generator, count: int, widen: float, least_spread: float = LEAST_SPREAD
-    ) -> TwinParameters:
+    def sample(self, rng: np.random.Generator, count: int, least_spread: float = LEAST_SPREAD) -> TwinParameters:
         """Draw ``count`` twins from the correlated covariance, within the physical bounds.
 
-        Standard deviations of identified parameters are multiplied by ``widen``, and their logarithms
-        spread by ``least_spread`` on top; the others keep their prior range. A delay below zero is that of a recorder
+        Logarithms are spread by ``least_spread`` on top. A delay below zero is that of a recorder
         that reads after it stamps; no arm answers before it is told, so drawn ones are not below zero.
         """
-        root = _root(self, widen, least_spread)
+        root = _root(self, least_spread)
         drawn = pack(self.parameters) + rng.standard_normal((count, len(self.names))) @ root.T
         lower = np.where(np.array(self.names) == "delay", np.maximum(self.lower, 0.0), self.lower)
         return unpack(np.clip(drawn, lower, self.upper), len(self.joint_names))
@@ -210,14 +207,12 @@ class Twin:
 
 
 @lru_cache(maxsize=8)
-def _root(twin: Twin, widen: float, least_spread: float) -> Array:
+def _root(twin: Twin, least_spread: float) -> Array:
     """Matrix (k, k) whose product with its transpose is the covariance that `Twin.sample` draws from.
 
     Kept, since a training draws from the same twin all the time.
     """
-    scale = np.where(twin.identified, widen, 1.0)
-    covariance = twin.covariance * np.outer(scale, scale)
-    covariance = covariance + np.diag(np.where(Layout(len(twin.joint_names)).is_log, least_spread**2, 0.0))
+    covariance = twin.covariance + np.diag(np.where(Layout(len(twin.joint_names)).is_log, least_spread**2, 0.0))
     values, vectors = np.linalg.eigh(covariance)
     root: Array = vectors * np.sqrt(np.maximum(values, 0.0))
     return root
