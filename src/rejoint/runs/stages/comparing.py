@@ -130,7 +130,7 @@ class ComparisonJob:
                 stance=stance_of(self.twin), correction=self.correct, model=self.model,
                 measured=() if before is None else before.driven, source=SOURCE,
             )  # fmt: skip
-            result = self._beside(result, before, watched)
+            result = self._beside(result, before, self._open if self.settings.batched else watched)
         if before is not None and self.run is not None:
             logs[before.log.label] = before.log
             write_log(self.run.folder.log(before.log.label), before.log)
