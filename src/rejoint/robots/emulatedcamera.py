@@ -13,7 +13,6 @@ from rejoint.arms.camera.board import Board
 from rejoint.control.robot import Robot
 from rejoint.lab.camera.rendering import Picture
 from rejoint.lab.camera.scene import Scene, beside, on_tool
-from rejoint.robots.emulated import EmulatedRobot
 from rejoint.system.errors import FileError, InputError
 
 _REMEDY = "give the file that `rejoint emulate --log FILE` writes"
@@ -47,12 +46,12 @@ def watching(
         scene = beside(arm, board=board) if carried == "board" else on_tool(arm, board=board)
         if truth is not None:
             return nullcontext(EmulatedCamera(scene, lambda: pose_of_log(truth, arm), seed))
-        if not isinstance(robot, EmulatedRobot):
+        plant = getattr(robot, "plant", None)  # whatever else a robot is wrapped in
+        if plant is None:
             raise InputError(
                 f"camera emulated: {robot.address} is not emulated in this process; give the number of a camera, or "
                 "emulated=FILE with what `rejoint emulate --log FILE` writes"
             )
-        plant = robot.plant
         return nullcontext(EmulatedCamera(scene, lambda: plant.true_pose()[0], seed))
 
     return opened

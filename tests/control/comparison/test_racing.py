@@ -193,7 +193,7 @@ def test_a_real_arm_races_and_goes_on_from_its_diagnosis(tmp_path):
     about = Run.create(tmp_path / "run", SaggingRobot.address, ARM, seed=2)
     write_log(about.folder.log("targets"), log)
     found = rejoint.compare(SaggingRobot(1, 0), run=about, protocol=QUICK).comparison
-    assert found.controllers == ("default", "integrator", "feedforward"), "the paper's PIDs only on request"
+    assert found.controllers == ("default", "integrator", "feedforward", "shelf"), "the paper's PIDs only on request"
     assert (found.race, found.most) == (RACE, (2, 1))
     np.testing.assert_array_equal(found.targets[0], TARGETS[0])
     assert about.comparison == found
