@@ -213,8 +213,9 @@ def deployment(terminal: Terminal, within: float, done: Deployed) -> None:
     title = (
         f"Errors of {done.controller} at the end of each target (reached: within {1e3 * within:g} mm by the encoders)"
     )
-    headers = ["target", "x mm", "y mm", "z mm", "encoder error mm", "true error of the tool", "reached", ""]
-    terminal.table(title, headers, rows)
+    headers = ["target", "x mm", "y mm", "z mm", "encoder error mm", "true error of the tool", "reached", "remark"]
+    width = len(headers) - (not any(visit.remark for visit in done.visits))
+    terminal.table(title, headers[:width], [row[:width] for row in rows])
     if done.missed:
         terminal.result(f"Not reached: {len(done.missed)} of {len(done.visits)} targets.")
     seen = [visit.seen_error for visit in done.visits if visit.seen_error is not None]
