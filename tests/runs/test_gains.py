@@ -19,6 +19,7 @@ from rejoint.lab.emulator.feetech.emulate import serve_bus
 from rejoint.lab.emulator.feetech.session import BusSession
 from rejoint.robots import place_of
 from rejoint.robots.feetech.gains import for_all
+from rejoint.runs.effort import read_effort
 from rejoint.runs.run import Run
 from rejoint.runs.stages import gains as stage
 from rejoint.runs.stages.gains import gains_to_keep
@@ -51,6 +52,10 @@ def test_what_a_search_finds_takes_part_in_the_comparison(tmp_path, monkeypatch)
         rejoint.compare(robot, ["servo-gains"], [[0.3, 0.05, 0.2]], run=run, sets=1, repetitions=1)
     before = robot.servo_gains()
     found = rejoint.gains(robot, run)
+    spent = read_effort(run.folder)
+    assert spent is not None
+    assert [stage.name for stage in spent.stages] == ["gains"]
+    assert spent.moving > 0.0
     assert read_json(run.folder.gains, GainsFound) == found
     robot.history.clear()
     targets = np.array([[0.33, 0.05, 0.22], [0.31, -0.05, 0.20]])

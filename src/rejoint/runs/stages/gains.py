@@ -8,6 +8,7 @@ from rejoint.control.comparison.targets import draw_targets
 from rejoint.control.gainsearch import GainsFound, search
 from rejoint.control.geared import GEARED, RIVALS
 from rejoint.control.servogains import ServoGains, Tunable, gains_in_force
+from rejoint.runs.effort import metered
 from rejoint.runs.given import Period, RobotLike, RunLike, address_of, as_run, opened
 from rejoint.runs.run import Run, exclusive
 from rejoint.runs.stages.driving import guard_limits, recommended
@@ -63,11 +64,14 @@ def gains(
     >>> print(found.alone["p"], 1e3 * found.with_alone.tool)
     """
     about = as_run(run)
-    with exclusive(about), noted(), opened(robot, about.arm, about.seed, period) as connection:
+    with (
+        exclusive(about), noted(), metered(about.folder, "gains") as meter,
+        opened(robot, about.arm, about.seed, period) as connection,
+    ):  # fmt: skip
         require_space(about.path)
         points = draw_targets(about.arm, sets=1, count=TARGETS, seed=about.seed)[0]
         limits = guard_limits(about, about.arm, address_of(robot))
-        found = search(cast(Tunable, connection), points, limits=limits, on_progress=on_progress)
+        found = search(cast(Tunable, meter.watch(connection)), points, limits=limits, on_progress=on_progress)
         with saving(found):
             set_aside(about.folder.gains)
             write_json(about.folder.gains, found)
