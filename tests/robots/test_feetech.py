@@ -20,7 +20,9 @@ from rejoint.lab.emulator.feetech.session import BusSession
 from rejoint.robots import open_robot, place_of
 from rejoint.robots.feetech.address import FeetechAddress
 from rejoint.robots.feetech.bus import FeetechBus
+from rejoint.robots.feetech.gains import LIMIT
 from rejoint.robots.feetech.gripper import Gripper
+from rejoint.robots.feetech.tuning import Tuning
 from rejoint.robots.feetech.zeros import Zeros, read_calibration, zeros_of
 from rejoint.system.errors import (
     AddressError,
@@ -126,6 +128,25 @@ def test_gains_that_a_servo_does_not_bear_are_taken_back():
     with serving(arm=arm) as server, closing(open_robot(server.address)) as robot:  # known to be borne
         robot.tune({"p": (32, 40, 32, 32, 32)})
         assert arm.servos[1]["P_Coefficient"] == 40
+
+
+def test_a_servo_that_labours_gets_its_old_gains_back_and_no_stiffer_ones():
+    memory = {servo: bytearray(80) for servo in (1, 2)}
+    for registers in memory.values():
+        registers[21:28] = [32, 32, 0, 16, 0, 1, 1]
+    tuning = Tuning(
+        (1, 2), {}, read=lambda servo, first, size, _: bytes(memory[servo][first : first + size]), call=str,
+        write=lambda servo, first, data, _: memory[servo].__setitem__(first, *data), wait=lambda _: None,
+    )  # fmt: skip
+    tuning.prepare(None)
+    before = dict(tuning.values)
+    tuning.tune({"p": (48, 32), "i": (1, 0), LIMIT: (50, 0), "dead_cw": (0, 1)})
+    memory[1][60:62] = (900).to_bytes(2, "little")
+    with pytest.raises(RobotError, match="1 does not bear p=52: load 90 %"):
+        tuning.tune({"p": (64, 32)})
+    assert memory[1][21] == 48
+    tuning.tune(before)
+    assert tuning.values == before
 
 
 def test_tuned_gains_are_taken_back_by_hand_or_by_power_and_kept_only_when_asked():

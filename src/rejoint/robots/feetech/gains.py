@@ -82,6 +82,11 @@ def for_all(gains: Gains, joints: int) -> Values:
     return {LIMIT: (LIMITED,) * joints, **found} if gains.get("i") else found
 
 
+def stiffer(name: str, before: int, now: int) -> bool:
+    """Tell whether a servo pushes harder with a gain of this name ``now`` than ``before``."""
+    return now < before if name in KNOBS["dead"].names else now > before
+
+
 def steps(before: Mapping[str, tuple[int, ...]], wanted: Mapping[str, tuple[int, ...]]) -> list[dict[str, list[int]]]:
     """Return what to write, one small step after the other: by name, a value of each joint; joints step side by side.
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from rejoint.control.servogains import HEAVIEST, HOTTEST, ServoGains
-from rejoint.robots.feetech.gains import FIRST, PAUSE, REGISTERS, SIZE, Values, read_block, steps
+from rejoint.robots.feetech.gains import FIRST, PAUSE, REGISTERS, SIZE, Values, read_block, steps, stiffer
 from rejoint.robots.feetech.law import FULL, DutyLaw
 from rejoint.system.errors import RobotError
 from rejoint.system.stopping import ending, shielded
@@ -78,9 +78,10 @@ class Tuning:
         if strange:
             known = f"{', '.join(before)} of {len(self._ids)} joints"
             raise RobotError(f"expected gains {known}, got {', '.join(strange)}")
-        for step in steps(self._there(until), wanted):  # a walk that a lost connection cut short goes on
+        there = self._there(until)
+        for step in steps(there, wanted):  # a walk that a lost connection cut short goes on
             self._take(step, until)
-            problem = "" if ending() else self._problem(step, until, hottest)
+            problem = "" if ending() else self._problem(step, there, until, hottest)
             if problem:
                 for back in steps(self._there(until), before):
                     self._take(back, until)
@@ -93,10 +94,12 @@ class Tuning:
                 self._write(servo, REGISTERS[name], [value], until)
         self._wait(PAUSE)
 
-    def _problem(self, step: Mapping[str, Sequence[int]], until: float | None, hottest: float) -> str:
-        """Say which servo does not bear a step; empty where all do."""
+    def _problem(self, step: Mapping[str, Sequence[int]], there: Values, until: float | None, hottest: float) -> str:
+        """Say which servo does not bear to be made stiffer than ``there``; empty where all do."""
         ((name, values),) = step.items()
-        for servo, value in zip(self._ids, values, strict=True):
+        for servo, old, value in zip(self._ids, there[name], values, strict=True):
+            if not stiffer(name, old, value):  # else one that labours could not be relieved
+                continue
             low, high, _, heat = self._read(servo, LOAD, 4, until)
             load = ((low | high << 8) & ~_NEGATIVE) / FULL
             if load > HEAVIEST or heat > hottest:
