@@ -153,3 +153,5 @@ def test_gains_go_in_small_steps_with_the_limit_before_the_i_part_and_after_it()
     assert back[-1] == {LIMIT: [0, 0]}
     assert [step["i"] for step in back if "i" in step] == [[1, 1], [0, 0]]
     assert steps(before, before) == []
+    one, other = {LIMIT: (50, 0), "i": (1, 0)}, {LIMIT: (0, 50), "i": (0, 1)}
+    assert steps(one, other) == [{LIMIT: [50, 50]}, {"i": [0, 1]}, {LIMIT: [0, 50]}], "0 is no limit at all"

@@ -35,7 +35,7 @@ startup force is 16 as sold)"""
 LIMIT, LIMITED = "limit", 50
 """Name of the limit of the I part, and what it is set to with any I: 20 % of PWM (chosen: beyond friction)"""
 REGISTERS = {LIMIT: 25, "p": 21, "d": 22, "i": 23, "startup": 24, "dead_cw": 26, "dead_ccw": 27}
-"""Where each gain stands, one byte each; the limit of the I part first, as it has to be there before any I is"""
+"""Where each gain stands, one byte each"""
 FIRST, SIZE = 21, 7
 """The registers that all of them lie in"""
 _STRIDES = {name: knob.stride for knob in KNOBS.values() for name in knob.names} | {LIMIT: LIMITED}
@@ -90,13 +90,15 @@ def stiffer(name: str, before: int, now: int) -> bool:
 def steps(before: Mapping[str, tuple[int, ...]], wanted: Mapping[str, tuple[int, ...]]) -> list[dict[str, list[int]]]:
     """Return what to write, one small step after the other: by name, a value of each joint; joints step side by side.
 
-    The limit of the I part is raised before the I part, and lowered after it.
+    The limit of the I part, where 0 is none, is raised before the I part of any joint, and lowered after that of all.
     """
-    rising = any(wanted.get("i", (0,)))
-    names = sorted((name for name in REGISTERS if name in wanted), key=lambda name: (name == LIMIT) != rising)
+    ways = [(name, before[name], wanted[name]) for name in REGISTERS if name in wanted and name != LIMIT]
+    if LIMIT in wanted:
+        most = tuple(map(max, before[LIMIT], wanted[LIMIT]))
+        ways = [(LIMIT, before[LIMIT], most), *ways, (LIMIT, most, wanted[LIMIT])]
     found = []
-    for name in names:
-        ways = [[old, *way(old, new, _STRIDES[name])] for old, new in zip(before[name], wanted[name], strict=True)]
-        longest = max(map(len, ways))
-        found += [{name: [one[min(k, len(one) - 1)] for one in ways]} for k in range(1, longest)]
+    for name, here, there in ways:
+        each = [[old, *way(old, new, _STRIDES[name])] for old, new in zip(here, there, strict=True)]
+        longest = max(map(len, each))
+        found += [{name: [one[min(k, len(one) - 1)] for one in each]} for k in range(1, longest)]
     return found
