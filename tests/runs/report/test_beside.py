@@ -40,3 +40,14 @@ def test_directions_are_driven_where_they_are_asked_for():
     assert (found.directions.controller, found.directions.poses, found.directions.cycles) == ("feedforward", 5, 1)
     assert found.directions.tool.mean.value > found.directions.encoders.mean.value / 2 > 0.0
     assert found.as_found is None
+
+
+def test_a_trip_beside_a_comparison_is_told_and_costs_no_more(monkeypatch: pytest.MonkeyPatch):
+    def trip(*_: object) -> None:
+        raise rejoint.GuardTripError("temperature", "joint2 is at 71 deg C")
+
+    monkeypatch.setattr("rejoint.runs.stages.comparing.vary_directions", trip)
+    targets = mycobot280().targets.sample(np.random.default_rng(0), (1, 1))
+    done = rejoint.compare("emulated:worn", ["feedforward"], targets, repetitions=1, protocol=SHORT, directions=True)
+    assert done.comparison.directions is None
+    assert any("joint2 is at 71 deg C" in line for line in done.recommendation.why)

@@ -247,7 +247,7 @@ class Comparison:
     period: tuple[float, float] | None = None
     """[s] shortest and longest control period that was asked for; None: the robot's own"""
     left_out: tuple[str, ...] = ()
-    """sentences: which controllers did not take part, and why"""
+    """sentences: which controllers did not take part, what was not driven beside them, and why"""
     calibration: str = ""
     """date of the calibration by which all controllers were aimed; empty where there was none"""
     race: Race | None = None

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -147,7 +146,7 @@ class ComparisonJob:
             limits=guard_limits(self.run, self.arm, address_of(self.robot)), correction=self.correct, model=self.model,
         )  # fmt: skip
         protocol, own = self.settings.protocol, self.factories.get(DEFAULT)
-        with suppress(GuardTripError):  # neither is worth a comparison that is decided
+        try:
             if self.correct is not None and before is not None:
                 result = replace(result, as_found=before.errors())
             elif self.correct is not None and own is not None:
@@ -156,6 +155,9 @@ class ComparisonJob:
                 best = recommend(result).controller
                 found = vary_directions(how, best, self.factories[best], self.arm, self.settings.repetitions, protocol)
                 result = replace(result, directions=found)
+        except GuardTripError as error:  # neither is worth a comparison that is decided
+            told = f"What is driven beside a comparison was ended early, and the rest of it left out: {error}."
+            result = replace(result, left_out=(*result.left_out, told))
         return result
 
     def _open(self, count: int, seed: int) -> Robot:
