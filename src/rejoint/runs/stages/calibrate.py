@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rejoint.control.robot import Robot
+from rejoint.control.servogains import limits_under
 from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.diagnosis.calibration.camera.film import Film
 from rejoint.diagnosis.calibration.camera.filming import POSTURES, CameraGauge
@@ -233,7 +234,8 @@ class _MeasuringDrive:
         try:
             return measure(
                 self.robot, self.gauge, plan, on_progress=on_progress, on_measured=keep,
-                limits=guard_limits(run, arm, self.robot.address), stance=stance_of(self.twin),
+                limits=limits_under(guard_limits(run, arm, self.robot.address), self.robot, None),
+                stance=stance_of(self.twin),
             )  # fmt: skip
         except BaseException as error:
             if run is not None and run.folder.measurements.exists():

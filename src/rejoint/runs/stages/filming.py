@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from rejoint.arms import Arm
 from rejoint.arms.camera.rigfile import write_rig
 from rejoint.control.robot import Robot
+from rejoint.control.servogains import limits_under
 from rejoint.diagnosis.calibration.camera.film import Film
 from rejoint.diagnosis.calibration.camera.filmfile import POSTURES, read_film, write_film, write_postures
 from rejoint.diagnosis.calibration.camera.filming import CameraGauge, FilmDrive, Picture, UnseenBoardError
@@ -43,8 +44,9 @@ def film_of(
 
     with gauge.camera(robot) as camera:
         drive = FilmDrive(
-            robot=robot, camera=camera, film=film, limits=guard_limits(run, arm, robot.address),
-            stance=stance_of(twin), on_shot=keep, on_progress=on_progress,
+            robot=robot, camera=camera, film=film,
+            limits=limits_under(guard_limits(run, arm, robot.address), robot, None), stance=stance_of(twin),
+            on_shot=keep, on_progress=on_progress,
         )  # fmt: skip
         try:
             return drive.take(count, visits)

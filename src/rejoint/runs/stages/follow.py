@@ -14,6 +14,7 @@ from rejoint.control.moving.path import Path
 from rejoint.control.moving.routes import Ahead, Stream
 from rejoint.control.recording import Cycle, Recording, recording_of
 from rejoint.control.robot import Robot
+from rejoint.control.servogains import limits_under
 from rejoint.control.start import begin
 from rejoint.runs.given import (
     ArmLike,
@@ -150,7 +151,7 @@ def follow(
         if about is not None:
             require_space(about.path)
         with noted(), opened(robot, chosen, seed, period) as connection:
-            limits = guard_limits(about, chosen, connection.address)
+            limits = limits_under(guard_limits(about, chosen, connection.address), connection, None)
             start = begin(connection, limits, stance_of(known))
             carrier = _Logged(
                 robot=connection, run=about, limits=limits,
@@ -174,7 +175,7 @@ class _Logged:
 
     robot: Robot
     run: Run | None
-    limits: GuardLimits
+    limits: GuardLimits | None
     on_progress: Progress
     period: float
 
