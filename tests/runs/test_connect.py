@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ import rejoint
 from rejoint.arms import mycobot280, tcp_position
 from rejoint.lab.plant.wear import load_wear
 from rejoint.runs.run import Run
+from rejoint.runs.stages.driving import twin_in_force
 from rejoint.twin.parameters import nominal_parameters, prior
 from rejoint.twin.twin import HeldOut, PredictionError, Twin
 
@@ -130,3 +132,12 @@ def test_a_path_is_stopped_on_its_way_and_what_cannot_be_followed_is_refused(run
         end = arm.move_to(WAVE[0], within_m=0.004)
         assert end is not None
         assert end.time_s < 200.0, "ten times along a circle take longer"
+
+
+def test_a_twin_is_as_stiff_as_the_servos_are_now(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    a_twin().save(run / "twin.toml")
+    monkeypatch.setattr(Run, "diagnosis", SimpleNamespace(servo_gains={"p": (16,) * 6}))
+    for gains, factor in ((None, 1.0), ({"p": (32,) * 6}, 2.0)):
+        found = twin_in_force(Run.open(run), SimpleNamespace(servo_gains=lambda gains=gains: gains))
+        assert found is not None
+        np.testing.assert_allclose(found.parameters.stiffness, factor * a_twin().parameters.stiffness, rtol=1e-6)

@@ -26,6 +26,7 @@ from rejoint.runs.stages.driving import (
     make_factories,
     recommended,
     stance_of,
+    twin_in_force,
 )
 from rejoint.runs.stages.loads import Say, say_heavy
 from rejoint.runs.stages.motions import AlongPath, MotionThread, MoveTo
@@ -78,14 +79,14 @@ class DrivenArm:
         with ExitStack() as stack:
             stack.enter_context(exclusive(run))
             require_space(run.path)
-            self._twin = run.twin
             ((self.controller, make),) = make_factories(
-                [recommended(run) if controller is None else controller], arm, period, run=run, twin=self._twin
+                [recommended(run) if controller is None else controller], arm, period, run=run, twin=run.twin
             ).items()
             robot = open_robot(address, arm=arm, seed=seed, period=period)
             stack.callback(robot.close)
             correct, driver = correction_of(calibration, run, arm, address), make(arm)
             stack.enter_context(under_gains(robot, driver))
+            self._twin = twin_in_force(run, robot)
             self._drive = ArmDrive(
                 run=run, robot=robot, controller=driver, name=self.controller,
                 limits=limits_under(guard_limits(run, arm, address), robot, driver),

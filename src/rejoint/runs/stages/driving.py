@@ -25,7 +25,7 @@ from rejoint.control.geared import GEARED, RIVALS, Geared, inner_name
 from rejoint.control.guard import GuardLimits
 from rejoint.control.lines import servo_lines
 from rejoint.control.robot import Robot
-from rejoint.control.servogains import stiffness_under
+from rejoint.control.servogains import gains_in_force, stiffness_under
 from rejoint.control.shelf import SHELF, shelf_controller, shelf_policy
 from rejoint.control.start import Stance
 from rejoint.logs.journal import Journal
@@ -87,6 +87,15 @@ def _is_own(run: Run, robot: str) -> bool:
 def stance_of(twin: Twin | None) -> Stance | None:
     """Return where an arm is expected to stand at rest; None without a twin."""
     return None if twin is None else Stance(stiffness=twin.parameters.stiffness, offset=twin.parameters.offset)
+
+
+def twin_in_force(run: Run, robot: Robot) -> Twin | None:
+    """Return the twin of a run, its servos as stiff as they are under the gains that those of ``robot`` have now."""
+    twin, diagnosis = run.twin, run.diagnosis
+    if twin is None or diagnosis is None:
+        return twin
+    stiffness = stiffness_under(twin.parameters.stiffness, diagnosis.servo_gains, gains_in_force(robot))
+    return replace(twin, parameters=replace(twin.parameters, stiffness=stiffness))
 
 
 def correction_of(

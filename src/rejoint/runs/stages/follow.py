@@ -31,7 +31,14 @@ from rejoint.runs.given import (
     period_of,
 )
 from rejoint.runs.run import Run, exclusive
-from rejoint.runs.stages.driving import ControllerLike, correction_of, guard_limits, stance_of, start_journal
+from rejoint.runs.stages.driving import (
+    ControllerLike,
+    correction_of,
+    guard_limits,
+    stance_of,
+    start_journal,
+    twin_in_force,
+)
 from rejoint.runs.stages.loads import PayloadLike, Say, say_heavy, say_noticed, silent, with_load
 from rejoint.runs.stages.pathdrive import (
     TRACKER,
@@ -147,11 +154,12 @@ def follow(
             say_heavy(chosen, known, given.place[:: max(1, len(given.place) // LOOKED_AT)], say)
         correct = correction_of(calibration, about, chosen, address_of(robot))
         usual = period_of(robot, period)
-        name, make = follower(controller, chosen, usual, about, known)
         if about is not None:
             require_space(about.path)
         with noted(), opened(robot, chosen, seed, period) as connection:
             limits = limits_under(guard_limits(about, chosen, connection.address), connection, None)
+            known = twin_in_force(about, connection) if about is not None and twin is None else known
+            name, make = follower(controller, chosen, usual, about, known)
             start = begin(connection, limits, stance_of(known))
             carrier = _Logged(
                 robot=connection, run=about, limits=limits,

@@ -18,12 +18,12 @@ from rejoint.control.loop import run as drive
 from rejoint.control.posture import PostureController, Wanted
 from rejoint.control.recording import Cycle, recording_of
 from rejoint.control.robot import JointState, Mask, Robot
-from rejoint.control.servogains import gains_in_force, limits_under, stiffness_under
+from rejoint.control.servogains import limits_under
 from rejoint.control.start import check_ready
 from rejoint.robots import open_robot
 from rejoint.runs.given import Period, RunLike, as_run
 from rejoint.runs.run import Run, exclusive
-from rejoint.runs.stages.driving import guard_limits, start_journal
+from rejoint.runs.stages.driving import guard_limits, start_journal, twin_in_force
 from rejoint.system.errors import InputError, NotReadyError
 from rejoint.system.files import require_space
 
@@ -193,9 +193,7 @@ class PosedArm:
 
 def _controller(run: Run, robot: Robot, way: GoalWay) -> PostureController:
     """Return what brings the arm to its goals, by what the twin says of servos with the gains that they have now."""
-    twin, diagnosis = run.twin, run.diagnosis
+    twin = twin_in_force(run, robot)
     if twin is None:
         return PostureController(run.arm, way)
-    before = None if diagnosis is None else diagnosis.servo_gains
-    stiffness = stiffness_under(twin.parameters.stiffness, before, gains_in_force(robot))
-    return PostureController(run.arm, way, stiffness=stiffness, offset=twin.parameters.offset)
+    return PostureController(run.arm, way, stiffness=twin.parameters.stiffness, offset=twin.parameters.offset)
