@@ -127,6 +127,15 @@ def test_a_repair_or_a_moved_arm_begin_a_new_norm(rows: list[HistoryRow], count:
     assert past[-1].measures == measures()
 
 
+def test_joints_come_back_in_their_order_and_once(tmp_path: Path) -> None:
+    """So that the joints of a new check meet their own, also in a folder that holds a copy of itself."""
+    for month in range(2):
+        for place in ("", "copy/"):
+            put(tmp_path, f"{place}{month}", rows_of(head(month), measures()))
+    past, _ = visits_of(find_rows(tmp_path)[0], "a1", "")
+    assert [visit.measures for visit in past] == [measures(), measures()]
+
+
 def test_an_emulated_arm_stays_the_same_while_it_ages() -> None:
     names = {name_of(f"emulated:worn{query}", "mycobot280") for query in ("", "?hours=5", "?hours=70&ambient=30")}
     assert names == {"mycobot280-emulated-worn"}

@@ -39,7 +39,7 @@ def find_rows(folder: Path, arm: str | None = None) -> tuple[list[HistoryRow], t
         paths = [path for path in folder.glob(f"**/{SUMMARY}") if _is_of(path.relative_to(folder), arm)]
         table, problems = _read({_key(folder, path): path for path in paths})
         rows = rows_from(table.select(SCHEMA.names))
-    return sorted(rows, key=lambda row: (row.arm, row.time, row.kind, row.joint)), problems
+    return sorted(rows, key=lambda row: (row.arm, row.time, row.kind)), problems  # joints stay in the arm's order
 
 
 def find_table(folder: Path) -> tuple[pa.Table, tuple[str, ...]]:

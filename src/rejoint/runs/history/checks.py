@@ -43,12 +43,12 @@ def visits_of(rows: Sequence[HistoryRow], arm: str, key: str) -> tuple[list[Past
     mine = [row for row in rows if row.arm == arm or (row.kind == "repair" and name_of(row.robot, row.model) == key)]
     mine.sort(key=lambda row: (row.time, row.kind))
     for (_, kind), group in groupby(mine, key=lambda row: (row.time, row.kind)):
-        members = list(group)
+        members = {row.joint: row for row in group}  # of a folder that was copied each stands there twice
         if kind == "repair":
             visits = []
         elif kind == "check":
-            head = next((row for row in members if not row.joint), None)
-            measures = None if head is None else _measures(head, [row for row in members if row.joint])
+            head = members.pop("", None)
+            measures = None if head is None else _measures(head, tuple(members.values()))
             if head is None or measures is None:
                 continue
             visits, setup = [] if head.norm else visits, head.setup
