@@ -7,7 +7,6 @@ software of ours.
 
 from __future__ import annotations
 
-import logging
 import types
 import typing
 from collections.abc import Sequence
@@ -30,7 +29,6 @@ FORMAT = 1
 """Version of the columns; a reader leaves files of later ones out, and takes missing columns for unknown"""
 
 _FORMAT_KEY = b"rejoint.history"
-_LOGGER = logging.getLogger("rejoint")
 
 
 @dataclass(frozen=True, kw_only=True)
