@@ -63,6 +63,8 @@ def test_a_damaged_file_loses_only_itself(tmp_path: Path) -> None:
     data[len(data) // 3] ^= 0xFF
     paths[2].write_bytes(data)
     (tmp_path / "3" / f".{SUMMARY}.partial").write_bytes(b"half")
+    (tmp_path / "gone").mkdir()
+    (tmp_path / "gone" / SUMMARY).symlink_to(tmp_path / "nothing")
     rows, unread = find_rows(tmp_path)
     assert {row.time for row in rows if not row.joint} >= {BEGIN, BEGIN + timedelta(days=90)}
     assert len(unread) >= 1

@@ -36,15 +36,15 @@ def find_rows(folder: Path, arm: str | None = None) -> tuple[list[HistoryRow], t
         table, problems = find_table(folder)
         rows = rows_from(table)
     else:
-        paths = [path for path in folder.glob(f"**/{SUMMARY}") if _is_of(path.relative_to(folder), arm)]
-        table, problems = _read({_key(folder, path): path for path in paths})
+        paths = {key: path for key, path in _files(folder).items() if _is_of(path.relative_to(folder), arm)}
+        table, problems = _read(paths)
         rows = rows_from(table.select(SCHEMA.names))
     return sorted(rows, key=lambda row: (row.arm, row.time, row.kind)), problems  # joints stay in the arm's order
 
 
 def find_table(folder: Path) -> tuple[pa.Table, tuple[str, ...]]:
     """Read all summary rows below a folder as a table of `SCHEMA`, and say which files could not be read."""
-    paths = {_key(folder, path): path for path in folder.glob(f"**/{SUMMARY}")}
+    paths = _files(folder)
     known = _copy(folder)
     known = known.filter(pc.is_in(known[_FILE], pa.array(list(paths), pa.string())))
     seen = set(known[_FILE].to_pylist())
@@ -79,10 +79,14 @@ def _copy(folder: Path) -> pa.Table:
     return table if table.schema.equals(_INDEXED) else empty
 
 
-def _key(folder: Path, path: Path) -> str:
-    """Name a file as it is now: with other contents it is another."""
-    found = path.stat()
-    return f"{path.relative_to(folder)} {found.st_size} {found.st_mtime_ns}"
+def _files(folder: Path) -> dict[str, Path]:
+    """Name every file as it is now: with other contents it is another. One that goes meanwhile is left out."""
+    found = {}
+    for path in folder.glob(f"**/{SUMMARY}"):
+        with suppress(FileNotFoundError):
+            seen = path.stat()
+            found[f"{path.relative_to(folder)} {seen.st_size} {seen.st_mtime_ns}"] = path
+    return found
 
 
 def _is_of(path: Path, arm: str) -> bool:
