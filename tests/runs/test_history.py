@@ -6,6 +6,7 @@ from dataclasses import replace
 from datetime import datetime, timedelta
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from rejoint.diagnosis.monitoring.judge import Change, Due, Outlook, PastCheck, outlook
@@ -168,6 +169,17 @@ def test_the_line_says_cause_millimetres_date_and_what_to_do() -> None:
     assert "tolerance 6.0 mm, reached " in line
     assert "Do: rejoint repair tcp://10.0.0.1:9000" in line
     assert "which is reached" in say(history_of([2.0] * 12, 2.5), "R")
+
+
+def test_hours_that_fall_are_not_counted() -> None:
+    def due(hours: list[float | None]) -> Due | None:
+        past = [
+            PastCheck(time=BEGIN + timedelta(days=30 * i), measures=measures(3.0 + 0.2 * i), used_h=used)
+            for i, used in enumerate(hours)
+        ]
+        return outlook(past, 6.0).due
+
+    assert due([100.0, 20.0, *np.arange(110.0, 160.0, 10.0)]) == due([None] * 7) is not None
 
 
 def many(folder: Path, arms: int, checks: int) -> None:

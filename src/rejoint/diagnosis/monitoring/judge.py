@@ -156,7 +156,8 @@ def _due(visits: Sequence[PastCheck], error: Array, warm: Array, tolerance: floa
     """Tell when the tolerance is reached: by use where the owner counts it, at the pace seen; else by the calendar."""
     days = np.array([(visit.time - visits[0].time) / timedelta(days=1) for visit in visits])
     hours = np.array([_nan(visit.used_h) for visit in visits])
-    counted = bool(np.isfinite(hours).all() and hours[-1] > hours[0] and days[-1] > days[0])
+    grows = bool(np.isfinite(hours).all() and (np.diff(hours) >= 0.0).all())  # else somebody has told them wrongly
+    counted = grows and hours[-1] > hours[0] and days[-1] > days[0]
     use = hours if counted else days
     pace = (hours[-1] - hours[0]) / (days[-1] - days[0]) if counted else 1.0
     scatter, per_degree = error_scatter(error), error_per_degree(visits[0].measures)
