@@ -11,7 +11,7 @@ import pytest
 
 from rejoint.diagnosis.monitoring.judge import Change, Due, Outlook, PastCheck, outlook
 from rejoint.diagnosis.monitoring.measures import CheckMeasures, JointCheck
-from rejoint.diagnosis.monitoring.words import say
+from rejoint.diagnosis.monitoring.words import cause_of, say
 from rejoint.logs.history.identity import hours_of, name_of
 from rejoint.logs.history.index import INDEX, find_rows
 from rejoint.logs.history.rows import SUMMARY, HistoryRow, read_rows, write_rows
@@ -169,6 +169,21 @@ def test_the_line_says_cause_millimetres_date_and_what_to_do() -> None:
     assert "tolerance 6.0 mm, reached " in line
     assert "Do: rejoint repair tcp://10.0.0.1:9000" in line
     assert "which is reached" in say(history_of([2.0] * 12, 2.5), "R")
+
+
+def test_a_single_odd_check_is_not_named_as_the_cause() -> None:
+    """One joint drifts; another one was once far off, which adds up to more and is no drift."""
+    past = []
+    for i, drift in enumerate([2.0] * 8 + [2.03] * 5):
+        seen = measures(3.0, drift)
+        odd = replace(seen.joints[1], hysteresis_mm=2.0, reversal_mm=2.0 if i == 12 else 0.4)
+        past.append(PastCheck(time=BEGIN + timedelta(days=30 * i), measures=replace(seen, joints=(seen.joints[0], odd))))
+    found = outlook(past)
+    assert found.state == "drifting"
+    assert abs(found.changes[0].cusum) < max(abs(one.cusum) for one in found.changes)
+    assert cause_of(found).startswith("shoulder: friction")
+    assert say(found, "R").startswith("shoulder: friction or weakness in slow motion")
+    assert "also" not in say(found, "R")
 
 
 def test_hours_that_fall_are_not_counted() -> None:

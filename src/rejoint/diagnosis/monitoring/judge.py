@@ -77,7 +77,7 @@ class Outlook:
     since: datetime
     """of the first of them"""
     changes: tuple[Change, ...]
-    """what changed most comes first"""
+    """the worst state first, and in it what changed most"""
     error_mm: float
     """of the tool in the five poses, newest"""
     error_known: bool
@@ -94,11 +94,10 @@ class Outlook:
 
 def outlook(visits: Sequence[PastCheck], tolerance_mm: float | None = None) -> Outlook:
     """Judge an arm by its checks since the norm began, the oldest first; there is at least one."""
-    newest = visits[-1].measures
     warm = np.array([_nan(visit.measures.temperature_c) for visit in visits])
     drawn = [_change(visits, *one) for one in _quantities(visits, warm)]
-    changes = tuple(sorted(drawn, key=lambda one: -abs(one.cusum)))
-    order: tuple[State, ...] = ("learning", "steady", "drifting", "alarm")
+    order: tuple[State, ...] = ("alarm", "drifting", "steady", "learning")
+    changes = tuple(sorted(drawn, key=lambda one: (order.index(one.state), -abs(one.cusum))))
     known = all(visit.measures.true_error_mm is not None for visit in visits)
     error = [visit.measures.true_error_mm if known else visit.measures.error_mm for visit in visits]
     now = float(error[-1] or 0.0)
@@ -106,9 +105,8 @@ def outlook(visits: Sequence[PastCheck], tolerance_mm: float | None = None) -> O
     if tolerance_mm is not None and now < tolerance_mm:
         due = _due(visits, np.array(error, dtype=float), warm, tolerance_mm)
     return Outlook(
-        state=max((one.state for one in changes), key=order.index), checks=len(visits), since=visits[0].time,
-        changes=changes, error_mm=now if known else newest.error_mm, error_known=known, tolerance_mm=tolerance_mm,
-        due=due,
+        state=changes[0].state, checks=len(visits), since=visits[0].time, changes=changes, error_mm=now,
+        error_known=known, tolerance_mm=tolerance_mm, due=due,
     )  # fmt: skip
 
 

@@ -35,7 +35,7 @@ def say(found: Outlook, robot: str) -> str:
     called = [one for one in found.changes if one.state == found.state]
     others = sorted({one.joint or "the tool" for one in called} - {worst.joint or "the tool"})
     also = f"; also {', '.join(others)}" if others else ""
-    return f"{_changed(called[0])} ({found.state}){also}. {error}. Do: {_act(found, called[0], robot)}."
+    return f"{_changed(worst)} ({found.state}){also}. {error}. Do: {_act(found, worst, robot)}."
 
 
 def cause_of(found: Outlook) -> str:
