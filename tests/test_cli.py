@@ -144,6 +144,7 @@ def test_follow_goes_along_a_path_and_logs_each_time(
         (("compare", "emulated:worn", "{run}", "--period", "fast"), "expected milliseconds"),
         (("deploy", "emulated:worn", "{run}", "--targets", "{bad_csv}"), "line 2"),
         (("deploy", "emulated:worn", "{run}", "--controller", "policy"), "truncated or damaged"),
+        (("gains", "emulated:worn", "{run}"), "no servo gains that could be tuned"),
         (("import", "{empty}", "{run}/logs"), "empty"),
         (("export", "{run}/logs/none.parquet", "out.csv"), "no such file"),
         (("repair", "emulated:worn", "--arm", "robot.urdf"), "robot.urdf"),

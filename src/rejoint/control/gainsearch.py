@@ -18,7 +18,7 @@ from rejoint.control.default import DefaultController
 from rejoint.control.guard import GuardLimits
 from rejoint.control.loop import Schedule, run
 from rejoint.control.robot import Mask
-from rejoint.control.servogains import HEAVIEST, HOTTEST, Rung, Tunable, limits_under, put_back
+from rejoint.control.servogains import HEAVIEST, HOTTEST, Rung, Tunable, gains_in_force, limits_under, put_back
 from rejoint.control.start import begin
 from rejoint.system.errors import InputError, NotReadyError
 from rejoint.system.progress import Progress, no_progress
@@ -80,7 +80,7 @@ def search(
 
     Whatever ends it early, a signal, the guard, a servo that does not bear a step, the gains before are set first.
     """
-    before = robot.servo_gains()
+    before = gains_in_force(robot)
     if before is None or not robot.rungs():
         raise InputError(f"{robot.address} has no servo gains that could be tuned; an SO-101 on its own bus has")
     found = {name: tuple(values) for name, values in before.items()}
