@@ -158,6 +158,7 @@ def test_follow_goes_along_a_path_and_logs_each_time(
         (("evaluate", "--family", "--iterations", "3"), "--iterations does not go with --family"),
         (("repair", "emulated:healthy", "--run", "{run}"), "is a run of emulated:worn"),
         (("emulate", "--port", "99999"), "--port"),
+        (("serve", "emulated:worn", "{run}", "--stdio", "--payload", "0.1"), "--stdio goes with"),
         (("frobnicate",), "frobnicate"),
     ],
 )

@@ -102,7 +102,7 @@ def serve(
     Example: `rejoint serve tcp://192.168.1.20:9000 runs/mine --listen 127.0.0.1:9001`
     """
     if stdio:
-        if pty or json or calibration is not None:
+        if pty or json or any(given is not None for given in (calibration, payload, tool)):
             raise InputError("--stdio goes with --period alone")
         from rejoint.cli.lines import serve_lines
 
