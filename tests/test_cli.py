@@ -159,6 +159,7 @@ def test_follow_goes_along_a_path_and_logs_each_time(
         (("repair", "emulated:healthy", "--run", "{run}"), "is a run of emulated:worn"),
         (("emulate", "--port", "99999"), "--port"),
         (("serve", "emulated:worn", "{run}", "--stdio", "--payload", "0.1"), "--stdio goes with"),
+        (("history", "{run}/none"), "check an arm first"),
         (("frobnicate",), "frobnicate"),
     ],
 )

@@ -12,6 +12,7 @@ import rejoint
 from rejoint.cli import options as opt
 from rejoint.cli.console import Terminal
 from rejoint.runs.run import RUNS
+from rejoint.system.errors import FileError
 
 DRIFTS, ALARM = 6, 7
 """Exit codes of a check after which the arm is to be watched, and is to be repaired"""
@@ -94,6 +95,8 @@ def history(
     from rejoint.runs.history.table import HEADERS, arms_of, cells
 
     terminal = Terminal(json=json)
+    if not folder.is_dir():
+        raise FileError(folder, "no such folder", "check an arm first: rejoint check ROBOT")
     if sql is not None:
         from rejoint.logs.history.sql import ask
 
