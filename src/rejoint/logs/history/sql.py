@@ -27,7 +27,9 @@ def ask(folder: Path, query: str) -> tuple[list[str], list[tuple[Any, ...]]]:
         connection.from_arrow(table).to_table("history")
         connection.execute("set enable_external_access = false")
         try:
-            found = connection.execute(query)
-            return [column[0] for column in found.description], found.fetchall()
+            found = connection.sql(query)
+            if found is None:
+                raise InputError("--sql: expected a query that answers with rows")
+            return found.columns, found.fetchall()
         except duckdb.Error as error:
             raise InputError(f"--sql: {first_line(error)}") from error
