@@ -177,7 +177,9 @@ def test_a_single_odd_check_is_not_named_as_the_cause() -> None:
     for i, drift in enumerate([2.0] * 8 + [2.03] * 5):
         seen = measures(3.0, drift)
         odd = replace(seen.joints[1], hysteresis_mm=2.0, reversal_mm=2.0 if i == 12 else 0.4)
-        past.append(PastCheck(time=BEGIN + timedelta(days=30 * i), measures=replace(seen, joints=(seen.joints[0], odd))))
+        past.append(
+            PastCheck(time=BEGIN + timedelta(days=30 * i), measures=replace(seen, joints=(seen.joints[0], odd)))
+        )
     found = outlook(past)
     assert found.state == "drifting"
     assert abs(found.changes[0].cusum) < max(abs(one.cusum) for one in found.changes)
