@@ -31,9 +31,8 @@ SLOW_BACKLASH: Interval = (0.0, float(np.radians(1.8)))
 """[rad] backlash of arms whose motors cross it slowly (chosen: new servos of this class show about a degree).
 
 A motor crosses backlash in its width times damping over spare torque: with the prior's damping within a control
-period or two, with that of an SO-101 in ten. There a policy that has never met it swings by a degree (measured);
-elsewhere training with it gained nothing where there was backlash in the loop (0.69 and 0.71 mm settled) and cost
-accuracy where there was none (0.34 and 0.45 mm; one training each)."""
+period or two, with that of an SO-101 in ten. There a policy that has never met it swings; elsewhere training with it
+cost accuracy where there was no backlash (chosen for that)."""
 
 
 class Ranges(Protocol):
@@ -148,13 +147,11 @@ class BroadRanges:
 class IdentifiedRanges:
     """Draws from the correlated covariance of an identified twin.
 
-    Its intervals hold the truth as often as they say (`python -m benchmarks truth`), so they are not widened (measured,
-    one emulated worn arm, two seeds: policies settled at 0.36 and 0.35 mm, with 1.75 times the deviations at 0.46 and
-    0.36). Parameters that the data could not tell apart keep their prior range. Stiction is the twin's where
-    logs have told it. Where it is assumed it is drawn broadly (measured, six trainings each on the assumed one alone:
-    policies settled 12 % nearer on the emulated worn arm, came within 2 mm 6 % later, and were no better on other worn
-    arms). What a twin does not hold (gravity, period, the way out's share of the delay) is drawn from ``broad``, and so
-    are powerless joints: an excitation that never needs a joint's full torque does not show them.
+    Its intervals hold the truth as often as they say (`python -m benchmarks truth`), so they are not widened.
+    Parameters that the data could not tell apart keep their prior range. Stiction is the twin's where logs have told
+    it; where it is assumed it is drawn broadly (chosen: an assumption is not knowledge). What a twin does not hold
+    (gravity, period, the way out's share of the delay) is drawn from ``broad``, and so are powerless joints: an
+    excitation that never needs a joint's full torque does not show them.
     """
 
     broad: BroadRanges

@@ -26,14 +26,12 @@ from rejoint.lab.emulator.firmware import Firmware
 from rejoint.lab.emulator.session import Session, Timing
 from rejoint.lab.emulator.truthlog import TruthLog
 from rejoint.lab.emulator.wirefaults import DeathError, LinkGoneError
-from rejoint.system.errors import InputError
+from rejoint.system.listening import listen_tcp
 
 BACKLOG = 1
 """Clients that may wait, as in the vendor's server."""
 SEND_TIMEOUT = 1.0
 """[s] before a client that takes no answers counts as gone (chosen)"""
-BUFFER = 1 << 16
-"""[bytes] that the system may keep for a connection each way: requests ahead, answers that nobody reads (chosen)"""
 _CHUNK = 1024
 
 
@@ -137,7 +135,7 @@ class _TcpServer(Server):
         self._listener.close()  # refuses clients, those in the backlog too
         self._session.outlast_absence()
         if not self._session.stopping:
-            self._listener = _listen(host, port)
+            self._listener = listen_tcp(host, port, BACKLOG)
 
     def _close(self) -> None:
         self._listener.close()
@@ -187,24 +185,6 @@ def beyond_loopback(address: str) -> bool:
     return place.hostname is not None and not ipaddress.ip_address(place.hostname).is_loopback
 
 
-def _listen(host: str, port: int) -> socket.socket:
-    refusal = f"cannot listen on {host}:{port}"
-    if not 0 <= port <= 65535:
-        raise InputError(f"{refusal}: a port is a number from 0 to 65535")
-    listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)  # the vendor's client knows no IPv6
-    try:
-        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        for buffer in (socket.SO_RCVBUF, socket.SO_SNDBUF):  # connections inherit them
-            listener.setsockopt(socket.SOL_SOCKET, buffer, BUFFER)
-        listener.bind((host, port))
-        listener.listen(BACKLOG)
-        listener.setblocking(False)
-    except OSError as error:
-        listener.close()
-        raise InputError(f"{refusal} ({error.strerror or error}); choose another host or port") from error
-    return listener
-
-
 def serve_tcp(
     firmware: Firmware,
     host: str = "127.0.0.1",
@@ -235,7 +215,7 @@ def serve_pty(
 
 def on_port(session: Conversation[Any], host: str, port: int, *, scheme: str) -> Server:
     """Hold a conversation on a TCP port (0: any free one), at an address of ``scheme``; InputError if it cannot be."""
-    return _TcpServer(session, _listen(host, port), scheme)
+    return _TcpServer(session, listen_tcp(host, port, BACKLOG), scheme)
 
 
 def on_terminal(session: Conversation[Any], *, scheme: str) -> Server:

@@ -21,7 +21,6 @@ from typing import Self
 
 from rejoint.arms.wire.frames import Decoder, encode
 from rejoint.robots.serving.answering import Answering
-from rejoint.system.errors import InputError
 
 HALF_FRAME = 0.05
 """[s] to wait for the rest of a frame (chosen: 50 times the length of the longest at 115200 baud)"""
@@ -29,8 +28,6 @@ TICK = 0.05
 """[s] between two looks at whether the end was asked for (chosen)"""
 SEND_TIMEOUT = 1.0
 """[s] before a client that takes no answers counts as gone (chosen)"""
-BUFFER = 1 << 16
-"""[bytes] that the system may keep for a connection each way (chosen)"""
 QUIET_AFTER = 5
 """[s] without a word after which a client's machine is asked whether it still runs, three times in as many seconds"""
 _CHUNK = 1024
@@ -194,25 +191,6 @@ def _prepare(connection: socket.socket) -> None:
     for name, value in (("TCP_KEEPIDLE", QUIET_AFTER), ("TCP_KEEPINTVL", 1), ("TCP_KEEPCNT", 3)):
         if hasattr(socket, name):  # not on every system
             connection.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), value)
-
-
-def listen_tcp(host: str, port: int) -> socket.socket:
-    """Listen on a TCP port, 0 for any free one; InputError if that is not possible."""
-    refusal = f"cannot listen on {host}:{port}"
-    if not 0 <= port <= 65535:
-        raise InputError(f"{refusal}: a port is a number from 0 to 65535")
-    listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)  # the vendor's client knows no IPv6
-    try:
-        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        for buffer in (socket.SO_RCVBUF, socket.SO_SNDBUF):  # connections inherit them
-            listener.setsockopt(socket.SOL_SOCKET, buffer, BUFFER)
-        listener.bind((host, port))
-        listener.listen(1)
-        listener.setblocking(False)
-    except OSError as error:
-        listener.close()
-        raise InputError(f"{refusal} ({error.strerror or error}); choose another host or port") from error
-    return listener
 
 
 def tcp_wire(answering: Answering, listener: socket.socket, say: Say) -> WireServer:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 
 import numpy as np
@@ -22,7 +23,7 @@ CALM = 0.3
 rings)"""
 
 
-class MotionThread(threading.Thread):
+class MotionThread(threading.Thread, ABC):
     """One motion; `error` is what ended it early."""
 
     def __init__(self, goal: str) -> None:
@@ -40,8 +41,8 @@ class MotionThread(threading.Thread):
         except BaseException as error:  # noqa: BLE001 - raised again where somebody waits
             self.error = error
 
-    def _go(self) -> None:
-        raise NotImplementedError
+    @abstractmethod
+    def _go(self) -> None: ...
 
 
 class MoveTo(MotionThread):

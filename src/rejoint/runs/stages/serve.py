@@ -24,13 +24,14 @@ from rejoint.robots.serving.drive import ServedDrive, ServedWay, WallClock
 from rejoint.robots.serving.orderlog import OrderLog
 from rejoint.robots.serving.relay import Relay
 from rejoint.robots.serving.served import ServedArm
-from rejoint.robots.serving.server import WireServer, listen_tcp, pty_wire, tcp_wire
+from rejoint.robots.serving.server import WireServer, pty_wire, tcp_wire
 from rejoint.runs.given import CalibrationLike, Period, RobotLike, RunLike, TwinLike, as_run, as_twin, opened
 from rejoint.runs.run import exclusive
 from rejoint.runs.stages.driving import correction_of, guard_limits, stance_of, start_journal
 from rejoint.runs.stages.loads import PayloadLike, with_load
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import require_space
+from rejoint.system.listening import listen_tcp
 from rejoint.system.stopping import Interrupted, noted
 
 if TYPE_CHECKING:
