@@ -57,6 +57,13 @@ def settle(client):
     until(lambda: client.is_moving() == 0)
 
 
+def rings_no_more(client):
+    """A worn arm rings after it has stopped."""
+    before = client.get_angles()
+    time.sleep(0.05)
+    return np.abs(np.subtract(client.get_angles(), before)).max() < 0.1
+
+
 def near(angles, wanted, margin=8.0):
     """A worn arm sags by degrees."""
     return np.abs(np.array(angles) - wanted).max() < margin
@@ -95,6 +102,7 @@ def test_questions(client, method, arguments, expected):
 
 
 def test_positions_agree_with_one_another(arm):
+    until(lambda: rings_no_more(arm))
     angles, coords = arm.get_angles(), arm.get_coords()
     assert near(angles, REST)
     pose = tcp_pose(ARM, np.radians(angles))
@@ -227,7 +235,7 @@ def test_the_newest_command_wins_in_fresh_mode_and_queues_without(arm):
         assert arm.send_angle(1, angle, 100) == 1
     seen = []
     until(lambda: seen.append(arm.get_angles_plan()[0]) or seen[-1] < -9.9)
-    assert max(seen) > 29
+    assert max(seen) > 15, "it went on its way to the first, and not to the newest at once"
     settle(arm)
     arm.send_angle(1, 60.0, 20)
     arm.send_angle(1, 0.0, 20)
