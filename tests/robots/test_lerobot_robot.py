@@ -85,6 +85,20 @@ def test_lines_of_another_program_are_answered_or_refused(tmp_path):
     assert hears[5]["position"] == pytest.approx((ARM.rest + np.radians([0, 0, 0, 5, 0])).tolist(), abs=np.radians(6.0))
 
 
+def test_half_a_line_keeps_no_signal_from_ending_in_a_hold(tmp_path):
+    with serving(tmp_path) as server:
+        command = [sys.executable, "-m", "rejoint", "serve", server.address, str(server.run), "--stdio"]
+        program = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+        with program:
+            assert b"joints" in program.stdout.readline()
+            program.stdin.write(b'{}\n{"goal": ')
+            program.stdin.flush()
+            assert b"position" in program.stdout.readline()
+            program.terminate()
+            assert program.wait(20) == 143
+        assert never_dropped(server.arm)
+
+
 @pytest.mark.skipif(not (JUDGE / "lerobot").is_dir(), reason=f"LeRobot is not in {JUDGE}: `make judge` puts it there")
 def test_lerobot_finds_makes_drives_and_leaves_the_robot(tmp_path):
     program = tmp_path / "rejoint"

@@ -5,7 +5,7 @@ Nothing of that program's environment has to fit ours. Every line that comes is 
 
 from __future__ import annotations
 
-import io
+import os
 import select
 import sys
 from collections.abc import Callable
@@ -56,9 +56,9 @@ def serve_lines(robot: str, run: RunLike, *, period: Period | None) -> None:
         given = detail.zero if isinstance(detail, FeetechAddress) else ()
         middle = np.radians(given or (0.0,) * arm.arm.joints)
         _answer({"joints": arm.arm.joint_names, "middle": middle.tolist(), "gripper": gripper is not None})
-        with io.FileIO(sys.stdin.fileno(), closefd=False) as lines:
-            while (line := _next(arm, lines)) is not None:
-                _answer(_obey(arm, gripper, line))
+        came = bytearray()
+        while (line := _next(arm, came)) is not None:
+            _answer(_obey(arm, gripper, line))
 
 
 def _obey(arm: PosedArm, gripper: Gripper | None, line: bytes) -> dict[str, Any]:
@@ -74,13 +74,24 @@ def _obey(arm: PosedArm, gripper: Gripper | None, line: bytes) -> dict[str, Any]
     return {"position": arm.position.tolist(), "goal": taken, "gripper": opened}
 
 
-def _next(arm: PosedArm, lines: io.FileIO) -> bytes | None:
-    """Wait for a line; None at the end of input. Raises what ended the drive, and `Interrupted`."""
+def _next(arm: PosedArm, came: bytearray) -> bytes | None:
+    """Wait for a line; None at the end of input. Raises what ended the drive, and `Interrupted`.
+
+    Half a line waits in ``came``: a program that never ends it keeps neither a signal nor an error from being seen.
+    """
     while True:
         check()
         arm.check()
-        if select.select([lines], [], [], LOOK)[0]:
-            return lines.readline(LONGEST) or None
+        line, end, rest = came.partition(b"\n")
+        if end or len(came) > LONGEST:
+            came[:] = rest
+            return bytes(line)
+        if select.select([sys.stdin], [], [], LOOK)[0]:
+            more = os.read(sys.stdin.fileno(), LONGEST)
+            if not more:
+                came.clear()
+                return bytes(line) or None
+            came += more
 
 
 def _answer(content: dict[str, Any]) -> None:

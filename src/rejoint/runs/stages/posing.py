@@ -159,6 +159,7 @@ class PosedArm:
             self._robot.stop()
         except BaseException as error:  # noqa: BLE001 - raised again where somebody asks
             self._error = error
+            self._began.set()  # nothing is left to wait for
 
     def _piece(self, sent: Array | None) -> Array:
         """Drive for up to `PIECE`; returns the last command (1, n) [rad]."""
