@@ -11,7 +11,7 @@ from importlib import import_module
 from pathlib import Path
 
 BENCHMARKS = (
-    "plant", "step", "control", "guard", "following", "training", "rivals", "agents", "policy", "diagnosis",
+    "plant", "step", "gpu", "control", "guard", "following", "training", "rivals", "agents", "policy", "diagnosis",
     "identification", "truth", "emulator", "serve", "hostile", "journal", "kills", "family", "seeing", "feetech",
     "moving", "shelf", "racing", "payload", "years", "history",
 )  # fmt: skip

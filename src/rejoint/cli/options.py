@@ -50,6 +50,9 @@ Hold = Annotated[
 Seed = Annotated[int, typer.Option(help="Seed of everything random.", min=0)]
 RunSeed = Annotated[int | None, typer.Option("--seed", help="Seed; by default that of the run.", min=0)]
 Quick = Annotated[bool, typer.Option("--quick", help="Do little of everything, for a first try; no result.")]
+Device = Annotated[
+    str, typer.Option(help="What simulates the twins: cpu, or cuda (extra gpu); without such a GPU, the processors.")
+]
 Json = Annotated[bool, typer.Option("--json", help="End standard output with one line of JSON.")]
 Preset = Annotated[str, typer.Option(help="Training recipe: default, or paper (the literal method).")]
 Calibration = Annotated[

@@ -126,6 +126,7 @@ def train(
     restart: Annotated[bool, typer.Option("--restart", help="Forget an interrupted training.")] = False,
     seed: opt.RunSeed = None,
     quick: opt.Quick = False,
+    device: opt.Device = "cpu",
     json: opt.Json = False,
 ) -> None:
     """Train a policy on randomised copies of the run's twin.
@@ -139,6 +140,8 @@ def train(
             raise InputError(f"{run} has a twin.toml, and --broad trains without one: choose another folder")
         Run.create(run, "emulated:worn", load_arm("mycobot280"), seed or 0)
     job = Run.open(run).seeded(seed)
+    if learner != "ppo" and device != "cpu":
+        raise InputError(f"--device {device} goes with --learner ppo; {learner} trains on the processors")
     trainer = None if learner == "ppo" else _off_policy(learner, preset, job.seed)
     from rejoint.runs.report.sections.training import draw_training
 
@@ -146,7 +149,13 @@ def train(
         terminal.say(f"{run} has no twin.toml: training on broad ranges instead of on this arm.")
     with terminal.progress("training") as update:
         result = rejoint.train(
-            run=job, preset=preset, resume=not restart, quick=quick, trainer=trainer, on_progress=update
+            run=job,
+            preset=preset,
+            resume=not restart,
+            quick=quick,
+            trainer=trainer,
+            device=device,
+            on_progress=update,
         ).training
     with locked(job.folder):
         terminal.say(f"Curves: {draw_training(job.folder)}")

@@ -89,11 +89,12 @@ class ReachTask:
     """N arms that are given targets; every array has the leading axis of the agents."""
 
     def __init__(
-        self, arm: Arm, ranges: Ranges, agents: int, settings: TaskSettings, *, seed: int, threads: int = 1
-    ) -> None:
+        self, arm: Arm, ranges: Ranges, agents: int, settings: TaskSettings, *, seed: int, threads: int = 1,
+        device: str | None = None,
+    ) -> None:  # fmt: skip
         n = arm.joints
         self.arm, self.ranges, self.settings, self.agents = arm, ranges, settings, agents
-        self.simulation = Simulation(arm, agents, threads=threads)
+        self.simulation = Simulation(arm, agents, threads=threads, device=device)
         self.observer = Observer(arm, agents, settings.layout)
         self.commander = Commander(arm, settings.law)
         self.privileged_size = privileged_size(n)

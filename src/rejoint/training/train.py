@@ -56,6 +56,8 @@ class TrainingOptions:
     """updates between two policies that are kept beside the last one, the untrained one first; None: none"""
     resume: bool = False
     """continue from a checkpoint in ``out`` if there is one of this very training"""
+    device: str | None = None
+    """of Warp that simulates the twins; None: the processors"""
     servo_gains: dict[str, tuple[int, ...]] | None = None
     """of the servos that the twin was identified on, for the contract"""
 
@@ -166,7 +168,13 @@ def make_learner(arm: Arm, twin: Twin | None, recipe: Preset, options: TrainingO
     sizes = [len(part) for part in np.array_split(np.arange(recipe.ppo.agents), workers)]
     tasks = [
         ReachTask(
-            arm, ranges, size, recipe.task, seed=workers * options.seed + k, threads=max(options.threads // workers, 1)
+            arm,
+            ranges,
+            size,
+            recipe.task,
+            seed=workers * options.seed + k,
+            threads=max(options.threads // workers, 1),
+            device=options.device,
         )
         for k, size in enumerate(sizes)
     ]

@@ -81,12 +81,17 @@ class Simulation:
 
     def __init__(
         self, arm: Arm, count: int, *, timestep: float = TIMESTEP, threads: int = 1, table: bool = False,
-        substeps: int = SUBSTEPS,
+        substeps: int = SUBSTEPS, device: str | None = None,
     ) -> None:  # fmt: skip
+        """Simulate on ``threads`` of the processor, or, without a table, on a ``device`` of Warp."""
         n = arm.joints
         self.arm, self.substeps = arm, substeps
         self.twins: Twins = (
-            _on_table(arm, count, timestep, threads) if table else ChainBatch(arm, count, timestep, threads)
+            _on_table(arm, count, timestep, threads)
+            if table
+            else ChainBatch(arm, count, timestep, threads)
+            if device is None
+            else _on_device(arm, count, timestep, device)
         )
         self.latency = Latency(count, n, substeps)
         self.reference = LiveReference(count, n)
@@ -162,6 +167,13 @@ class Simulation:
 
     def _quantised(self, position: Array) -> Array:
         return np.round(position / self.arm.encoder_step) * self.arm.encoder_step
+
+
+def _on_device(arm: Arm, count: int, timestep: float, device: str) -> ChainBatch:
+    """Make free twins that Warp steps."""
+    from rejoint.twin.chain.warpbatch import WarpBatch  # late: nothing else needs Warp
+
+    return WarpBatch(arm, count, timestep, device=device)
 
 
 def _on_table(arm: Arm, count: int, timestep: float, threads: int) -> TwinBatch:

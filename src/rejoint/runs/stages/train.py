@@ -43,6 +43,7 @@ def train(
     threads: int = 2,
     resume: bool = True,
     quick: bool = False,
+    device: str = "cpu",
     on_progress: Progress = no_progress,
 ) -> TrainedPolicy:
     """Train a control policy on randomised copies of a twin (proximal policy optimisation).
@@ -70,6 +71,9 @@ def train(
         whether to go on from a checkpoint of this very training in the run
     quick
         train for seconds only, for a first try: the policy is hardly better than without training
+    device
+        what simulates the twins: ``cpu``, ``cuda`` or ``cuda:1``. Where there is no such GPU, a warning says so, and
+        the processors do. A policy from a GPU differs in its last digits
     on_progress
         called with the share that is done and how the training stands
 
@@ -99,7 +103,7 @@ def train(
             mark_quick(found, quick=quick)
             told = found.diagnosis
             gains = None if told is None else told.servo_gains
-            task = _Task(found.arm, found.twin, preset, found.seed, threads, resume, quick, gains)
+            task = _Task(found.arm, found.twin, preset, found.seed, threads, resume, quick, device, gains)
             return task.train(found.path, trainer, on_progress)
     known = None if twin is None else as_twin(twin)
     if known is None and arm is None:
@@ -108,7 +112,8 @@ def train(
     if known is not None:
         known.require(chosen)
     with tempfile.TemporaryDirectory(prefix="rejoint-training-") as folder:
-        return _Task(chosen, known, preset, seed or 0, threads, False, quick).train(Path(folder), trainer, on_progress)
+        task = _Task(chosen, known, preset, seed or 0, threads, False, quick, device)
+        return task.train(Path(folder), trainer, on_progress)
 
 
 @dataclass(frozen=True)
@@ -122,6 +127,7 @@ class _Task:
     threads: int
     resume: bool
     quick: bool
+    device: str
     servo_gains: dict[str, tuple[int, ...]] | None = None
     """in force when the arm was diagnosed"""
 
@@ -130,11 +136,12 @@ class _Task:
         if trainer is None:
             from rejoint.training.train import TrainingOptions
             from rejoint.training.train import train as learn
+            from rejoint.twin.chain.warpbatch import device_at_hand
 
             options = TrainingOptions(
                 preset=self.preset, seed=self.seed, threads=self.threads, resume=self.resume,
                 iterations=QUICK_UPDATES if self.quick else None, agents=QUICK_AGENTS if self.quick else None,
-                servo_gains=self.servo_gains,
+                servo_gains=self.servo_gains, device=device_at_hand(self.device),
             )  # fmt: skip
             result = learn(self.arm, self.twin, out=folder, options=options, on_progress=on_progress)
         else:

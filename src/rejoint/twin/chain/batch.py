@@ -102,16 +102,20 @@ class ChainBatch:
         steady = terms is None or is_steady(terms)
         still = self.row("coulomb") if terms is None else dry_friction(terms, np.zeros_like(self.qvel))
         given = np.ascontiguousarray(still[None] if steady else terms)
+        self._advance(given, steady, control, path)
+        self.ctrl[:] = control[:, -1]
+        return path
+
+    def _advance(self, terms: Array, steady: bool, control: Array, path: Array) -> None:
+        """Take the steps of `rollout`, and fill ``path``; where not ``steady``, friction follows the speed."""
         arrays = (
-            self._links, self._parameters, given, steady, self._gravity, self.timestep, control,
+            self._links, self._parameters, terms, steady, self._gravity, self.timestep, control,
             self.qpos, self.qvel, self._impulse, path,
         )  # fmt: skip
         if self._pool is None:
             advance(*arrays, *self._parts[0])
         else:
             list(self._pool.map(lambda part: advance(*arrays, *part), self._parts))
-        self.ctrl[:] = control[:, -1]
-        return path
 
     def restart(self, position: Array, velocity: Array | float = 0.0, ids: Ids = None) -> None:
         """Put simulations at ``position`` (m, n) [rad] with ``velocity`` [rad/s], and forget what friction gave."""
