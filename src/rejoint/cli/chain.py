@@ -52,6 +52,10 @@ def repair(
     period: opt.Period = None,
     seed: opt.Seed = 0,
     quick: opt.Quick = False,
+    afresh: Annotated[
+        bool,
+        typer.Option("--afresh", help="Keep no twin and policy of this arm's last repair, even if they still hold."),
+    ] = False,
     json: opt.Json = False,
 ) -> None:
     """Diagnose an arm, fit its twin, train a policy, compare every controller on the arm, and write the report.
@@ -71,6 +75,7 @@ def repair(
         found = rejoint.repair(
             robot, run=job, preset=preset, controllers=opt.controller_names(controllers), targets=targets, sets=sets,
             repetitions=repetitions, full=full, period=opt.period_seconds(period), quick=quick, gauge=gauge,
+            afresh=afresh or None,
             on_stage=narrator.tell, on_progress=narrator.progress,
         )  # fmt: skip
     page = Path(os.path.relpath(found.page))
@@ -113,7 +118,7 @@ class _Narrator:
         if stage.state != "done":
             self._terminal.stage(f"{stage.number}/{stage.total}  {heading}")
         if stage.state == "kept":
-            self._terminal.say(f"already done, as it was asked for then: {stage.file}")
+            self._terminal.say(stage.why or f"already done, as it was asked for then: {stage.file}")
         if stage.state == "started":
             asking = self._asking and stage.name == "calibrate"  # a bar would write over the questions
             bar = nullcontext(no_progress) if asking else self._terminal.progress(doing)

@@ -114,6 +114,11 @@ class RunFolder:
         return self.path / "judgement.json"
 
     @property
+    def kept(self) -> Path:
+        """From which earlier repair twin and policy are, where they are."""
+        return self.path / "kept.json"
+
+    @property
     def outputs(self) -> Outputs:
         """What the training leaves: the policy, curves and checkpoints."""
         return Outputs(self.path)

@@ -31,6 +31,7 @@ from rejoint.runs.given import (
 )
 from rejoint.runs.history.summary import summarise
 from rejoint.runs.run import Run, finish, newest_or_new, require_same_pace
+from rejoint.runs.stages.again import keep_what_holds
 from rejoint.runs.stages.calibrate import calibrate
 from rejoint.runs.stages.compare import compare
 from rejoint.runs.stages.comparing import Compared
@@ -72,6 +73,8 @@ class Stage:
     """its place among the stages of this repair, from 1"""
     total: int
     """number of them"""
+    why: str = ""
+    """it is kept, where not for being done already"""
     result: object = None
     """what the function of the same name returned; of what is kept, diagnosis and comparison only"""
 
@@ -140,6 +143,7 @@ def repair(
     seed: int | None = None,
     full: bool = False,
     quick: bool = False,
+    afresh: bool | None = None,
     gauge: GaugeLike | None = None,
     on_progress: Progress = no_progress,
     on_stage: OnStage | None = None,
@@ -173,6 +177,10 @@ def repair(
         of everything random; by default that of the run, else 0
     quick
         do little of everything, to see in a minute whether all of it works; no result
+    afresh
+        fit a twin and train a policy even where those of the last repair of this arm, in the folder beside, still hold:
+        the twin predicts the new excitation, and the servos have the gains of then. By default an emulated arm's always
+        are made afresh, since the same seeds are to give the same results
     gauge
         what measures the tool, as for `calibrate`, or ``none``: nothing is measured, and nothing corrected; by default
         an emulated arm tells by itself, and a real one is not calibrated
@@ -218,6 +226,8 @@ def repair(
     found = chain.run
     chain.do("diagnose", lambda update: diagnose(robot, run=found, period=period, quick=quick, on_progress=update))
     chain.do("calibrate", lambda update: calibrate(robot, run=found, gauge=meter, period=period, on_progress=update))
+    if not (quick or (emulated if afresh is None else afresh)) and isinstance(preset, str):
+        chain.why = str(keep_what_holds(found, preset) or "")
     chain.do("identify", lambda update: identify(run=found, quick=quick, on_progress=update))
     chain.do("train", lambda update: train(run=found, preset=preset, quick=quick, on_progress=update))
     chain.do("gains", lambda update: gains(robot, found, period=period, on_progress=update))
@@ -242,6 +252,8 @@ class _Chain:
         self, run: Run, on_stage: OnStage | None, on_progress: Progress, *, measured: bool, tunable: bool
     ) -> None:
         self.run, self._on_stage, self._on_progress = run, on_stage, on_progress
+        self.why = ""
+        """twin and policy are those of an earlier repair"""
         files = run.folder
         places = (
             files.diagnosis, files.calibration, files.twin, files.policy, files.gains, files.comparison, files.report,
@@ -259,7 +271,15 @@ class _Chain:
         file, number, total = self._files[name], list(self._files).index(name), len(self._files)
         if name != "report" and file.exists():
             self._say(
-                Stage(name=name, state="kept", file=file, number=number + 1, total=total, result=self._kept(name))
+                Stage(
+                    name=name,
+                    state="kept",
+                    file=file,
+                    number=number + 1,
+                    total=total,
+                    result=self._kept(name),
+                    why=self.why if name in ("identify", "train") else "",
+                )
             )
             return
         self._say(Stage(name=name, state="started", file=file, number=number + 1, total=total))

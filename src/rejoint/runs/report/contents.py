@@ -20,6 +20,7 @@ from rejoint.diagnosis.diagnosis import Diagnosis
 from rejoint.logs.runlog import RunLog, read_log
 from rejoint.runs.effort import Effort, read_effort
 from rejoint.runs.folder import RunFolder, RunInfo, read_info
+from rejoint.runs.kept import Kept
 from rejoint.runs.report.sections.training import Curves, read_curves
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import read_json
@@ -60,6 +61,8 @@ class Contents:
     """one trial of the hold protocol per controller"""
     effort: Effort | None = None
     """what the stages cost"""
+    kept: Kept | None = None
+    """from which earlier repair twin and policy are"""
 
 
 def read_contents(path: Path) -> Contents:
@@ -86,6 +89,7 @@ def read_contents(path: Path) -> Contents:
         contract=contract, comparison=comparison, calibration=calibration, measurements=measurements,
         crossing=_trials(folder, "crossing", known),
         hold=_trials(folder, "hold", known), effort=read_effort(folder),
+        kept=_optional(folder.kept, lambda file: read_json(file, Kept)),
     )  # fmt: skip
 
 

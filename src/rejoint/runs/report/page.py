@@ -97,7 +97,7 @@ def _twin(contents: Contents, gallery: Gallery) -> Section:
     if contents.twin is None:
         return _missing(twin, "No twin has been identified yet", contents, "identify")
     belief = prior(contents.arm) if contents.judgement is None else unknown_prior(contents.arm)
-    return twin.twin_section(contents.twin, belief, gallery)
+    return twin.twin_section(contents.twin, belief, gallery, kept=str(contents.kept or ""))
 
 
 def _trust(contents: Contents, gallery: Gallery) -> tuple[Section, ...]:

@@ -157,7 +157,8 @@ def _write(run: Run, twin: Twin) -> None:
     """Write a twin into its run, in place of another and of how that one was judged."""
     from rejoint.twin.file import write_twin
 
-    run.folder.judgement.unlink(missing_ok=True)
+    for of_another in (run.folder.judgement, run.folder.kept):
+        of_another.unlink(missing_ok=True)
     write_twin(run.folder.twin, twin)
     if twin.judgement is not None:
         write_json(run.folder.judgement, twin.judgement)

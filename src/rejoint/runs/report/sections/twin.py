@@ -48,13 +48,13 @@ NAMES = {
 }
 
 
-def twin_section(twin: Twin, belief: Prior, gallery: Gallery) -> Section:
-    """Build the section from an identified twin and what was believed of its arm before."""
-    parts = (_prediction(twin, gallery), _parameters(twin, belief, gallery), *_together(twin, gallery), _doubts(twin))
-    return Section(key=KEY, short=SHORT, heading=HEADING, parts=parts)
+def twin_section(twin: Twin, belief: Prior, gallery: Gallery, *, kept: str = "") -> Section:
+    """Build the section from a twin, what was believed of its arm before, and why it was ``kept``, if it was."""
+    known = (_prediction(twin, gallery, kept), _parameters(twin, belief, gallery))
+    return Section(key=KEY, short=SHORT, heading=HEADING, parts=(*known, *_together(twin, gallery), _doubts(twin)))
 
 
-def _prediction(twin: Twin, gallery: Gallery) -> Part:
+def _prediction(twin: Twin, gallery: Gallery, kept: str) -> Part:
     held = twin.held_out
     errors = np.array([held.no_twin.tcp, held.healthy_twin.tcp, held.twin.tcp]) * 1e3
     labels = ("no twin (measured = command)", "twin of a healthy arm", "twin of this arm")
@@ -72,7 +72,8 @@ def _prediction(twin: Twin, gallery: Gallery) -> Part:
         f"motion and judged on {number(held.seconds, 2, 's')} that the fit had not seen. There its joints are within "
         f"{joint} (root mean square) of the measured ones."
     )
-    return Part(texts=(text,), lines=tuple(sentence(note) for note in twin.notes), figures=(picture,), columns=2)
+    notes = tuple(sentence(note) for note in (kept, *twin.notes) if note)
+    return Part(texts=(text,), lines=notes, figures=(picture,), columns=2)
 
 
 def _parameters(twin: Twin, belief: Prior, gallery: Gallery) -> Part:

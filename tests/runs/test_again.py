@@ -1,0 +1,81 @@
+"""An arm that is repaired again keeps twin and policy while it moves as they say, and only then."""
+
+import logging
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+import rejoint
+from rejoint.control.shelf import shelf_path
+from rejoint.runs.run import Run, finish
+from rejoint.runs.stages.again import keep_what_holds
+
+PRESET = rejoint.Policy.load(shelf_path("mycobot280")).contract.preset
+
+
+@pytest.fixture(scope="module")
+def repaired(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run with everything that a repair leaves, the policy from the shelf."""
+    run = Run.create(tmp_path_factory.mktemp("runs") / "001", "emulated:worn", rejoint.load_arm("mycobot280"))
+    rejoint.diagnose("emulated:worn", run=run, quick=True)
+    run.folder.quick.unlink()
+    rejoint.identify(run=run)
+    shutil.copy(shelf_path("mycobot280"), run.folder.policy)
+    run.folder.outputs.folder.mkdir()
+    run.folder.outputs.curves.write_bytes(b"curves")
+    finish(run)
+    return run.path
+
+
+@pytest.fixture
+def last(repaired: Path, tmp_path: Path) -> Run:
+    shutil.copytree(repaired, tmp_path / "001")
+    return Run.open(tmp_path / "001")
+
+
+@pytest.fixture
+def run(last: Run, tmp_path: Path) -> Run:
+    """The same arm, diagnosed again."""
+    run = Run.create(tmp_path / "002", last.robot, last.arm)
+    shutil.copy(last.folder.diagnosis, run.folder.diagnosis)
+    shutil.copytree(last.path / "logs", run.path / "logs")
+    return run
+
+
+def test_twin_policy_and_curves_are_kept_to_the_byte_and_the_run_says_from_where(last: Run, run: Run) -> None:
+    why = keep_what_holds(run, PRESET)
+    assert why is not None
+    for name in ("twin.toml", "policy.onnx", "training/curves.parquet"):
+        assert (run.path / name).read_bytes() == (last.path / name).read_bytes()
+    assert why.error < 2.0 * why.fitted
+    assert str(last.path) in str(why)
+    run.folder.outputs.curves.unlink()
+    assert rejoint.report(run)
+    assert "still moves as its twin of" in run.folder.report.read_text()
+    assert keep_what_holds(run, PRESET) is None, "it has a twin now"
+    rejoint.identify(run=run, quick=True)
+    assert not run.folder.kept.exists(), "the twin is another one now"
+
+
+def test_nothing_is_kept_where_the_arm_has_changed_or_the_repair_was_of_another_kind(last: Run, run: Run) -> None:
+    twin = last.twin
+    assert twin is not None
+    softer = replace(twin.parameters, stiffness=0.3 * twin.parameters.stiffness)
+    replace(twin, parameters=softer).save(last.folder.twin)
+    assert keep_what_holds(run, PRESET) is None
+    twin.save(last.folder.twin)
+    assert keep_what_holds(run, "paper") is None
+    last.folder.finished.unlink()
+    assert keep_what_holds(run, PRESET) is None
+    finish(last)
+    assert not run.folder.twin.exists()
+    assert keep_what_holds(run, PRESET) is not None
+
+
+def test_a_damaged_last_repair_is_told_and_costs_no_more(last: Run, run: Run, caplog: pytest.LogCaptureFixture) -> None:
+    last.folder.twin.write_text("stiffness = [")
+    with caplog.at_level(logging.WARNING, "rejoint"):
+        assert keep_what_holds(run, PRESET) is None
+    assert str(last.folder.twin) in caplog.text
