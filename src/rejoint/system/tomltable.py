@@ -18,7 +18,7 @@ from rejoint.system.files import TOML_MOST, read_bounded
 
 
 def read_toml(path: Path, known: tuple[str, ...], remedy: str) -> TomlTable:
-    """Read the top of a TOML file that may have the keys ``known``; FileError, with ``remedy`` where it is not there."""
+    """Read a TOML file whose top may have the keys ``known``; FileError, with ``remedy`` where there is none."""
     try:
         text = read_bounded(path, TOML_MOST, remedy).decode()
         data = tomllib.loads(text)
@@ -116,8 +116,7 @@ class TomlTable:
         if not isinstance(value, list) or not value or not all(isinstance(item, dict) for item in value):
             raise self.error(key, f"expected one [[{key}]] table or more, found {_shown(value)}")
         return [
-            replace(self, data=item, header=key, index=i, known=known, numbered=True)
-            for i, item in enumerate(value)
+            replace(self, data=item, header=key, index=i, known=known, numbered=True) for i, item in enumerate(value)
         ]
 
 

@@ -23,7 +23,7 @@ Paths are from the folder that the file is in. Hours are by the clock of the com
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from rejoint.arms import CATALOGUE
@@ -51,7 +51,7 @@ class FleetArm:
     """name in the catalogue or file; None for what the address says"""
     bench: str = ""
     """arms of one bench never move at the same time; empty for one that stands alone"""
-    hours: Hours = Hours()
+    hours: Hours = field(default_factory=Hours)
     tolerance_mm: float | None = None
     may_move: bool = False
     needs_somebody: bool = True
@@ -90,15 +90,16 @@ def read_fleet(path: Path | str) -> Fleet:
     """Read FLEET.toml; FileError names the line and the key that cannot be used."""
     place = Path(path)
     top = read_toml(place, _TOP, "check the path of the file with the arms")
-    arms = []
+    home = place.resolve().parent  # other processes stand in other folders
+    arms: list[FleetArm] = []
     for table in top.tables("arm", _ARM):
-        arm = _arm(table, top, place.parent)
+        arm = _arm(table, top, home)
         for other in arms:
             for key, mine, taken in (("name", arm.name, other.name), ("address", arm.address, other.address)):
                 if mine == taken:
                     raise table.error(key, f"two arms have the {key} {mine!r}")
         arms.append(arm)
-    folder = place.parent / (top.string("folder") if "folder" in top.data else FOLDER)
+    folder = home / (top.string("folder") if "folder" in top.data else FOLDER)
     return Fleet(path=place, folder=folder, arms=tuple(arms))
 
 

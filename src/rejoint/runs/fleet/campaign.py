@@ -1,0 +1,102 @@
+"""What is left to do of each arm, read from files: a second call goes on where the first one was killed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+from pathlib import Path
+from typing import Literal, TypeAlias
+
+from rejoint.logs.history.index import find_rows
+from rejoint.logs.history.rows import utc_now
+from rejoint.runs.fleet.file import Fleet, FleetArm
+from rejoint.runs.fleet.work import RepairOptions, Step, Work
+from rejoint.runs.folder import RunFolder
+from rejoint.runs.repair import stages_of
+from rejoint.runs.run import newest_or_new_in
+from rejoint.system.files import read_json, write_json
+
+Verb: TypeAlias = Literal["check", "repair"]
+
+STALE = {"check": timedelta(hours=12), "repair": timedelta(days=3)}
+"""After which what was interrupted is not gone on with: finished arms begin again as well (chosen: a check is of one
+day, and a weekend may lie within a repair)"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CampaignInfo:
+    """What one call, and those that go on with it, are about; written before anything is done."""
+
+    begun: datetime
+    """UTC, without a zone"""
+    runs: dict[str, str]
+    """of a repair, run folder of each arm by its name, below the folder of the fleet"""
+    finished: bool = False
+    """whether nothing was left to do"""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Campaign:
+    """Checks or repairs of many arms, as far as they are."""
+
+    fleet: Fleet
+    verb: Verb
+    options: RepairOptions
+    info: CampaignInfo
+    resumed: bool
+    """whether an earlier call had begun it"""
+
+    @classmethod
+    def open(
+        cls, fleet: Fleet, verb: Verb, options: RepairOptions | None = None, *, anew: bool = False
+    ) -> Campaign:  # fmt: skip
+        """Go on with what an earlier call left, or begin; who calls has the folder to itself (`state_folder`)."""
+        path, now = state_file(fleet, verb), utc_now()
+        before = read_json(path, CampaignInfo) if path.exists() else None
+        resumed = before is not None and not before.finished and not anew and now - before.begun < STALE[verb]
+        runs = dict(before.runs) if before is not None and resumed else {}
+        for arm in fleet.arms if verb == "repair" else ():
+            if arm.name not in runs:
+                place = newest_or_new_in(fleet.folder / "repairs" / arm.name)[0]
+                runs[arm.name] = str(place.relative_to(fleet.folder))
+        info = CampaignInfo(begun=before.begun if before is not None and resumed else now, runs=runs)
+        write_json(path, info)
+        return cls(fleet=fleet, verb=verb, options=options or RepairOptions(), info=info, resumed=resumed)
+
+    def run(self, arm: FleetArm) -> Path:
+        """Return the run folder of an arm that is repaired."""
+        return self.fleet.folder / self.info.runs[arm.name]
+
+    def left(self, arm: FleetArm) -> tuple[Step, ...]:
+        """Name the steps of an arm that are not done, in their order, by its files."""
+        if self.verb == "check":
+            return () if self._is_checked(arm) else ("check",)
+        files, options = RunFolder(self.run(arm)), self.options
+        if files.finished.exists():
+            return ()
+        stages = stages_of(arm.address, files, controllers=options.controllers, quick=options.quick)
+        return tuple(name for name, file in stages.items() if name == "report" or not file.exists())
+
+    def work(self, arm: FleetArm, step: Step) -> Work:
+        """Return a step as it is to be done."""
+        folder = self.fleet.folder if step == "check" else self.run(arm)
+        return Work(arm=arm, step=step, folder=folder, options=self.options)
+
+    def finish(self) -> None:
+        """Note that nothing is left to do: the next call begins anew."""
+        done = CampaignInfo(begun=self.info.begun, runs=self.info.runs, finished=True)
+        write_json(state_file(self.fleet, self.verb), done)
+
+    def _is_checked(self, arm: FleetArm) -> bool:
+        rows, _ = find_rows(self.fleet.folder, arm.name)
+        return any(row.kind == "check" and row.arm == arm.name and row.time >= self.info.begun for row in rows)
+
+
+def state_folder(fleet: Fleet) -> Path:
+    """Return where a fleet keeps what its calls are about, and their pages."""
+    return fleet.folder / "fleet"
+
+
+def state_file(fleet: Fleet, verb: Verb) -> Path:
+    """Return the file of `CampaignInfo`."""
+    return state_folder(fleet) / f"{verb}.json"
