@@ -1,7 +1,7 @@
 """Who does what next, with a crew that writes files instead of moving arms; no Ray."""
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from datetime import datetime, timedelta
 from pathlib import Path
 
@@ -47,7 +47,7 @@ class PlayedCrew:
     def hold(self, work: Work) -> None:
         self.held.append(work.arm.name)
 
-    def wait(self, timeout: float) -> Sequence[tuple[Work, Outcome | Lost]]:
+    def wait(self, _: float) -> Sequence[tuple[Work, Outcome | Lost]]:
         self.together.append({work.arm.name for work in self.running if work.moves})
         work = self.running[0]
         play = self.plays.get((work.arm.name, work.step), [])
@@ -212,7 +212,7 @@ def test_a_real_arm_does_not_move_again_by_itself(tmp_path: Path) -> None:
     assert not found.finished
     crew = PlayedCrew()
     call(tmp_path, [arm("a"), emulated("b")], crew, "repair")  # somebody has looked
-    assert [step for name, step in crew.begun if name == "a"][0] == "diagnose"
+    assert crew.begun[0] == ("a", "diagnose")
     assert "b" not in {name for name, _ in crew.begun}
 
 

@@ -144,8 +144,9 @@ def test_hours_by_hand() -> None:
     assert Hours(closed=((date(2026, 11, 24), date(2026, 11, 24)),)).closes(monday) == datetime(2026, 11, 24)
 
 
+clock = "{:02}:{:02}".format
 spans = st.builds(
-    lambda first, last, begin, end: f"{DAYS[first]}-{DAYS[last]} {begin // 60:02}:{begin % 60:02}-{end // 60:02}:{end % 60:02}",
+    lambda first, last, begin, end: f"{DAYS[first]}-{DAYS[last]} {clock(*divmod(begin, 60))}-{clock(*divmod(end, 60))}",
     st.integers(0, 6), st.integers(0, 6), st.integers(0, 1439), st.integers(0, 1440),
 ).filter(lambda text: text[8:13] != text[14:])  # fmt: skip
 

@@ -10,6 +10,7 @@ import logging
 import os
 import secrets
 import signal
+import sys
 import threading
 import warnings
 from collections.abc import Callable, Iterator, Sequence
@@ -31,11 +32,6 @@ PULSE = 0.5
 SILENCE = 10.0
 """[s] without an answer from the board after which an arm is brought to a hold (chosen: longer than a busy network is
 silent, and no cycle of control waits for it)"""
-
-_LOCAL = {
-    "RAY_USAGE_STATS_ENABLED": "0",  # tells nobody
-    "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0",  # listens on the loopback interface alone
-}
 
 
 class RayCrew:
@@ -210,10 +206,10 @@ def _watch(board: Any, name: str, state: list[Any], stop: threading.Event) -> No
 
 def _started(address: str | None, cpus: int | None, resources: dict[str, float]) -> Any:  # noqa: ANN401
     """Start Ray on this machine for this process alone, or connect to a cluster; returns the module."""
-    own = _LOCAL if address is None else dict(list(_LOCAL.items())[:1])
-    for name, value in own.items():
-        os.environ.setdefault(name, value)
-    if address is None:  # nobody else on this machine may send it work
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # Ray tells nobody
+    if address is None:  # nobody else may send it work: nobody from outside, and nobody on this machine
+        if "ray" not in sys.modules:  # it looks at this when it is imported
+            os.environ.setdefault("RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER", "0")  # its way to listen on loopback alone
         os.environ["RAY_AUTH_MODE"] = "token"
         os.environ.setdefault("RAY_AUTH_TOKEN", secrets.token_hex(32))
     with warnings.catch_warnings():
