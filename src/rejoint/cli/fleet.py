@@ -18,9 +18,9 @@ from rejoint.system.extras import require
 
 if TYPE_CHECKING:
     from rejoint.runs.fleet.campaign import Campaign
-    from rejoint.runs.fleet.drive import Crew, Event
+    from rejoint.runs.fleet.drive import Executor, Event
     from rejoint.runs.fleet.file import FleetArm
-    from rejoint.runs.fleet.raycrew import RayCrew
+    from rejoint.runs.fleet.rayexecutor import RayExecutor
 
 
 def fleet(
@@ -63,22 +63,26 @@ def fleet(
     from rejoint.runs.fleet.call import run_fleet
     from rejoint.runs.fleet.drive import Rules
     from rejoint.runs.fleet.file import read_fleet
-    from rejoint.runs.fleet.raycrew import RayCrew
+    from rejoint.runs.fleet.rayexecutor import RayExecutor, has_token
     from rejoint.runs.fleet.result import HEADERS
     from rejoint.runs.fleet.work import RepairOptions
 
     terminal = Terminal(json=json)
     found = read_fleet(file)
     view = _View(terminal)
+    if address is not None and not has_token():
+        terminal.say(
+            f"warning: no token for Ray here: whoever reaches {address} may run programs there; see docs/fleet.md"
+        )
 
     @contextmanager
-    def call_together(arms: Sequence[FleetArm]) -> Iterator[Crew]:
-        crew = RayCrew(arms, address=address, cpus=cpus, training_cpus=training_cpus)
+    def make_executor(arms: Sequence[FleetArm]) -> Iterator[Executor]:
+        executor = RayExecutor(arms, address=address, cpus=cpus, training_cpus=training_cpus)
         try:
-            with view.watching(crew):
-                yield crew
+            with view.watching(executor):
+                yield executor
         finally:
-            crew.close()
+            executor.close()
 
     options = RepairOptions(
         preset=preset, controllers=opt.controller_names(controllers), sets=sets, repetitions=repetitions, seed=seed,
@@ -88,7 +92,7 @@ def fleet(
     if address is None:  # all control loops run here
         rules = replace(rules, at_once=cpus or os.cpu_count() or 1)
     result = run_fleet(
-        found, verb, call_together, rules,
+        found, verb, make_executor, rules,
         only=opt.controller_names(only), options=options, anew=anew, tell=view.tell, begins=view.begins,
     )  # fmt: skip
     terminal.table(f"{len(result.rows)} arms, the worst first", HEADERS, [row.cells for row in result.rows])
@@ -107,7 +111,7 @@ class _View:
     """Shows all arms: a line for each step that ends, and on a terminal a bar for each arm that is at work."""
 
     def __init__(self, terminal: Terminal) -> None:
-        self._terminal, self._crew = terminal, None  # type: Terminal, RayCrew | None
+        self._terminal, self._executor = terminal, None  # type: Terminal, RayExecutor | None
         self._bars: bars.Progress | None = None
         self._tasks: dict[str, bars.TaskID] = {}
 
@@ -132,7 +136,7 @@ class _View:
         self._terminal.say(f"{name}: {event.step} {event.kind}{took}{why}")
 
     @contextmanager
-    def watching(self, crew: RayCrew) -> Iterator[None]:
+    def watching(self, executor: RayExecutor) -> Iterator[None]:
         """Show how far each arm is meanwhile, on a terminal."""
         with ExitStack() as stack:
             if self._terminal.notes.is_terminal:
@@ -142,7 +146,7 @@ class _View:
                     bars.TextColumn("{task.fields[what]}"),
                 )
                 self._bars = stack.enter_context(bars.Progress(*columns, console=self._terminal.notes, transient=True))
-                crew.watch(self._show)
+                executor.watch(self._show)
             yield
         self._bars = None
 

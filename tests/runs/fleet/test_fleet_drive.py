@@ -1,4 +1,4 @@
-"""Who does what next, with a crew that writes files instead of moving arms; no Ray."""
+"""Who does what next, with a executor that writes files instead of moving arms; no Ray."""
 
 import json
 from collections.abc import Sequence
@@ -25,7 +25,7 @@ MONDAY = datetime(2026, 11, 23, 9)
 DONE = Outcome(seconds=1.0)
 
 
-class PlayedCrew:
+class PlayedExecutor:
     """Does work at once, one piece at a time; ``plays`` says otherwise for a piece, by its arm and step."""
 
     def __init__(self, plays: dict[tuple[str, str], list[object]] | None = None) -> None:
@@ -35,7 +35,7 @@ class PlayedCrew:
         self.held: list[str] = []
         self.running: list[Work] = []
 
-    def __enter__(self) -> "PlayedCrew":
+    def __enter__(self) -> "PlayedExecutor":
         return self
 
     def __exit__(self, *_: object) -> None: ...
@@ -93,20 +93,20 @@ def emulated(name: str) -> FleetArm:
 def call(
     tmp_path: Path,
     arms: Sequence[FleetArm],
-    crew: PlayedCrew,
+    executor: PlayedExecutor,
     verb: str = "check",
     rules: Rules | None = None,
     **given: object,
 ) -> FleetResult:
     fleet = Fleet(path=tmp_path / "FLEET.toml", folder=tmp_path / "lab", arms=tuple(arms))
-    return run_fleet(fleet, verb, lambda _: crew, rules or Rules(verb=verb, now=lambda: MONDAY), **given)
+    return run_fleet(fleet, verb, lambda _: executor, rules or Rules(verb=verb, now=lambda: MONDAY), **given)
 
 
 def test_steps_are_those_of_a_repair_in_their_order(tmp_path: Path) -> None:
-    crew = PlayedCrew()
-    found = call(tmp_path, [emulated("a"), arm("b")], crew, "repair")
+    executor = PlayedExecutor()
+    found = call(tmp_path, [emulated("a"), arm("b")], executor, "repair")
     for name, left_out in (("a", {"gains"}), ("b", {"gains", "calibrate"})):
-        assert [step for one, step in crew.begun if one == name] == [s for s in STAGES if s not in left_out]
+        assert [step for one, step in executor.begun if one == name] == [s for s in STAGES if s not in left_out]
     assert found.finished
     assert {row.end for row in found.rows} == {"done"}
 
@@ -124,10 +124,10 @@ def test_steps_are_those_of_a_repair_in_their_order(tmp_path: Path) -> None:
 def test_nothing_moves_without_permission_and_outside_its_hours(
     tmp_path: Path, given: dict[str, object], verb: str, somebody: bool, why: str
 ) -> None:
-    crew = PlayedCrew()
+    executor = PlayedExecutor()
     rules = Rules(verb=verb, somebody=somebody, now=lambda: MONDAY)
-    found = call(tmp_path, [arm("a", **given)], crew, verb, rules)
-    assert crew.begun == []
+    found = call(tmp_path, [arm("a", **given)], executor, verb, rules)
+    assert executor.begun == []
     (row,) = found.rows
     assert (row.end, row.code) == ("left", 5)
     assert why in row.found
@@ -143,9 +143,9 @@ def test_nothing_moves_without_permission_and_outside_its_hours(
     ],
 )
 def test_what_is_allowed_moves(tmp_path: Path, given: dict[str, object], verb: str, somebody: bool) -> None:
-    crew = PlayedCrew()
-    found = call(tmp_path, [arm("a", **given)], crew, verb, Rules(verb=verb, somebody=somebody, now=lambda: MONDAY))
-    assert crew.begun == [("a", "check")]
+    executor = PlayedExecutor()
+    found = call(tmp_path, [arm("a", **given)], executor, verb, Rules(verb=verb, somebody=somebody, now=lambda: MONDAY))
+    assert executor.begun == [("a", "check")]
     assert found.code == 0
 
 
@@ -154,13 +154,13 @@ def test_stages_in_which_nothing_moves_know_no_hours(tmp_path: Path) -> None:
     times = iter([MONDAY] * 2 + [MONDAY.replace(hour=20)] * 100)
     here = arm("a", hours=read_hours(["Mon-Fri 08:00-18:00"]))
     rules = Rules(verb="repair", now=lambda: next(times))
-    crew = PlayedCrew()
-    found = call(tmp_path, [here], crew, "repair", rules)
-    assert [step for _, step in crew.begun] == ["diagnose", "identify", "train"]
+    executor = PlayedExecutor()
+    found = call(tmp_path, [here], executor, "repair", rules)
+    assert [step for _, step in executor.begun] == ["diagnose", "identify", "train"]
     assert "begin Tue 2026-11-24 08:00" in found.rows[0].found
-    crew = PlayedCrew()
-    found = call(tmp_path, [here], crew, "repair", Rules(verb="repair", now=lambda: MONDAY + timedelta(days=1)))
-    assert [step for _, step in crew.begun] == ["compare", "report"]
+    executor = PlayedExecutor()
+    found = call(tmp_path, [here], executor, "repair", Rules(verb="repair", now=lambda: MONDAY + timedelta(days=1)))
+    assert [step for _, step in executor.begun] == ["compare", "report"]
     assert found.finished
 
 
@@ -171,56 +171,56 @@ def test_an_arm_is_held_when_its_hours_end(tmp_path: Path) -> None:
         clock["now"] = MONDAY.replace(hour=18)
 
     held = Outcome(seconds=1.0, problem="held, as it was asked to stop", code=143)
-    crew = PlayedCrew({("a", "check"): [later, None, held]})
+    executor = PlayedExecutor({("a", "check"): [later, None, held]})
     here = arm("a", hours=read_hours(["Mon-Fri 08:00-18:00"]))
-    found = call(tmp_path, [here], crew, rules=Rules(verb="check", now=lambda: clock["now"]))
-    assert crew.held == ["a"]
+    found = call(tmp_path, [here], executor, rules=Rules(verb="check", now=lambda: clock["now"]))
+    assert executor.held == ["a"]
     assert (found.rows[0].end, found.rows[0].code) == ("left", 5)
     assert "held during check; its hours begin Tue" in found.rows[0].found
 
 
 def test_whose_hours_end_first_comes_first(tmp_path: Path) -> None:
     arms = [arm("a"), arm("b", hours=read_hours(["Mon 08:00-18:00"])), arm("c", hours=read_hours(["Mon 08:00-12:00"]))]
-    crew = PlayedCrew()
-    call(tmp_path, arms, crew)
-    assert [name for name, _ in crew.begun] == ["c", "b", "a"]
+    executor = PlayedExecutor()
+    call(tmp_path, arms, executor)
+    assert [name for name, _ in executor.begun] == ["c", "b", "a"]
 
 
 def test_one_arm_of_a_bench_moves_at_a_time_and_so_many_in_all(tmp_path: Path) -> None:
     arms = [arm("a", bench="one"), arm("b", bench="one"), arm("c", bench="two"), arm("d"), emulated("e")]
-    crew = PlayedCrew()
-    call(tmp_path, arms, crew)
-    assert max(len(names & {"a", "b"}) for names in crew.together) == 1
-    assert {"a", "c", "d", "e"} in crew.together
-    crew = PlayedCrew()
-    call(tmp_path, arms, crew, rules=Rules(verb="check", at_once=2, now=lambda: MONDAY), anew=True)
-    assert max(len(names - {"e"}) for names in crew.together) == 2  # emulated ones move nothing
-    assert len(crew.begun) == 5
+    executor = PlayedExecutor()
+    call(tmp_path, arms, executor)
+    assert max(len(names & {"a", "b"}) for names in executor.together) == 1
+    assert {"a", "c", "d", "e"} in executor.together
+    executor = PlayedExecutor()
+    call(tmp_path, arms, executor, rules=Rules(verb="check", at_once=2, now=lambda: MONDAY), anew=True)
+    assert max(len(names - {"e"}) for names in executor.together) == 2  # emulated ones move nothing
+    assert len(executor.begun) == 5
 
 
 def test_a_real_arm_does_not_move_again_by_itself(tmp_path: Path) -> None:
     lost = Lost(why="WorkerCrashedError")
-    crew = PlayedCrew({("a", "diagnose"): [lost], ("b", "diagnose"): [lost], ("b", "train"): [lost]})
-    found = call(tmp_path, [arm("a"), emulated("b")], crew, "repair")
-    assert crew.begun.count(("a", "diagnose")) == 1
-    assert crew.begun.count(("b", "diagnose")) == 2
-    assert crew.begun.count(("b", "train")) == 2
+    executor = PlayedExecutor({("a", "diagnose"): [lost], ("b", "diagnose"): [lost], ("b", "train"): [lost]})
+    found = call(tmp_path, [arm("a"), emulated("b")], executor, "repair")
+    assert executor.begun.count(("a", "diagnose")) == 1
+    assert executor.begun.count(("b", "diagnose")) == 2
+    assert executor.begun.count(("b", "train")) == 2
     worst, other = found.rows
     assert (worst.name, worst.end, worst.code) == ("a", "failed", 4)
     assert "look at the arm" in worst.found
     assert (other.end, other.lost) == ("done", 2)
     assert not found.finished
-    crew = PlayedCrew()
-    call(tmp_path, [arm("a"), emulated("b")], crew, "repair")  # somebody has looked
-    assert crew.begun[0] == ("a", "diagnose")
-    assert "b" not in {name for name, _ in crew.begun}
+    executor = PlayedExecutor()
+    call(tmp_path, [arm("a"), emulated("b")], executor, "repair")  # somebody has looked
+    assert executor.begun[0] == ("a", "diagnose")
+    assert "b" not in {name for name, _ in executor.begun}
 
 
 def test_training_of_a_real_arm_is_done_again_and_ends_somewhere(tmp_path: Path) -> None:
-    crew = PlayedCrew({("a", "train"): [Lost(why="OutOfMemoryError")] * 10})
-    found = call(tmp_path, [arm("a")], crew, "repair")
-    assert crew.begun.count(("a", "train")) == TRIES
-    assert crew.begun.count(("a", "diagnose")) == 1
+    executor = PlayedExecutor({("a", "train"): [Lost(why="OutOfMemoryError")] * 10})
+    found = call(tmp_path, [arm("a")], executor, "repair")
+    assert executor.begun.count(("a", "train")) == TRIES
+    assert executor.begun.count(("a", "diagnose")) == 1
     assert "lost 4 times" in found.rows[0].found
 
 
@@ -233,44 +233,44 @@ def test_a_killed_lead_costs_one_step_of_each_arm(tmp_path: Path) -> None:
     arms = [emulated(name) for name in "abc"]
     done: list[tuple[str, str]] = []
     for name, step in [("a", "diagnose"), ("b", "identify"), ("c", "train"), ("a", "report")]:
-        crew = PlayedCrew({(name, step): [KilledError()]})
+        executor = PlayedExecutor({(name, step): [KilledError()]})
         with pytest.raises(KilledError):
-            call(tmp_path, arms, crew, "repair")
-        done += [one for one in crew.begun if one not in [(work.arm.name, work.step) for work in crew.running]]
-    crew = PlayedCrew()
-    found = call(tmp_path, arms, crew, "repair")
-    done += crew.begun
+            call(tmp_path, arms, executor, "repair")
+        done += [one for one in executor.begun if one not in [(work.arm.name, work.step) for work in executor.running]]
+    executor = PlayedExecutor()
+    found = call(tmp_path, arms, executor, "repair")
+    done += executor.begun
     stages = [step for step in STAGES if step != "gains"]
     assert sorted(done) == sorted((one.name, step) for one in arms for step in stages)
     assert found.finished
     assert len({(tmp_path / "lab" / "repairs" / one.name / "002").exists() for one in arms} | {False}) == 1
-    call(tmp_path, arms, crew := PlayedCrew(), "repair")  # all is done: the next one begins anew
-    assert len(crew.begun) == len(arms) * len(stages)
+    call(tmp_path, arms, executor := PlayedExecutor(), "repair")  # all is done: the next one begins anew
+    assert len(executor.begun) == len(arms) * len(stages)
 
 
 def test_checks_go_on_and_begin_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     arms = [emulated("a"), emulated("b")]
     with pytest.raises(KilledError):
-        call(tmp_path, arms, PlayedCrew({("b", "check"): [KilledError()]}))
-    found = call(tmp_path, arms, crew := PlayedCrew())
-    assert crew.begun == [("b", "check")]
+        call(tmp_path, arms, PlayedExecutor({("b", "check"): [KilledError()]}))
+    found = call(tmp_path, arms, executor := PlayedExecutor())
+    assert executor.begun == [("b", "check")]
     assert [(row.state, row.end) for row in found.rows] == [("steady", "done")] * 2
-    call(tmp_path, arms, crew := PlayedCrew())
-    assert len(crew.begun) == 2
+    call(tmp_path, arms, executor := PlayedExecutor())
+    assert len(executor.begun) == 2
     with pytest.raises(KilledError):
-        call(tmp_path, arms, PlayedCrew({("b", "check"): [KilledError()]}))
+        call(tmp_path, arms, PlayedExecutor({("b", "check"): [KilledError()]}))
     monkeypatch.setitem(campaigns.STALE, "check", timedelta(0))  # the next week
-    call(tmp_path, arms, crew := PlayedCrew())
-    assert len(crew.begun) == 2
+    call(tmp_path, arms, executor := PlayedExecutor())
+    assert len(executor.begun) == 2
 
 
 def test_an_interruption_brings_arms_to_a_hold_first(tmp_path: Path) -> None:
     held = Outcome(seconds=1.0, problem="held, as it was asked to stop", code=130)
-    crew = PlayedCrew({("a", "check"): [Interrupted(2), held], ("e", "check"): [None] * 100})
+    executor = PlayedExecutor({("a", "check"): [Interrupted(2), held], ("e", "check"): [None] * 100})
     with pytest.raises(Interrupted):
-        call(tmp_path, [arm("a"), emulated("e")], crew)
-    assert crew.held == ["a"]
-    assert [work.arm.name for work in crew.running] == ["e"]
+        call(tmp_path, [arm("a"), emulated("e")], executor)
+    assert executor.held == ["a"]
+    assert [work.arm.name for work in executor.running] == ["e"]
 
 
 def test_what_fails_is_told_and_others_go_on(tmp_path: Path) -> None:
@@ -280,7 +280,7 @@ def test_what_fails_is_told_and_others_go_on(tmp_path: Path) -> None:
         ("c", "check"): [Outcome(seconds=1.0)],  # says that it is done, but nothing is there
     }
     events: list[Event] = []
-    found = call(tmp_path, [arm(name) for name in "abcd"], PlayedCrew(problems), tell=events.append)
+    found = call(tmp_path, [arm(name) for name in "abcd"], PlayedExecutor(problems), tell=events.append)
     assert [(row.name, row.end, row.code) for row in found.rows] == [
         ("b", "failed", 1), ("c", "failed", 4), ("a", "failed", 2), ("d", "done", 0),
     ]  # fmt: skip
@@ -291,8 +291,8 @@ def test_what_fails_is_told_and_others_go_on(tmp_path: Path) -> None:
     assert {(event.arm.name, event.kind) for event in events if event.kind != "begun"} == {
         ("a", "failed"), ("b", "failed"), ("c", "failed"), ("d", "done"),
     }  # fmt: skip
-    call(tmp_path, [arm(name) for name in "abcd"], crew := PlayedCrew())
-    assert {name for name, _ in crew.begun} == {"a", "b", "c"}
+    call(tmp_path, [arm(name) for name in "abcd"], executor := PlayedExecutor())
+    assert {name for name, _ in executor.begun} == {"a", "b", "c"}
 
 
 def test_two_calls_do_not_lead_at_once_and_arms_are_named_right(tmp_path: Path) -> None:
@@ -300,13 +300,13 @@ def test_two_calls_do_not_lead_at_once_and_arms_are_named_right(tmp_path: Path) 
 
     def second() -> Outcome:
         with pytest.raises(FileError, match="another rejoint"):
-            call(tmp_path, fleet.arms, PlayedCrew())
+            call(tmp_path, fleet.arms, PlayedExecutor())
         return DONE
 
-    crew = PlayedCrew({("a", "check"): [second]})
-    assert call(tmp_path, fleet.arms, crew).rows[0].end == "done"
+    executor = PlayedExecutor({("a", "check"): [second]})
+    assert call(tmp_path, fleet.arms, executor).rows[0].end == "done"
     with pytest.raises(InputError, match="has no arm x; it has: a"):
-        call(tmp_path, fleet.arms, PlayedCrew(), only=("x",))
+        call(tmp_path, fleet.arms, PlayedExecutor(), only=("x",))
 
 
 def test_waits_for_hours_that_come(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -317,8 +317,8 @@ def test_waits_for_hours_that_come(tmp_path: Path, monkeypatch: pytest.MonkeyPat
 
     monkeypatch.setattr("rejoint.runs.fleet.drive.pause", sleep)
     here = arm("a", hours=read_hours(["Tue 08:00-18:00"]))
-    crew = PlayedCrew()
-    found = call(tmp_path, [here], crew, rules=Rules(verb="check", stay=True, now=lambda: clock["now"]))
+    executor = PlayedExecutor()
+    found = call(tmp_path, [here], executor, rules=Rules(verb="check", stay=True, now=lambda: clock["now"]))
     assert found.rows[0].end == "done"
     assert clock["now"] == datetime(2026, 11, 24, 8)
 
@@ -329,5 +329,5 @@ def test_the_state_is_a_plain_file(tmp_path: Path) -> None:
     told = json.loads(state_file(fleet, "repair").read_text())
     assert told["runs"] == {"a": "repairs/a/001"}
     assert not told["finished"]
-    standing = drive(fleet.arms, campaign.left, campaign.work, PlayedCrew(), Rules(verb="repair"))
+    standing = drive(fleet.arms, campaign.left, campaign.work, PlayedExecutor(), Rules(verb="repair"))
     assert [step for step, _ in standing[0].steps] == [s for s in STAGES if s not in ("gains", "calibrate")]

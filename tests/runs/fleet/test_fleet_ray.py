@@ -20,7 +20,7 @@ from rejoint.runs.fleet.call import run_fleet
 from rejoint.runs.fleet.drive import Event, Rules
 from rejoint.runs.fleet.file import Fleet, FleetArm
 from rejoint.runs.fleet.hours import read_hours
-from rejoint.runs.fleet.raycrew import RayCrew
+from rejoint.runs.fleet.rayexecutor import RayExecutor
 from rejoint.runs.fleet.result import FleetResult
 from rejoint.runs.stages.check import check
 from rejoint.system.extras import installed
@@ -54,11 +54,11 @@ class World:
         self.folder, self.events = folder, list[Event]()
         self.since: float | None = None
 
-    def crew(self, arms: Sequence[FleetArm]) -> AbstractContextManager[RayCrew]:
-        """Call the crew together, and have an eye on it."""
-        crew = RayCrew(arms, cpus=1)
-        crew.watch(self.see)
-        return closing(crew)
+    def executor(self, arms: Sequence[FleetArm]) -> AbstractContextManager[RayExecutor]:
+        """Start Ray, and have an eye on it."""
+        executor = RayExecutor(arms, cpus=1)
+        executor.watch(self.see)
+        return closing(executor)
 
     def see(self, shares: dict[str, tuple[float, str]]) -> None:
         """Notice that the real arm moves."""
@@ -94,7 +94,7 @@ def called(address: str, tmp_path_factory: pytest.TempPathFactory) -> tuple[Flee
     fleet, world = Fleet(path=home / "FLEET.toml", folder=home / "lab", arms=(real, allowed)), World(home / "lab")
     rules = Rules(verb="check", now=world.now)
     before = [signal.getsignal(one) for one in (signal.SIGINT, signal.SIGTERM)]
-    found = run_fleet(fleet, "check", world.crew, rules, tell=world.events.append)
+    found = run_fleet(fleet, "check", world.executor, rules, tell=world.events.append)
     assert [signal.getsignal(one) for one in (signal.SIGINT, signal.SIGTERM)] == before
     return found, world
 

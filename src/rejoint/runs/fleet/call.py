@@ -10,21 +10,21 @@ from pathlib import Path
 from typing import TypeAlias
 
 from rejoint.runs.fleet.campaign import Campaign, Verb, state_folder
-from rejoint.runs.fleet.drive import Crew, Event, Rules, drive
+from rejoint.runs.fleet.drive import Executor, Event, Rules, drive
 from rejoint.runs.fleet.file import Fleet, FleetArm
 from rejoint.runs.fleet.result import FleetResult, permitted, rows_of
 from rejoint.runs.fleet.work import RepairOptions
 from rejoint.runs.folder import RunFolder, locked
 from rejoint.system.extras import require
 
-CallTogether: TypeAlias = Callable[[Sequence[FleetArm]], AbstractContextManager[Crew]]
-"""Makes the crew for some arms"""
+MakeExecutor: TypeAlias = Callable[[Sequence[FleetArm]], AbstractContextManager[Executor]]
+"""Makes the executor for some arms"""
 
 
 def run_fleet(
     fleet: Fleet,
     verb: Verb,
-    crew: CallTogether,
+    executor: MakeExecutor,
     rules: Rules,
     *,
     only: tuple[str, ...] = (),
@@ -41,7 +41,7 @@ def run_fleet(
         arms, and the folder that everything is kept in
     verb
         check or repair
-    crew
+    executor
         makes who does the work; closed at the end
     rules
         who may move when
@@ -75,7 +75,7 @@ def run_fleet(
     with locked(RunFolder(state_folder(fleet))):
         campaign = Campaign.open(fleet, verb, options, anew=anew)
         begins(campaign)
-        with crew(arms) as ready:
+        with executor(arms) as ready:
             standings = drive(arms, campaign.left, campaign.work, ready, replace(rules, verb=verb), tell)
         finished = permitted(fleet.arms, standings, verb)
         if finished:

@@ -32,7 +32,7 @@ IDLE = 30.0
 """[s] between two looks at hours where nothing else is to be done (chosen)"""
 
 
-class Crew(Protocol):
+class Executor(Protocol):
     """Who does the work: processes here or elsewhere."""
 
     def begin(self, work: Work) -> None:
@@ -96,10 +96,10 @@ class _Lead:
 
     def __init__(
         self, arms: Sequence[FleetArm], left: Callable[[FleetArm], Sequence[Step]],
-        work: Callable[[FleetArm, Step], Work], crew: Crew, rules: Rules, tell: Callable[[Event], object],
+        work: Callable[[FleetArm, Step], Work], executor: Executor, rules: Rules, tell: Callable[[Event], object],
     ) -> None:  # fmt: skip
         self.standings = [Standing(arm=arm) for arm in arms]
-        self._left, self._work, self._crew, self._rules, self._tell = left, work, crew, rules, tell
+        self._left, self._work, self._executor, self._rules, self._tell = left, work, executor, rules, tell
 
     def lead(self) -> None:
         """Go on until no arm has anything left that can be done in this call."""
@@ -108,7 +108,7 @@ class _Lead:
             waiting = self._begin()
             if any(one.running for one in self.standings):
                 self._hold_late()
-                for work, ended in self._crew.wait(LOOK):
+                for work, ended in self._executor.wait(LOOK):
                     self._end(work, ended)
             elif waiting and self._rules.stay:
                 pause(IDLE)
@@ -120,10 +120,10 @@ class _Lead:
         moving = [one for one in self.standings if one.running is not None and one.running.held]
         for one in moving:
             if one.running is not None:
-                self._crew.hold(one.running)
+                self._executor.hold(one.running)
         until = time.monotonic() + HOLDING
         while any(one.running for one in moving) and time.monotonic() < until:
-            for work, ended in self._crew.wait(LOOK):
+            for work, ended in self._executor.wait(LOOK):
                 self._end(work, ended)
 
     def _begin(self) -> bool:
@@ -151,7 +151,7 @@ class _Lead:
                     continue
             one.running, one.why = work, ""
             self._tell(Event(arm=one.arm, step=work.step, kind="begun"))
-            self._crew.begin(work)
+            self._executor.begin(work)
         return waiting
 
     def _has_room(self, work: Work) -> bool:
@@ -168,7 +168,7 @@ class _Lead:
             work = one.running
             if work is not None and work.held and not one.held and not one.arm.hours.is_open(now):
                 one.held = True
-                self._crew.hold(work)
+                self._executor.hold(work)
 
     def _end(self, work: Work, ended: Outcome | Lost) -> None:
         one = next(one for one in self.standings if one.running is work)
@@ -199,7 +199,7 @@ def drive(
     arms: Sequence[FleetArm],
     left: Callable[[FleetArm], Sequence[Step]],
     work: Callable[[FleetArm, Step], Work],
-    crew: Crew,
+    executor: Executor,
     rules: Rules,
     tell: Callable[[Event], object] = lambda _: None,
 ) -> list[Standing]:
@@ -213,7 +213,7 @@ def drive(
         names the steps of an arm that are not done, in their order
     work
         makes a piece of work of a step
-    crew
+    executor
         does it
     rules
         permissions, hours, and how many at once
@@ -225,7 +225,7 @@ def drive(
     list
         of how each arm stands, in the order of ``arms``
     """
-    lead = _Lead(arms, left, work, crew, rules, tell)
+    lead = _Lead(arms, left, work, executor, rules, tell)
     with noted():
         try:
             lead.lead()

@@ -77,7 +77,7 @@ class FleetResult:
 
 def rows_of(campaign: Campaign, standings: Sequence[Standing]) -> tuple[FleetRow, ...]:
     """Say what became of each arm, by its files; the worst first."""
-    told = _told(campaign) if campaign.verb == "check" else {}
+    told = _newest_checks(campaign) if campaign.verb == "check" else {}
     rows = [
         _checked(campaign, one, told.get(one.arm.name)) if campaign.verb == "check" else _repaired(campaign, one)
         for one in standings
@@ -85,7 +85,7 @@ def rows_of(campaign: Campaign, standings: Sequence[Standing]) -> tuple[FleetRow
     return tuple(sorted(rows, key=lambda row: (_badness(row.code), -(row.error_mm or 0.0), row.name)))
 
 
-def _told(campaign: Campaign) -> dict[str, HistoryRow]:
+def _newest_checks(campaign: Campaign) -> dict[str, HistoryRow]:
     """Return the newest check of every arm in this campaign."""
     rows, _ = find_rows(campaign.fleet.folder)
     checks = [row for row in rows if row.kind == "check" and not row.joint and row.time >= campaign.info.begun]

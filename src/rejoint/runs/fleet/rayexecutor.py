@@ -1,7 +1,7 @@
 """Work done by Ray: tasks on any computer of a cluster, and an actor for each real arm while it moves.
 
-The only module that imports Ray, when a crew is called together. Nothing here decides whether something is tried again:
-Ray is told to try nothing by itself, and says what it has lost.
+The only module that imports Ray, when it is needed. Nothing here decides whether something is tried again: Ray may try
+nothing by itself, and says what it has lost.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import threading
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from pathlib import Path
 from typing import Any
 
 from rejoint.runs.fleet.file import FleetArm
@@ -34,14 +35,14 @@ SILENCE = 10.0
 silent, and no cycle of control waits for it)"""
 
 
-class RayCrew:
+class RayExecutor:
     """Processes that Ray holds ready: those of this machine, or of the cluster at ``address``."""
 
     def __init__(
         self, arms: Sequence[FleetArm], *, address: str | None = None, cpus: int | None = None,
         training_cpus: float = 1.0,
     ) -> None:  # fmt: skip
-        """Call the crew together; InputError where there is no such cluster, or none of its nodes reaches an arm."""
+        """Start Ray, or connect to it; InputError where there is no such cluster, or none of its nodes reaches an arm."""
         require("rejoint fleet", "fleet")
         real = [arm for arm in arms if not arm.virtual]
         self._training_cpus, self._running = training_cpus, {}  # type: float, dict[Any, tuple[Work, Any]]
@@ -202,6 +203,12 @@ def _watch(board: Any, name: str, state: list[Any], stop: threading.Event) -> No
         if wanted and not stop.is_set():
             os.kill(os.getpid(), signal.SIGTERM)
             return
+
+
+def has_token() -> bool:
+    """Tell whether this computer has a token for a cluster: without one, whoever reaches it may run programs there."""
+    named = any(name in os.environ for name in ("RAY_AUTH_TOKEN", "RAY_AUTH_TOKEN_PATH"))
+    return os.environ.get("RAY_AUTH_MODE") != "disabled" and (named or Path("~/.ray/auth_token").expanduser().exists())
 
 
 def _started(address: str | None, cpus: int | None, resources: dict[str, float]) -> Any:  # noqa: ANN401
