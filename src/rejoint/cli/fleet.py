@@ -18,7 +18,7 @@ from rejoint.system.extras import require
 
 if TYPE_CHECKING:
     from rejoint.runs.fleet.campaign import Campaign
-    from rejoint.runs.fleet.drive import Executor, Event
+    from rejoint.runs.fleet.drive import Event, Executor
     from rejoint.runs.fleet.file import FleetArm
     from rejoint.runs.fleet.rayexecutor import RayExecutor
 
@@ -69,7 +69,7 @@ def fleet(
 
     terminal = Terminal(json=json)
     found = read_fleet(file)
-    view = _View(terminal)
+    view = _FleetView(terminal)
     if address is not None and not has_token():
         terminal.say(
             f"warning: no token for Ray here: whoever reaches {address} may run programs there; see docs/fleet.md"
@@ -107,7 +107,7 @@ def fleet(
         raise typer.Exit(result.code)
 
 
-class _View:
+class _FleetView:
     """Shows all arms: a line for each step that ends, and on a terminal a bar for each arm that is at work."""
 
     def __init__(self, terminal: Terminal) -> None:

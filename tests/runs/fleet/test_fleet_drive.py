@@ -15,14 +15,14 @@ from rejoint.runs.fleet.drive import TRIES, Event, Rules, drive
 from rejoint.runs.fleet.file import Fleet, FleetArm
 from rejoint.runs.fleet.hours import read_hours
 from rejoint.runs.fleet.result import FleetResult
-from rejoint.runs.fleet.work import Lost, Outcome, Work
+from rejoint.runs.fleet.work import Lost, Work, WorkOutcome
 from rejoint.runs.folder import RunFolder
 from rejoint.runs.repair import STAGES, stages_of
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.stopping import Interrupted
 
 MONDAY = datetime(2026, 11, 23, 9)
-DONE = Outcome(seconds=1.0)
+DONE = WorkOutcome(seconds=1.0)
 
 
 class PlayedExecutor:
@@ -47,7 +47,7 @@ class PlayedExecutor:
     def hold(self, work: Work) -> None:
         self.held.append(work.arm.name)
 
-    def wait(self, _: float) -> Sequence[tuple[Work, Outcome | Lost]]:
+    def wait(self, _: float) -> Sequence[tuple[Work, WorkOutcome | Lost]]:
         self.together.append({work.arm.name for work in self.running if work.moves})
         work = self.running[0]
         play = self.plays.get((work.arm.name, work.step), [])
@@ -170,7 +170,7 @@ def test_an_arm_is_held_when_its_hours_end(tmp_path: Path) -> None:
     def later() -> None:
         clock["now"] = MONDAY.replace(hour=18)
 
-    held = Outcome(seconds=1.0, problem="held, as it was asked to stop", code=143)
+    held = WorkOutcome(seconds=1.0, problem="held, as it was asked to stop", code=143)
     executor = PlayedExecutor({("a", "check"): [later, None, held]})
     here = arm("a", hours=read_hours(["Mon-Fri 08:00-18:00"]))
     found = call(tmp_path, [here], executor, rules=Rules(verb="check", now=lambda: clock["now"]))
@@ -265,7 +265,7 @@ def test_checks_go_on_and_begin_anew(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
 
 def test_an_interruption_brings_arms_to_a_hold_first(tmp_path: Path) -> None:
-    held = Outcome(seconds=1.0, problem="held, as it was asked to stop", code=130)
+    held = WorkOutcome(seconds=1.0, problem="held, as it was asked to stop", code=130)
     executor = PlayedExecutor({("a", "check"): [Interrupted(2), held], ("e", "check"): [None] * 100})
     with pytest.raises(Interrupted):
         call(tmp_path, [arm("a"), emulated("e")], executor)
@@ -275,9 +275,11 @@ def test_an_interruption_brings_arms_to_a_hold_first(tmp_path: Path) -> None:
 
 def test_what_fails_is_told_and_others_go_on(tmp_path: Path) -> None:
     problems = {
-        ("a", "check"): [Outcome(seconds=1.0, problem="no robot answers", kind="AddressError", code=2)],
-        ("b", "check"): [Outcome(seconds=1.0, problem="a bug: KeyError: 1", kind="KeyError", code=1, trace="Trace")],
-        ("c", "check"): [Outcome(seconds=1.0)],  # says that it is done, but nothing is there
+        ("a", "check"): [WorkOutcome(seconds=1.0, problem="no robot answers", kind="AddressError", code=2)],
+        ("b", "check"): [
+            WorkOutcome(seconds=1.0, problem="a bug: KeyError: 1", kind="KeyError", code=1, trace="Trace")
+        ],
+        ("c", "check"): [WorkOutcome(seconds=1.0)],  # says that it is done, but nothing is there
     }
     events: list[Event] = []
     found = call(tmp_path, [arm(name) for name in "abcd"], PlayedExecutor(problems), tell=events.append)
@@ -298,7 +300,7 @@ def test_what_fails_is_told_and_others_go_on(tmp_path: Path) -> None:
 def test_two_calls_do_not_lead_at_once_and_arms_are_named_right(tmp_path: Path) -> None:
     fleet = Fleet(path=tmp_path / "FLEET.toml", folder=tmp_path / "lab", arms=(arm("a"),))
 
-    def second() -> Outcome:
+    def second() -> WorkOutcome:
         with pytest.raises(FileError, match="another rejoint"):
             call(tmp_path, fleet.arms, PlayedExecutor())
         return DONE

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TypeAlias
 
 from rejoint.runs.fleet.campaign import Campaign, Verb, state_folder
-from rejoint.runs.fleet.drive import Executor, Event, Rules, drive
+from rejoint.runs.fleet.drive import Event, Executor, Rules, drive
 from rejoint.runs.fleet.file import Fleet, FleetArm
 from rejoint.runs.fleet.result import FleetResult, permitted, rows_of
 from rejoint.runs.fleet.work import RepairOptions

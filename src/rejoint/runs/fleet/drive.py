@@ -14,7 +14,7 @@ from typing import Literal, Protocol, TypeAlias
 
 from rejoint.runs.fleet.campaign import Verb
 from rejoint.runs.fleet.file import FleetArm
-from rejoint.runs.fleet.work import Lost, Outcome, Step, Work
+from rejoint.runs.fleet.work import Lost, Step, Work, WorkOutcome
 from rejoint.system.stopping import check, noted, pause, shielded
 
 End: TypeAlias = Literal["done", "failed", "left"]
@@ -38,7 +38,7 @@ class Executor(Protocol):
     def begin(self, work: Work) -> None:
         """Have a piece of work done; returns at once."""
 
-    def wait(self, timeout: float) -> Sequence[tuple[Work, Outcome | Lost]]:
+    def wait(self, timeout: float) -> Sequence[tuple[Work, WorkOutcome | Lost]]:
         """Return what has ended, after ``timeout`` [s] at the latest."""
 
     def hold(self, work: Work) -> None:
@@ -80,7 +80,7 @@ class Standing:
     end: End | None = None
     why: str = ""
     """why it failed or was left"""
-    outcome: Outcome | None = None
+    outcome: WorkOutcome | None = None
     """of what failed"""
     lost: int = 0
     """pieces of work whose process was lost"""
@@ -170,7 +170,7 @@ class _Lead:
                 one.held = True
                 self._executor.hold(work)
 
-    def _end(self, work: Work, ended: Outcome | Lost) -> None:
+    def _end(self, work: Work, ended: WorkOutcome | Lost) -> None:
         one = next(one for one in self.standings if one.running is work)
         one.running = one.left = None
         if isinstance(ended, Lost):

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from rejoint.runs.fleet.file import FleetArm
-from rejoint.runs.fleet.work import Lost, Outcome, Work, do_work
+from rejoint.runs.fleet.work import Lost, Work, WorkOutcome, do_work
 from rejoint.system.errors import InputError, first_line
 from rejoint.system.extras import require
 from rejoint.system.progress import Progress
@@ -31,7 +31,7 @@ STORE = 80 * 2**20
 PULSE = 0.5
 """[s] between two reports of what is at work (chosen: nobody reads faster)"""
 SILENCE = 10.0
-"""[s] without an answer from the board after which an arm is brought to a hold (chosen: longer than a busy network is
+"""[s] without an answer after which an arm is brought to a hold (chosen: longer than a busy network is
 silent, and no cycle of control waits for it)"""
 
 
@@ -42,7 +42,7 @@ class RayExecutor:
         self, arms: Sequence[FleetArm], *, address: str | None = None, cpus: int | None = None,
         training_cpus: float = 1.0,
     ) -> None:  # fmt: skip
-        """Start Ray, or connect to it; InputError where there is no such cluster, or none of its nodes reaches an arm."""
+        """Start Ray, or connect to it; InputError where there is no such cluster, or nothing there reaches an arm."""
         require("rejoint fleet", "fleet")
         real = [arm for arm in arms if not arm.virtual]
         self._training_cpus, self._running = training_cpus, {}  # type: float, dict[Any, tuple[Work, Any]]
@@ -52,7 +52,7 @@ class RayExecutor:
         try:
             self.cpus = int(self._ray.cluster_resources().get("CPU", 0))
             self._require_reached(real, address)
-            self._board = self._ray.remote(num_cpus=0)(Board).remote()
+            self._reports = self._ray.remote(num_cpus=0)(Reports).remote()
             self._work = self._ray.remote(max_retries=0)(work_in_task)
             self._arm = self._ray.remote(num_cpus=0, max_restarts=0, max_task_retries=0)(ArmHolder)
         except BaseException:
@@ -63,28 +63,29 @@ class RayExecutor:
         """Have a piece of work done; a real arm that moves is held by an actor where it is reached."""
         if not work.held:
             cpus = self._training_cpus if work.step == "train" else 1.0
-            reference = self._work.options(num_cpus=cpus, name=f"{work.arm.name}:{work.step}").remote(work, self._board)
-            self._running[reference] = work, None
+            reference = self._work.options(num_cpus=cpus, name=f"{work.arm.name}:{work.step}").remote(
+                work, self._reports
+            )
             return
         holder = self._arm.options(
             name=work.arm.resource, namespace=NAMESPACE, resources={work.arm.resource: 1.0}
         ).remote()  # fmt: skip
-        self._running[holder.do.remote(work, self._board)] = work, holder
+        self._running[holder.do.remote(work, self._reports)] = work, holder
 
-    def wait(self, timeout: float) -> list[tuple[Work, Outcome | Lost]]:
+    def wait(self, timeout: float) -> list[tuple[Work, WorkOutcome | Lost]]:
         """Return what has ended, after ``timeout`` [s] at the latest."""
         references = list(self._running)
         ready, _ = self._ray.wait(references, num_returns=1, timeout=timeout)
         if ready:
             ready, _ = self._ray.wait(references, num_returns=len(references), timeout=0.0)
         if self._show is not None:
-            with suppress(self._ray.exceptions.RayError):  # the board may be late
-                self._show(self._ray.get(self._board.shares.remote(), timeout=PULSE))
+            with suppress(self._ray.exceptions.RayError):  # the reports may be late
+                self._show(self._ray.get(self._reports.shares.remote(), timeout=PULSE))
         return [self._ended(reference) for reference in ready]
 
     def hold(self, work: Work) -> None:
         """Ask for the arm to be brought to a hold."""
-        self._board.hold.remote(work.arm.name)
+        self._reports.hold.remote(work.arm.name)
 
     def watch(self, show: Callable[[dict[str, tuple[float, str]]], object]) -> None:
         """Have ``show`` called now and then: by name, the share done of an arm's work, and what is done."""
@@ -94,12 +95,12 @@ class RayExecutor:
         """Let all processes go; a cluster stays."""
         self._ray.shutdown()
 
-    def _ended(self, reference: Any) -> tuple[Work, Outcome | Lost]:  # noqa: ANN401 - of Ray
+    def _ended(self, reference: Any) -> tuple[Work, WorkOutcome | Lost]:  # noqa: ANN401 - of Ray
         work, holder = self._running.pop(reference)
         try:
-            found: Outcome | Lost = self._ray.get(reference)
+            found: WorkOutcome | Lost = self._ray.get(reference)
         except self._ray.exceptions.RayTaskError as error:  # before the work had begun: another version there, say
-            found = Outcome(seconds=0.0, problem=f"a bug: {_last_line(error)}", kind="InternalError", code=1,
+            found = WorkOutcome(seconds=0.0, problem=f"a bug: {_last_line(error)}", kind="InternalError", code=1,
                             trace=str(error))  # fmt: skip
         except self._ray.exceptions.RayError as error:
             found = Lost(why=type(error).__name__)
@@ -119,7 +120,7 @@ class RayExecutor:
             )
 
 
-class Board:
+class Reports:
     """An actor that holds what everybody reports, and whom to hold."""
 
     def __init__(self) -> None:
@@ -145,18 +146,18 @@ class Board:
         return self._shares
 
 
-def work_in_task(work: Work, board: Any) -> Outcome:  # noqa: ANN401 - of Ray
+def work_in_task(work: Work, reports: Any) -> WorkOutcome:  # noqa: ANN401 - of Ray
     """Do work in which nothing real moves; reports go out and are not waited for."""
     stop = threading.Event()
     state = [0.0, ""]
-    thread = threading.Thread(target=_report, args=(board, work.arm.name, state, stop), daemon=True)
+    thread = threading.Thread(target=_report, args=(reports, work.arm.name, state, stop), daemon=True)
     thread.start()
     try:
         return do_work(work, _into(state))
     finally:
         stop.set()
         thread.join()
-        board.over.remote(work.arm.name)
+        reports.over.remote(work.arm.name)
 
 
 class ArmHolder:
@@ -165,18 +166,18 @@ class ArmHolder:
     def __init__(self) -> None:
         install()  # so that being ended brings the arm to a hold
 
-    def do(self, work: Work, board: Any) -> Outcome:  # noqa: ANN401 - of Ray
-        """Do work in which the arm moves; it is held where the board says so, or is silent."""
+    def do(self, work: Work, reports: Any) -> WorkOutcome:  # noqa: ANN401 - of Ray
+        """Do work in which the arm moves; it is held where that is asked for, or nobody answers."""
         stop = threading.Event()
         state = [0.0, ""]
-        thread = threading.Thread(target=_watch, args=(board, work.arm.name, state, stop), daemon=True)
+        thread = threading.Thread(target=_watch, args=(reports, work.arm.name, state, stop), daemon=True)
         thread.start()
         try:
             return do_work(work, _into(state))
         finally:
             stop.set()
             thread.join(PULSE)
-            board.over.remote(work.arm.name)
+            reports.over.remote(work.arm.name)
 
 
 def _into(state: list[Any]) -> Progress:
@@ -186,18 +187,18 @@ def _into(state: list[Any]) -> Progress:
     return update
 
 
-def _report(board: Any, name: str, state: list[Any], stop: threading.Event) -> None:  # noqa: ANN401
+def _report(reports: Any, name: str, state: list[Any], stop: threading.Event) -> None:  # noqa: ANN401
     while not stop.wait(PULSE):
-        board.pulse.remote(name, *state)
+        reports.pulse.remote(name, *state)
 
 
-def _watch(board: Any, name: str, state: list[Any], stop: threading.Event) -> None:  # noqa: ANN401
+def _watch(reports: Any, name: str, state: list[Any], stop: threading.Event) -> None:  # noqa: ANN401
     """Report, and have the arm held where that is asked for or nobody is there who could ask."""
     import ray
 
     while not stop.wait(PULSE):
         try:
-            wanted = ray.get(board.pulse.remote(name, *state), timeout=SILENCE)
+            wanted = ray.get(reports.pulse.remote(name, *state), timeout=SILENCE)
         except Exception:  # noqa: BLE001 - whatever it is, nobody leads any more
             wanted = True
         if wanted and not stop.is_set():

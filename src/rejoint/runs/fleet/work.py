@@ -53,7 +53,7 @@ class Work:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Outcome:
+class WorkOutcome:
     """How a piece of work ended; what it found is in its files."""
 
     seconds: float
@@ -75,7 +75,7 @@ class Lost:
     why: str
 
 
-def do_work(work: Work, on_progress: Progress = no_progress) -> Outcome:
+def do_work(work: Work, on_progress: Progress = no_progress) -> WorkOutcome:
     """Do one piece of work; whatever goes wrong is in the outcome, so that it reaches who leads."""
     begun = time.monotonic()
     try:
@@ -91,7 +91,7 @@ def do_work(work: Work, on_progress: Progress = no_progress) -> Outcome:
             return _failed(begun, missing, error, 2)
         trace = "".join(traceback.format_exception(error))
         return _failed(begun, f"a bug: {type(error).__name__}: {first_line(error)}", error, 1, trace)
-    return Outcome(seconds=time.monotonic() - begun)
+    return WorkOutcome(seconds=time.monotonic() - begun)
 
 
 def _do(work: Work, on_progress: Progress) -> None:
@@ -109,7 +109,7 @@ def _do(work: Work, on_progress: Progress) -> None:
     )  # fmt: skip
 
 
-def _failed(begun: float, problem: str, error: BaseException, code: int, trace: str = "") -> Outcome:
-    return Outcome(
+def _failed(begun: float, problem: str, error: BaseException, code: int, trace: str = "") -> WorkOutcome:
+    return WorkOutcome(
         seconds=time.monotonic() - begun, problem=problem, kind=type(error).__name__, code=code, trace=trace
     )  # fmt: skip
