@@ -276,9 +276,7 @@ def test_an_interruption_brings_arms_to_a_hold_first(tmp_path: Path) -> None:
 def test_what_fails_is_told_and_others_go_on(tmp_path: Path) -> None:
     problems = {
         ("a", "check"): [WorkOutcome(seconds=1.0, problem="no robot answers", kind="AddressError", code=2)],
-        ("b", "check"): [
-            WorkOutcome(seconds=1.0, problem="a bug: KeyError: 1", kind="KeyError", code=1, trace="Trace")
-        ],
+        ("b", "check"): [WorkOutcome(seconds=1.0, problem="a bug: KeyError", kind="KeyError", code=1, trace="Trace")],
         ("c", "check"): [WorkOutcome(seconds=1.0)],  # says that it is done, but nothing is there
     }
     events: list[Event] = []

@@ -12,6 +12,7 @@ import secrets
 import signal
 import sys
 import threading
+import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -23,13 +24,15 @@ from rejoint.runs.fleet.work import Lost, Work, WorkOutcome, do_work
 from rejoint.system.errors import InputError, first_line
 from rejoint.system.extras import require
 from rejoint.system.progress import Progress
-from rejoint.system.stopping import SIGNALS, install
+from rejoint.system.stopping import SIGNALS, install, pause
 
 NAMESPACE = "rejoint"
 STORE = 80 * 2**20
 """[bytes] of Ray's store of objects on one machine (chosen: the least that Ray takes; results go by files)"""
 PULSE = 0.5
 """[s] between two reports of what is at work (chosen: nobody reads faster)"""
+GOING = 10.0
+"""[s] in which the actor of an arm's last step has ended (chosen: it takes a tenth of one)"""
 SILENCE = 10.0
 """[s] without an answer after which an arm is brought to a hold (chosen: longer than a busy network is
 silent, and no cycle of control waits for it)"""
@@ -46,6 +49,7 @@ class RayExecutor:
         require("rejoint fleet", "fleet")
         real = [arm for arm in arms if not arm.virtual]
         self._training_cpus, self._running = training_cpus, {}  # type: float, dict[Any, tuple[Work, Any]]
+        self._refused: list[tuple[Work, WorkOutcome | Lost]] = []
         self._show: Callable[[dict[str, tuple[float, str]]], object] | None = None
         with _own_signals():
             self._ray = _started(address, cpus, {arm.resource: 1.0 for arm in real})
@@ -63,18 +67,34 @@ class RayExecutor:
         """Have a piece of work done; a real arm that moves is held by an actor where it is reached."""
         if not work.held:
             cpus = self._training_cpus if work.step == "train" else 1.0
-            reference = self._work.options(num_cpus=cpus, name=f"{work.arm.name}:{work.step}").remote(
-                work, self._reports
-            )
+            task = self._work.options(num_cpus=cpus, name=f"{work.arm.name}:{work.step}")
+            self._running[task.remote(work, self._reports)] = work, None
             return
-        holder = self._arm.options(
-            name=work.arm.resource, namespace=NAMESPACE, resources={work.arm.resource: 1.0}
-        ).remote()  # fmt: skip
+        holder = self._holder(work.arm.resource)
+        if holder is None:
+            problem = "another call on this cluster moves this arm; wait until it is done"
+            self._refused.append((work, WorkOutcome(seconds=0.0, problem=problem, kind="InputError", code=2)))
+            return
         self._running[holder.do.remote(work, self._reports)] = work, holder
+
+    def _holder(self, resource: str) -> Any:  # noqa: ANN401 - of Ray
+        """Return a new actor for an arm; None where there is one, which does not go."""
+        options = self._arm.options(name=resource, namespace=NAMESPACE, resources={resource: 1.0})
+        until = time.monotonic() + GOING
+        while True:
+            try:
+                return options.remote()
+            except ValueError:  # of that name
+                if time.monotonic() > until:
+                    return None
+                pause(0.1)
 
     def wait(self, timeout: float) -> list[tuple[Work, WorkOutcome | Lost]]:
         """Return what has ended, after ``timeout`` [s] at the latest."""
+        refused, self._refused = self._refused, []
         references = list(self._running)
+        if refused or not references:
+            return refused
         ready, _ = self._ray.wait(references, num_returns=1, timeout=timeout)
         if ready:
             ready, _ = self._ray.wait(references, num_returns=len(references), timeout=0.0)
