@@ -34,6 +34,9 @@ def fleet(
     anew: Annotated[
         bool, typer.Option("--anew", help="Begin with all arms again, though an earlier call was cut short.")
     ] = False,
+    needed: Annotated[
+        bool, typer.Option("--needed", help="Check each arm first, and repair only those that the check says to.")
+    ] = False,
     address: Annotated[
         str | None, typer.Option(help="Ray cluster HOST:PORT, or auto; by default this machine alone.")
     ] = None,
@@ -86,9 +89,9 @@ def fleet(
 
     options = RepairOptions(
         preset=preset, controllers=opt.controller_names(controllers), sets=sets, repetitions=repetitions, seed=seed,
-        quick=quick,
+        quick=quick, needed=needed,
     )  # fmt: skip
-    rules = Rules(verb=verb, somebody=somebody, stay=wait)
+    rules = Rules(somebody=somebody, stay=wait)
     if address is None:  # all control loops run here
         rules = replace(rules, at_once=cpus or os.cpu_count() or 1)
     result = run_fleet(

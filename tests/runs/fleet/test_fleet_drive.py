@@ -15,7 +15,7 @@ from rejoint.runs.fleet.drive import TRIES, Event, Rules, drive
 from rejoint.runs.fleet.file import Fleet, FleetArm
 from rejoint.runs.fleet.hours import read_hours
 from rejoint.runs.fleet.result import FleetResult
-from rejoint.runs.fleet.work import Lost, Work, WorkOutcome
+from rejoint.runs.fleet.work import Lost, RepairOptions, Work, WorkOutcome
 from rejoint.runs.folder import RunFolder
 from rejoint.runs.repair import STAGES, stages_of
 from rejoint.system.errors import FileError, InputError
@@ -64,12 +64,13 @@ class PlayedExecutor:
         return [(work, turn)]
 
 
-def leave_files(work: Work) -> None:
+def leave_files(work: Work, state: str = "steady", error: float = 1.0) -> None:
     """Leave what a step leaves."""
     if work.step == "check":
         place = work.folder / "checks" / work.arm.name / f"{utc_now():%Y%m%dT%H%M%S%f}" / SUMMARY
         place.parent.mkdir(parents=True)
-        write_rows(place, [HistoryRow(time=utc_now(), kind="check", arm=work.arm.name, state="steady", error_mm=1.0,
+        write_rows(place, [HistoryRow(time=utc_now(), kind="check", arm=work.arm.name, state=state, error_mm=error,
+                                      tolerance_mm=work.arm.tolerance_mm,
                                       line="No change. Do: nothing; check again in a month.")])  # fmt: skip
         return
     files = RunFolder(work.folder)
@@ -99,7 +100,7 @@ def call(
     **given: object,
 ) -> FleetResult:
     fleet = Fleet(path=tmp_path / "FLEET.toml", folder=tmp_path / "lab", arms=tuple(arms))
-    return run_fleet(fleet, verb, lambda _: executor, rules or Rules(verb=verb, now=lambda: MONDAY), **given)
+    return run_fleet(fleet, verb, lambda _: executor, rules or Rules(now=lambda: MONDAY), **given)
 
 
 def test_steps_are_those_of_a_repair_in_their_order(tmp_path: Path) -> None:
@@ -125,7 +126,7 @@ def test_nothing_moves_without_permission_and_outside_its_hours(
     tmp_path: Path, given: dict[str, object], verb: str, somebody: bool, why: str
 ) -> None:
     executor = PlayedExecutor()
-    rules = Rules(verb=verb, somebody=somebody, now=lambda: MONDAY)
+    rules = Rules(somebody=somebody, now=lambda: MONDAY)
     found = call(tmp_path, [arm("a", **given)], executor, verb, rules)
     assert executor.begun == []
     (row,) = found.rows
@@ -144,7 +145,7 @@ def test_nothing_moves_without_permission_and_outside_its_hours(
 )
 def test_what_is_allowed_moves(tmp_path: Path, given: dict[str, object], verb: str, somebody: bool) -> None:
     executor = PlayedExecutor()
-    found = call(tmp_path, [arm("a", **given)], executor, verb, Rules(verb=verb, somebody=somebody, now=lambda: MONDAY))
+    found = call(tmp_path, [arm("a", **given)], executor, verb, Rules(somebody=somebody, now=lambda: MONDAY))
     assert executor.begun == [("a", "check")]
     assert found.code == 0
 
@@ -153,13 +154,13 @@ def test_stages_in_which_nothing_moves_know_no_hours(tmp_path: Path) -> None:
     """Diagnosed on Monday, identified and trained in the night, compared when the arm may move again."""
     times = iter([MONDAY] * 2 + [MONDAY.replace(hour=20)] * 100)
     here = arm("a", hours=read_hours(["Mon-Fri 08:00-18:00"]))
-    rules = Rules(verb="repair", now=lambda: next(times))
+    rules = Rules(now=lambda: next(times))
     executor = PlayedExecutor()
     found = call(tmp_path, [here], executor, "repair", rules)
     assert [step for _, step in executor.begun] == ["diagnose", "identify", "train"]
     assert "begin Tue 2026-11-24 08:00" in found.rows[0].found
     executor = PlayedExecutor()
-    found = call(tmp_path, [here], executor, "repair", Rules(verb="repair", now=lambda: MONDAY + timedelta(days=1)))
+    found = call(tmp_path, [here], executor, "repair", Rules(now=lambda: MONDAY + timedelta(days=1)))
     assert [step for _, step in executor.begun] == ["compare", "report"]
     assert found.finished
 
@@ -173,7 +174,7 @@ def test_an_arm_is_held_when_its_hours_end(tmp_path: Path) -> None:
     held = WorkOutcome(seconds=1.0, problem="held, as it was asked to stop", code=143)
     executor = PlayedExecutor({("a", "check"): [later, None, held]})
     here = arm("a", hours=read_hours(["Mon-Fri 08:00-18:00"]))
-    found = call(tmp_path, [here], executor, rules=Rules(verb="check", now=lambda: clock["now"]))
+    found = call(tmp_path, [here], executor, rules=Rules(now=lambda: clock["now"]))
     assert executor.held == ["a"]
     assert (found.rows[0].end, found.rows[0].code) == ("left", 5)
     assert "held during check; its hours begin Tue" in found.rows[0].found
@@ -193,7 +194,7 @@ def test_one_arm_of_a_bench_moves_at_a_time_and_so_many_in_all(tmp_path: Path) -
     assert max(len(names & {"a", "b"}) for names in executor.together) == 1
     assert {"a", "c", "d", "e"} in executor.together
     executor = PlayedExecutor()
-    call(tmp_path, arms, executor, rules=Rules(verb="check", at_once=2, now=lambda: MONDAY), anew=True)
+    call(tmp_path, arms, executor, rules=Rules(at_once=2, now=lambda: MONDAY), anew=True)
     assert max(len(names - {"e"}) for names in executor.together) == 2  # emulated ones move nothing
     assert len(executor.begun) == 5
 
@@ -295,6 +296,30 @@ def test_what_fails_is_told_and_others_go_on(tmp_path: Path) -> None:
     assert {name for name, _ in executor.begun} == {"a", "b", "c"}
 
 
+def test_only_those_are_repaired_that_need_it(tmp_path: Path) -> None:
+    """One in alarm, one over its tolerance, one that is steady, one in alarm that may not be repaired."""
+    arms = [emulated("a"), arm("b", tolerance_mm=2.0), emulated("c"), arm("d", may_repair=False)]
+    seen = {"a": ("alarm", 1.0), "b": ("learning", 2.5), "c": ("drifting", 1.0), "d": ("alarm", 1.0)}
+
+    class Checked(PlayedExecutor):
+        def wait(self, timeout: float) -> Sequence[tuple[Work, WorkOutcome | Lost]]:
+            work = self.running[0]
+            if work.step != "check":
+                return super().wait(timeout)
+            self.running.pop(0)
+            leave_files(work, *seen[work.arm.name])
+            return [(work, DONE)]
+
+    executor = Checked()
+    found = call(tmp_path, arms, executor, "repair", options=RepairOptions(needed=True))
+    assert [name for name, step in executor.begun if step == "check"] == ["a", "b", "c", "d"]
+    assert {name for name, step in executor.begun if step == "report"} == {"a", "b"}
+    rows = {row.name: row for row in found.rows}
+    assert (rows["c"].end, rows["c"].state, rows["c"].code) == ("done", "drifting", 6)
+    assert (rows["d"].end, rows["d"].code) == ("left", 5)
+    assert found.finished
+
+
 def test_two_calls_do_not_lead_at_once_and_arms_are_named_right(tmp_path: Path) -> None:
     fleet = Fleet(path=tmp_path / "FLEET.toml", folder=tmp_path / "lab", arms=(arm("a"),))
 
@@ -318,7 +343,7 @@ def test_waits_for_hours_that_come(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr("rejoint.runs.fleet.drive.pause", sleep)
     here = arm("a", hours=read_hours(["Tue 08:00-18:00"]))
     executor = PlayedExecutor()
-    found = call(tmp_path, [here], executor, rules=Rules(verb="check", stay=True, now=lambda: clock["now"]))
+    found = call(tmp_path, [here], executor, rules=Rules(stay=True, now=lambda: clock["now"]))
     assert found.rows[0].end == "done"
     assert clock["now"] == datetime(2026, 11, 24, 8)
 
@@ -329,5 +354,5 @@ def test_the_state_is_a_plain_file(tmp_path: Path) -> None:
     told = json.loads(state_file(fleet, "repair").read_text())
     assert told["runs"] == {"a": "repairs/a/001"}
     assert not told["finished"]
-    standing = drive(fleet.arms, campaign.left, campaign.work, PlayedExecutor(), Rules(verb="repair"))
+    standing = drive(fleet.arms, campaign.left, campaign.work, PlayedExecutor(), Rules())
     assert [step for step, _ in standing[0].steps] == [s for s in STAGES if s not in ("gains", "calibrate")]

@@ -92,7 +92,7 @@ def called(address: str, tmp_path_factory: pytest.TempPathFactory) -> tuple[Flee
     real = replace(allowed, name="real", address=address, hours=read_hours(["Mon-Fri 08:00-18:00"]))
     home = tmp_path_factory.mktemp("fleet")
     fleet, world = Fleet(path=home / "FLEET.toml", folder=home / "lab", arms=(real, allowed)), World(home / "lab")
-    rules = Rules(verb="check", now=world.now)
+    rules = Rules(now=world.now)
     before = [signal.getsignal(one) for one in (signal.SIGINT, signal.SIGTERM)]
     found = run_fleet(fleet, "check", world.executor, rules, tell=world.events.append)
     assert [signal.getsignal(one) for one in (signal.SIGINT, signal.SIGTERM)] == before

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import replace
 from pathlib import Path
 from typing import TypeAlias
 
@@ -76,7 +75,7 @@ def run_fleet(
         campaign = Campaign.open(fleet, verb, options, anew=anew)
         begins(campaign)
         with executor(arms) as ready:
-            standings = drive(arms, campaign.left, campaign.work, ready, replace(rules, verb=verb), tell)
+            standings = drive(arms, campaign.left, campaign.work, ready, rules, tell)
         finished = permitted(fleet.arms, standings, verb)
         if finished:
             campaign.finish()

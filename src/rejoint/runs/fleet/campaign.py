@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Literal, TypeAlias
 
 from rejoint.logs.history.index import find_rows
-from rejoint.logs.history.rows import utc_now
+from rejoint.logs.history.rows import HistoryRow, utc_now
 from rejoint.runs.fleet.file import Fleet, FleetArm
 from rejoint.runs.fleet.work import RepairOptions, Step, Work
 from rejoint.runs.folder import RunFolder
@@ -70,8 +70,14 @@ class Campaign:
     def left(self, arm: FleetArm) -> tuple[Step, ...]:
         """Name the steps of an arm that are not done, in their order, by its files."""
         if self.verb == "check":
-            return () if self._is_checked(arm) else ("check",)
+            return ("check",) if self.check_of(arm) is None else ()
         files, options = RunFolder(self.run(arm)), self.options
+        if options.needed and not files.info.exists():  # an interrupted repair is gone on with in any case
+            seen = self.check_of(arm)
+            if seen is None:
+                return ("check",)
+            if not needs_repair(seen):
+                return ()
         if files.finished.exists():
             return ()
         stages = stages_of(arm.address, files, controllers=options.controllers, quick=options.quick)
@@ -87,9 +93,27 @@ class Campaign:
         done = CampaignInfo(begun=self.info.begun, runs=self.info.runs, finished=True)
         write_json(state_file(self.fleet, self.verb), done)
 
-    def _is_checked(self, arm: FleetArm) -> bool:
+    def check_of(self, arm: FleetArm) -> HistoryRow | None:
+        """Return the newest check of an arm since this was begun; None where there is none."""
         rows, _ = find_rows(self.fleet.folder, arm.name)
-        return any(row.kind == "check" and row.arm == arm.name and row.time >= self.info.begun for row in rows)
+        mine = [row for row in rows if row.kind == "check" and row.arm == arm.name and not row.joint]
+        return mine[-1] if mine and mine[-1].time >= self.info.begun else None
+
+
+def error_of(row: HistoryRow) -> float | None:
+    """[mm] of the tool in a check: the true one where it is known."""
+    return row.error_mm if row.true_error_mm is None else row.true_error_mm
+
+
+def is_over(row: HistoryRow) -> bool:
+    """Tell whether the tolerance is reached in a check."""
+    error = error_of(row)
+    return row.tolerance_mm is not None and error is not None and error >= row.tolerance_mm
+
+
+def needs_repair(row: HistoryRow) -> bool:
+    """Tell whether a check says that its arm is to be repaired."""
+    return row.state == "alarm" or is_over(row)
 
 
 def state_folder(fleet: Fleet) -> Path:

@@ -12,7 +12,6 @@ from dataclasses import dataclass, field
 from datetime import datetime, timedelta
 from typing import Literal, Protocol, TypeAlias
 
-from rejoint.runs.fleet.campaign import Verb
 from rejoint.runs.fleet.file import FleetArm
 from rejoint.runs.fleet.work import Lost, Step, Work, WorkOutcome
 from rejoint.system.stopping import check, noted, pause, shielded
@@ -49,7 +48,6 @@ class Executor(Protocol):
 class Rules:
     """What holds for all arms of one call."""
 
-    verb: Verb
     somebody: bool = False
     """whether somebody is there, as whoever calls says"""
     stay: bool = False
@@ -138,7 +136,7 @@ class _Lead:
                 continue
             work = self._work(one.arm, one.left[0])
             if work.moves:
-                refusal = refused(one.arm, self._rules)
+                refusal = refused(work, self._rules)
                 opens = opening(one.arm, now)
                 if refusal or opens != now:
                     one.why = refusal or _begins(opens)
@@ -236,11 +234,12 @@ def drive(
     return lead.standings
 
 
-def refused(arm: FleetArm, rules: Rules) -> str:
-    """Say why an arm may not move at all in this call; empty where it may."""
+def refused(work: Work, rules: Rules) -> str:
+    """Say why an arm may not move for some work in this call; empty where it may."""
+    arm = work.arm
     if not arm.may_move:
         return "may_move is not true in the file"
-    if rules.verb == "repair" and not arm.may_repair:
+    if work.step != "check" and not arm.may_repair:
         return "may_repair is not true in the file"
     if arm.needs_somebody and not rules.somebody:
         return "somebody has to be there: say --somebody-is-there when somebody is"

@@ -6,11 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from rejoint.logs.history.index import find_rows
-from rejoint.logs.history.rows import HistoryRow
-from rejoint.runs.fleet.campaign import Campaign, Verb
+from rejoint.runs.fleet.campaign import Campaign, Verb, error_of, is_over, needs_repair
 from rejoint.runs.fleet.drive import End, Standing
 from rejoint.runs.fleet.file import FleetArm
+from rejoint.runs.folder import RunFolder
 from rejoint.runs.history.table import what_to_do
 from rejoint.runs.run import Run
 from rejoint.system.errors import RejointError
@@ -77,30 +76,20 @@ class FleetResult:
 
 def rows_of(campaign: Campaign, standings: Sequence[Standing]) -> tuple[FleetRow, ...]:
     """Say what became of each arm, by its files; the worst first."""
-    told = _newest_checks(campaign) if campaign.verb == "check" else {}
-    rows = [
-        _checked(campaign, one, told.get(one.arm.name)) if campaign.verb == "check" else _repaired(campaign, one)
-        for one in standings
-    ]
+    row = _checked if campaign.verb == "check" else _repaired
+    rows = [row(campaign, one) for one in standings]
     return tuple(sorted(rows, key=lambda row: (_badness(row.code), -(row.error_mm or 0.0), row.name)))
 
 
-def _newest_checks(campaign: Campaign) -> dict[str, HistoryRow]:
-    """Return the newest check of every arm in this campaign."""
-    rows, _ = find_rows(campaign.fleet.folder)
-    checks = [row for row in rows if row.kind == "check" and not row.joint and row.time >= campaign.info.begun]
-    return {row.arm: row for row in checks}  # the oldest come first
-
-
-def _checked(campaign: Campaign, one: Standing, row: HistoryRow | None) -> FleetRow:
-    if one.end != "done" or row is None:
+def _checked(campaign: Campaign, one: Standing) -> FleetRow:
+    row = campaign.check_of(one.arm) if one.end == "done" else None
+    if row is None:
         return _undone(campaign, one, campaign.fleet.folder)
-    error = row.error_mm if row.true_error_mm is None else row.true_error_mm
-    over = row.tolerance_mm is not None and error is not None and error >= row.tolerance_mm
-    code = ALARM if over or row.state == "alarm" else DRIFTS if row.state == "drifting" else 0
+    code = ALARM if needs_repair(row) else DRIFTS if row.state == "drifting" else 0
     return _row(
-        one, state="tolerance reached" if over else row.state, error_mm=error, found=row.line.partition(" Do: ")[0],
-        todo=what_to_do(row), folder=campaign.fleet.folder / "checks" / one.arm.name, code=code,
+        one, state="tolerance reached" if is_over(row) else row.state, error_mm=error_of(row),
+        found=row.line.partition(" Do: ")[0], todo=what_to_do(row),
+        folder=campaign.fleet.folder / "checks" / one.arm.name, code=code,
     )  # fmt: skip
 
 
@@ -111,6 +100,8 @@ def _repaired(campaign: Campaign, one: Standing) -> FleetRow:
     folder = campaign.run(one.arm)
     if one.end != "done":
         return _undone(campaign, one, folder)
+    if not RunFolder(folder).info.exists():  # the check said that there is no need
+        return _checked(campaign, one)
     try:
         contents = read_contents(folder)
         advised = _recommended(folder)

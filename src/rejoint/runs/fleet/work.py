@@ -29,6 +29,8 @@ class RepairOptions:
     repetitions: int | None = None
     seed: int | None = None
     quick: bool = False
+    needed: bool = False
+    """whether each arm is checked first, and repaired only where the check says so"""
 
 
 @dataclass(frozen=True, kw_only=True)
