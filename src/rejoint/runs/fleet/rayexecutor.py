@@ -17,20 +17,24 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from rejoint.runs.fleet.file import FleetArm
 from rejoint.runs.fleet.work import Lost, Work, WorkOutcome, do_work
-from rejoint.system.errors import InputError, first_line
+from rejoint.system.errors import InputError, RejointError, first_line
 from rejoint.system.extras import require
 from rejoint.system.progress import Progress
 from rejoint.system.stopping import SIGNALS, install, pause
+
+T = TypeVar("T")
 
 NAMESPACE = "rejoint"
 STORE = 80 * 2**20
 """[bytes] of Ray's store of objects on one machine (chosen: the least that Ray takes; results go by files)"""
 PULSE = 0.5
 """[s] between two reports of what is at work (chosen: nobody reads faster)"""
+TRIES_AGAIN = 3
+"""of work in which nothing moves, where nobody leads it (chosen: as many as in a fleet)"""
 GOING = 10.0
 """[s] in which the actor of an arm's last step has ended (chosen: it takes a tenth of one)"""
 SILENCE = 10.0
@@ -138,6 +142,44 @@ class RayExecutor:
                 f"no computer of the cluster {address} says that it reaches {names}; on the one that does, run: "
                 f"ray start --address={address} --num-cpus=0 --resources='{{\"{one}\": 1}}'"
             )
+
+
+def each_on_ray(
+    work: Callable[[T], object], items: Sequence[T], done: Callable[[int], object], *, address: str | None = None,
+    cpus_each: float = 1.0,
+) -> None:  # fmt: skip
+    """Do work on each of some items by Ray, in any order: files in, files out, and nothing moves.
+
+    ``done`` is called with the number of items that are done. What is lost is begun again by Ray, up to three times.
+    InputError says in a line what failed first.
+    """
+    require("--on ray", "fleet")
+    if not items:
+        return
+    with _own_signals():
+        ray = _started(address, None, {})
+    try:
+        task = ray.remote(num_cpus=cpus_each, max_retries=TRIES_AGAIN)(_done_or_why)
+        left = [task.remote(work, item) for item in items]
+        while left:
+            ready, left = ray.wait(left, num_returns=1, timeout=PULSE)
+            for problem in ray.get(ready):
+                if problem:
+                    raise InputError(f"on another process: {problem}")
+            done(len(items) - len(left))
+    except ray.exceptions.RayError as error:
+        raise InputError(f"Ray: {_last_line(error)}") from error
+    finally:
+        ray.shutdown()
+
+
+def _done_or_why(work: Callable[[T], object], item: T) -> str:
+    """Do work; returns why it failed, as errors of ours do not travel."""
+    try:
+        work(item)
+    except RejointError as error:
+        return str(error)
+    return ""
 
 
 class Reports:
