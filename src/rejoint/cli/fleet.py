@@ -117,6 +117,7 @@ class _FleetView:
         self._terminal, self._executor = terminal, None  # type: Terminal, RayExecutor | None
         self._bars: bars.Progress | None = None
         self._tasks: dict[str, bars.TaskID] = {}
+        self._steps: dict[str, str] = {}
 
     def begins(self, campaign: Campaign) -> None:
         """Say what is going to be done."""
@@ -129,9 +130,9 @@ class _FleetView:
         """Show something that happened."""
         name = event.arm.name
         if event.kind == "begun":
-            if self._bars is not None:
-                self._tasks[name] = self._bars.add_task(f"{name}: {event.step}", total=1.0, what="")
+            self._steps[name] = event.step
             return
+        self._steps.pop(name, None)
         if self._bars is not None and name in self._tasks:
             self._bars.remove_task(self._tasks.pop(name))
         took = f" in {event.seconds:.0f} s" if event.kind == "done" else ""
@@ -155,5 +156,9 @@ class _FleetView:
 
     def _show(self, shares: dict[str, tuple[float, str]]) -> None:
         for name, (share, what) in shares.items():
-            if self._bars is not None and name in self._tasks:
-                self._bars.update(self._tasks[name], completed=share, what=what)
+            if self._bars is None or name not in self._steps:
+                continue
+            text = f"{name}: {self._steps[name]}"
+            if name not in self._tasks:  # of hundreds of arms that have begun, few are at work
+                self._tasks[name] = self._bars.add_task(text, total=1.0, what=what)
+            self._bars.update(self._tasks[name], description=text, completed=share, what=what)

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Literal, TypeAlias
 
-from rejoint.logs.history.index import find_rows
-from rejoint.logs.history.rows import HistoryRow, utc_now
+from rejoint.logs.history.index import CHECKS
+from rejoint.logs.history.rows import SUMMARY, HistoryRow, read_rows, utc_now
 from rejoint.runs.fleet.file import Fleet, FleetArm
 from rejoint.runs.fleet.work import RepairOptions, Step, Work
 from rejoint.runs.folder import RunFolder
 from rejoint.runs.repair import stages_of
 from rejoint.runs.run import newest_or_new_in
+from rejoint.system.errors import FileError
 from rejoint.system.files import read_json, write_json
 
 Verb: TypeAlias = Literal["check", "repair"]
@@ -95,9 +97,15 @@ class Campaign:
 
     def check_of(self, arm: FleetArm) -> HistoryRow | None:
         """Return the newest check of an arm since this was begun; None where there is none."""
-        rows, _ = find_rows(self.fleet.folder, arm.name)
-        mine = [row for row in rows if row.kind == "check" and row.arm == arm.name and not row.joint]
-        return mine[-1] if mine and mine[-1].time >= self.info.begun else None
+        begun = self.info.begun
+        for place in sorted((self.fleet.folder / CHECKS / arm.name).glob(f"*/{SUMMARY}"), reverse=True):
+            if place.parent.name < f"{begun:%Y%m%dT%H%M%S}":  # named after its time; of years, few are read
+                break
+            with suppress(FileError):  # a damaged one is made again
+                row = next((row for row in read_rows(place) if not row.joint), None)
+                if row is not None and row.time >= begun:
+                    return row
+        return None
 
 
 def error_of(row: HistoryRow) -> float | None:

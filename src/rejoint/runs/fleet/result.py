@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from rejoint.logs.history.index import CHECKS
 from rejoint.runs.fleet.campaign import Campaign, Verb, error_of, is_over, needs_repair
 from rejoint.runs.fleet.drive import End, Standing
 from rejoint.runs.fleet.file import FleetArm
@@ -89,7 +90,7 @@ def _checked(campaign: Campaign, one: Standing) -> FleetRow:
     return _row(
         one, state="tolerance reached" if is_over(row) else row.state, error_mm=error_of(row),
         found=row.line.partition(" Do: ")[0], todo=what_to_do(row),
-        folder=campaign.fleet.folder / "checks" / one.arm.name, code=code,
+        folder=campaign.fleet.folder / CHECKS / one.arm.name, code=code,
     )  # fmt: skip
 
 
