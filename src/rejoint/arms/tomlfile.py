@@ -36,11 +36,7 @@ left out are completed as :mod:`rejoint.arms.draft` says.
 
 from __future__ import annotations
 
-import difflib
-import re
-import tomllib
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -49,8 +45,9 @@ from rejoint.arms.arm import Arm, Array, Box, DhRow, dh_chain
 from rejoint.arms.draft import Draft
 from rejoint.arms.inertia import NOTHING, SpatialInertia, inertia_matrix, inertia_values
 from rejoint.arms.rotations import quaternion_of, rotation_of
-from rejoint.system.errors import FileError, InputError
-from rejoint.system.files import TOML_MOST, read_bounded, write_whole
+from rejoint.system.errors import InputError
+from rejoint.system.files import write_whole
+from rejoint.system.tomltable import TomlTable, read_toml
 
 _ARM_KEYS = ("name", "floor_m", "encoder_counts_per_turn", "servo_acceleration_rad_s2", "rest_deg", "targets", "tip",
              "joint")  # fmt: skip
@@ -77,16 +74,7 @@ def write_unfinished(path: Path, arm: Arm, notes: Sequence[str] = ()) -> int:
 
 def read_draft(path: Path) -> Draft:
     """Read an arm's TOML file; FileError names the line and the key that cannot be used."""
-    try:
-        text = read_bounded(path, TOML_MOST, "check the path of the arm").decode()
-        data = tomllib.loads(text)
-    except FileNotFoundError as error:
-        raise FileError(path, "there is no such file", "check the path of the arm") from error
-    except (OSError, UnicodeDecodeError) as error:
-        raise FileError(path, f"it cannot be read ({error})", "check the path of the arm") from error
-    except (RecursionError, tomllib.TOMLDecodeError) as error:
-        raise FileError(path, f"it is not TOML: {error}", "correct the file") from error
-    top = _TomlTable(path=path, text=text, data=data, header="", index=0, known=_ARM_KEYS)
+    top = read_toml(path, _ARM_KEYS, "check the path of the arm")
     name = top.string("name")
     joints = top.tables("joint", _JOINT_KEYS)
     names = tuple(joint.string("name") for joint in joints)
@@ -154,74 +142,7 @@ def _joint_block(arm: Arm, i: int) -> str:
     return "[[joint]]\n" + "".join(f"{key} = {value}\n" for key, value in lines.items())
 
 
-@dataclass(frozen=True, kw_only=True)
-class _TomlTable:
-    """One table of the file; its readers name the key and the line of a value that cannot be used."""
-
-    path: Path
-    text: str
-    data: dict[str, object]
-    header: str
-    """name of the table, empty for the top of the file"""
-    index: int
-    """which of several tables with that header, from 0"""
-    known: tuple[str, ...]
-
-    def __post_init__(self) -> None:
-        for key in self.data:
-            if key not in self.known:
-                close = difflib.get_close_matches(key, self.known, n=1)
-                hint = f"did you mean {close[0]}" if close else f"known keys: {', '.join(self.known)}"
-                raise self.error(key, f"there is no such key; {hint}")
-
-    def error(self, key: str, problem: str) -> FileError:
-        where = (
-            f"{self.header} {self.index + 1}: " if self.header == "joint" else f"{self.header}: " * bool(self.header)
-        )
-        line = _line_of(self.text, self.header, self.index, key)
-        return FileError(self.path, f"line {line}: {where}{key}: {problem}", "correct the file")
-
-    def string(self, key: str) -> str:
-        value = self.data.get(key)
-        if not isinstance(value, str) or not value:
-            raise self.error(key, f"expected a text, found {_shown(value)}")
-        return value
-
-    def number(self, key: str, *, above: float = -np.inf) -> float | None:
-        value = self.data.get(key)
-        if value is None:
-            return None
-        if not _is_number(value) or not float(value) > above:  # type: ignore[arg-type]
-            bound = f" above {above:g}" if np.isfinite(above) else ""
-            raise self.error(key, f"expected a finite number{bound}, found {_shown(value)}")
-        return float(value)  # type: ignore[arg-type]
-
-    def numbers(self, key: str, size: int) -> Array | None:
-        value = self.data.get(key)
-        if value is None:
-            return None
-        if not isinstance(value, list) or len(value) != size or not all(map(_is_number, value)):
-            raise self.error(key, f"expected {size} finite numbers, found {_shown(value)}")
-        return np.array(value, dtype=float)
-
-    def table(self, key: str, known: tuple[str, ...]) -> _TomlTable:
-        value = self.data.get(key, {})
-        if not isinstance(value, dict):
-            raise self.error(key, f"expected a table, found {_shown(value)}")
-        header = key if not self.header else self.header
-        return _TomlTable(path=self.path, text=self.text, data=value, header=header, index=self.index, known=known)
-
-    def tables(self, key: str, known: tuple[str, ...]) -> list[_TomlTable]:
-        value = self.data.get(key)
-        if not isinstance(value, list) or not value or not all(isinstance(item, dict) for item in value):
-            raise self.error(key, f"expected one [[{key}]] table or more, found {_shown(value)}")
-        return [
-            _TomlTable(path=self.path, text=self.text, data=item, header=key, index=i, known=known)
-            for i, item in enumerate(value)
-        ]
-
-
-def _chain(joints: list[_TomlTable]) -> tuple[Array, Array, Array]:
+def _chain(joints: list[TomlTable]) -> tuple[Array, Array, Array]:
     """``offset`` (n, 4, 4), ``axis`` (n, 3) and the pose (4, 4) that the tip is given in."""
     with_row = [joint for joint in joints if "dh" in joint.data]
     if not with_row:
@@ -235,12 +156,12 @@ def _chain(joints: list[_TomlTable]) -> tuple[Array, Array, Array]:
     return dh_chain([_dh_row(joint.table("dh", _DH_KEYS)) for joint in joints])
 
 
-def _dh_row(row: _TomlTable) -> DhRow:
+def _dh_row(row: TomlTable) -> DhRow:
     d, a, alpha, offset = (row.number(key) or 0.0 for key in _DH_KEYS)
     return DhRow(d=d, a=a, alpha=float(np.radians(alpha)), offset=float(np.radians(offset)))
 
 
-def _pose(table: _TomlTable) -> Array:
+def _pose(table: TomlTable) -> Array:
     pose = np.eye(4)
     position, quaternion = table.numbers("position_m", 3), table.numbers("quaternion", 4)
     if position is not None:
@@ -253,7 +174,7 @@ def _pose(table: _TomlTable) -> Array:
     return pose
 
 
-def _axis(joint: _TomlTable) -> Array:
+def _axis(joint: TomlTable) -> Array:
     axis = joint.numbers("axis", 3)
     if axis is None:
         return np.array([0.0, 0.0, 1.0])
@@ -263,7 +184,7 @@ def _axis(joint: _TomlTable) -> Array:
     return axis / norm
 
 
-def _link(joint: _TomlTable) -> SpatialInertia:
+def _link(joint: TomlTable) -> SpatialInertia:
     mass = joint.number("mass_kg", above=0.0)
     com, moments = joint.numbers("com_m", 3), joint.numbers("inertia_kg_m2", 6)
     if mass is None:
@@ -277,7 +198,7 @@ def _link(joint: _TomlTable) -> SpatialInertia:
     return SpatialInertia(mass=mass, com=centre, inertia=inertia_matrix(moments))
 
 
-def _targets(top: _TomlTable) -> Box | None:
+def _targets(top: TomlTable) -> Box | None:
     if "targets" not in top.data:
         return None
     table = top.table("targets", ("lower_m", "upper_m"))
@@ -290,35 +211,8 @@ def _targets(top: _TomlTable) -> Box | None:
         raise table.error("upper_m", str(error)) from error
 
 
-def _line_of(text: str, header: str, index: int, key: str) -> int:
-    """Line, from 1, on which the key of the ``index``-th table ``header`` stands; that of the table if it is absent."""
-    seen, current, found = -1, "", 1
-    is_key: Callable[[str], object] = re.compile(
-        rf"""\s*["']?{re.escape(key)}["']?\s*=|.*\{{.*\b{re.escape(key)}\s*="""
-    ).match
-    for number, line in enumerate(text.splitlines(), start=1):
-        title = re.match(r"\s*\[\[?\s*([\w.-]+)\s*\]\]?", line)
-        if title:
-            current = title[1]
-            seen += current == header
-            if (current == header and seen == index) or current == key:
-                found = number
-        here = current == header and (seen == index or header != "joint")
-        if here and is_key(line):
-            return number
-    return found
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and bool(np.isfinite(value))
-
-
 def _or_nan(value: float | None) -> float:
     return np.nan if value is None else value
-
-
-def _shown(value: object) -> str:
-    return "nothing" if value is None else repr(value)[:60]
 
 
 def _quoted(text: str) -> str:

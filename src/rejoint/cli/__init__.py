@@ -23,6 +23,7 @@ from rejoint.cli import (
     boards,
     chain,
     evaluation,
+    fleet,
     foreign,
     gains,
     measuring,
@@ -48,7 +49,7 @@ app = typer.Typer(
     rich_markup_mode="markdown",
 )
 COMMANDS: tuple[Callable[..., None], ...] = (
-    chain.repair, monitoring.check, monitoring.history, stages.diagnose, stages.identify, stages.train,
+    chain.repair, monitoring.check, monitoring.history, fleet.fleet, stages.diagnose, stages.identify, stages.train,
     measuring.calibrate, gains.gains, stages.compare, stages.deploy, stages.follow, stages.report, boards.board,
     offline.replay, foreign.import_, foreign.export, serving.emulate, serving.serve, reproducing.reproduce,
     evaluation.evaluate, evaluation.tune,
@@ -93,7 +94,7 @@ def main() -> None:
     sys.exit(code)
 
 
-RESUMED = ("repair", "train", "compare")
+RESUMED = ("repair", "train", "compare", "fleet")
 """Commands that go on where they were interrupted"""
 
 

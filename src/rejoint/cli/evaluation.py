@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -15,16 +15,18 @@ from rejoint.runs.run import Run
 from rejoint.system.errors import InputError
 from rejoint.system.extras import require
 from rejoint.system.files import read_json, write_json
+from rejoint.system.progress import Progress
 
 if TYPE_CHECKING:
     from rejoint.arms import Arm
+    from rejoint.research.evaluation.evaluate import Cell
     from rejoint.research.evaluation.family import ArmFamily
     from rejoint.research.evaluation.result import Evaluation
 
 OUT = Path("runs") / "family"
 
 
-FAMILY_ONLY = ("controllers", "variants", "arms", "gains", "calibrate", "follow")
+FAMILY_ONLY = ("controllers", "variants", "arms", "gains", "calibrate", "follow", "on", "address")
 """Options of `evaluate` that go with --family"""
 
 
@@ -57,6 +59,13 @@ def evaluate(
     out: Annotated[Path, typer.Option(help="Folder for results; the same command resumes there.")] = OUT,
     seed: Seed = 0,
     threads: Annotated[int, typer.Option(help="Threads of the simulation.", min=1)] = 2,
+    on: Annotated[
+        Literal["ray"] | None,
+        typer.Option(help="With --family: by Ray, each controller and condition a task; the same numbers."),
+    ] = None,
+    address: Annotated[
+        str | None, typer.Option(help="With --on ray: its cluster HOST:PORT, or auto; by default this machine alone.")
+    ] = None,
     json: Json = False,
 ) -> None:
     """Try controllers on a hundred arms on which nothing was chosen, and on the same under harder conditions.
@@ -88,6 +97,10 @@ def evaluate(
             found = evaluate_identification(arm, policy or [], settings, out, iterations, update)
         _show(terminal, found, out)
         return
+    if (follow or calibrate) and on is not None:
+        raise InputError("--on ray goes with --family alone, without --follow and --calibrate; leave it out")
+    if address is not None and on is None:
+        raise InputError("--address is of a Ray cluster; give --on ray as well")
     if follow:
         _follow(terminal, arm, context, ArmFamily(arms=arms, seed=seed), out, threads)
         return
@@ -105,8 +118,23 @@ def evaluate(
         family=ArmFamily(arms=arms, targets=targets, seed=seed), protocol=Protocol(), crossing=crossing, threads=threads
     )
     with terminal.progress("evaluating") as update:
-        result = run(arm, contestants, chosen, settings, out, update)
+        elsewhere = None if on is None else _on_ray(update, address, threads)
+        result = run(arm, contestants, chosen, settings, out.resolve(), update, elsewhere)
     _show(terminal, result, out)
+
+
+def _on_ray(update: Progress, address: str | None, threads: int) -> Callable[[Sequence[Cell]], None]:
+    """Return what has cells tried by Ray."""
+    from rejoint.research.evaluation.evaluate import Cell
+    from rejoint.runs.fleet.rayexecutor import each_on_ray
+
+    def tried(cells: Sequence[Cell]) -> None:
+        def done(count: int) -> None:
+            update(count / len(cells), f"{count} of {len(cells)} tried")
+
+        each_on_ray(Cell.try_it, cells, done, address=address, cpus_each=threads)
+
+    return tried
 
 
 def tune(

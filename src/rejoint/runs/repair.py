@@ -14,6 +14,7 @@ from rejoint.control.comparison.result import Comparison
 from rejoint.control.comparison.targets import draw_targets
 from rejoint.robots import place_of
 from rejoint.runs.effort import StageCost, add
+from rejoint.runs.folder import RunFolder
 from rejoint.runs.given import (
     FIRST_ROBOT,
     NO_GAUGE,
@@ -58,6 +59,8 @@ QUICK_TARGETS = 3
 
 StageName = Literal["diagnose", "calibrate", "identify", "train", "gains", "compare", "report"]
 STAGES: tuple[StageName, ...] = get_args(StageName)
+MOVING: tuple[StageName, ...] = ("diagnose", "calibrate", "gains", "compare")
+"""Stages in which the arm moves"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -147,6 +150,7 @@ def repair(
     gauge: GaugeLike | None = None,
     on_progress: Progress = no_progress,
     on_stage: OnStage | None = None,
+    only: StageName | None = None,
 ) -> Repaired:
     """Diagnose an arm, fit its twin, train a policy, compare every controller on the arm, and write the report.
 
@@ -188,6 +192,8 @@ def repair(
         called with the share that is done, each of the stages counting the same, and what is being done
     on_stage
         called when a stage starts and when it is done, with its result
+    only
+        do this one stage and no other: for who has the stages done by several computers, in their order
 
     Returns
     -------
@@ -209,7 +215,8 @@ def repair(
     >>> print(result.diagnosis.verdict, result.recommendation.controller)
     >>> print(result.page)
     """
-    require("rejoint repair", "train", "report")
+    if only is None:
+        require("rejoint repair", "train", "report")
     chosen = run.arm if isinstance(run, Run) else arm_of(robot, arm)
     folder = newest_or_new(address_of(robot), chosen, seed or 0)[0] if run is None else run
     about = run_about(folder, address_of(robot), chosen, seed)
@@ -218,11 +225,9 @@ def repair(
     if targets is not None:  # what the arm cannot reach is known now, not after the training
         as_targets(targets, chosen, sets=1, seed=0)
     emulated = is_batchable(robot)
-    measured = gauge != NO_GAUGE and (emulated or gauge is not None)
     meter = None if gauge == NO_GAUGE else gauge
-    rivals = not controllers and not quick
-    tunable = isinstance(robot, str) and place_of(robot).tunable and (rivals or any_geared(controllers))
-    chain = _Chain(about.begin(), on_stage, on_progress, measured=measured, tunable=tunable)
+    files = stages_of(robot, about.folder, controllers=controllers, gauge=gauge, quick=quick)
+    chain = _Chain(about.begin(), files, on_stage, on_progress, only=only)
     found = chain.run
     chain.do("diagnose", lambda update: diagnose(robot, run=found, period=period, quick=quick, on_progress=update))
     chain.do("calibrate", lambda update: calibrate(robot, run=found, gauge=meter, period=period, on_progress=update))
@@ -240,33 +245,43 @@ def repair(
         on_progress=update,
     ))  # fmt: skip
     chain.do("report", lambda _: report(found))
-    finish(found)
-    summarise(found)
+    if only in (None, "report"):
+        finish(found)
+        summarise(found)
     return Repaired(run=found)
+
+
+def stages_of(
+    robot: RobotLike, files: RunFolder, *, controllers: Controllers = (), gauge: GaugeLike | None = None,
+    quick: bool = False,
+) -> dict[StageName, Path]:  # fmt: skip
+    """Name the stages of a repair in their order, each with the file by which it counts as done."""
+    places = (
+        files.diagnosis, files.calibration, files.twin, files.policy, files.gains, files.comparison, files.report,
+    )  # fmt: skip
+    found: dict[StageName, Path] = dict(zip(STAGES, places, strict=True))
+    if gauge == NO_GAUGE or (gauge is None and not is_batchable(robot)):
+        del found["calibrate"]
+    rivals = not controllers and not quick
+    if not (isinstance(robot, str) and place_of(robot).tunable and (rivals or any_geared(controllers))):
+        del found["gains"]
+    return found
 
 
 class _Chain:
     """Stages that are done only where their file is not there yet; the report is always written anew."""
 
     def __init__(
-        self, run: Run, on_stage: OnStage | None, on_progress: Progress, *, measured: bool, tunable: bool
-    ) -> None:
-        self.run, self._on_stage, self._on_progress = run, on_stage, on_progress
-        self.why = ""
-        """twin and policy are those of an earlier repair"""
-        files = run.folder
-        places = (
-            files.diagnosis, files.calibration, files.twin, files.policy, files.gains, files.comparison, files.report,
-        )  # fmt: skip
-        self._files: dict[StageName, Path] = dict(zip(STAGES, places, strict=True))
-        if not measured:
-            del self._files["calibrate"]
-        if not tunable:
-            del self._files["gains"]
+        self, run: Run, files: dict[StageName, Path], on_stage: OnStage | None, on_progress: Progress, *,
+        only: StageName | None,
+    ) -> None:  # fmt: skip
+        self.run, self._files, self._on_stage, self._on_progress = run, files, on_stage, on_progress
+        self._only, self.why = only, ""
+        """a stage to do alone; why twin and policy are those of an earlier repair"""
 
     def do(self, name: StageName, work: Callable[[Progress], object]) -> None:
         """Do a stage, or say that it is done already."""
-        if name not in self._files:
+        if name not in self._files or self._only not in (None, name):
             return
         file, number, total = self._files[name], list(self._files).index(name), len(self._files)
         if name != "report" and file.exists():
@@ -284,8 +299,9 @@ class _Chain:
             return
         self._say(Stage(name=name, state="started", file=file, number=number + 1, total=total))
         begun = time.monotonic()
+        share = (number / total, (number + 1) / total) if self._only is None else (0.0, 1.0)
         try:
-            result = work(part(self._on_progress, number / total, (number + 1) / total))
+            result = work(part(self._on_progress, *share))
         finally:
             add(self.run.folder, StageCost(name=name, wall=time.monotonic() - begun))
         self._say(Stage(name=name, state="done", file=file, number=number + 1, total=total, result=result))

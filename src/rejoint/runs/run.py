@@ -158,7 +158,14 @@ def newest_or_new(robot: str, arm: Arm, seed: int) -> tuple[Path, bool]:
 
     Returns the path and whether it is to be resumed.
     """
-    home = RUNS / re.sub(r"[^\w.-]+", "-", f"{arm.name}-{robot}-seed{seed}").strip("-")
+    return newest_or_new_in(RUNS / re.sub(r"[^\w.-]+", "-", f"{arm.name}-{robot}-seed{seed}").strip("-"))
+
+
+def newest_or_new_in(home: Path) -> tuple[Path, bool]:
+    """Find the newest of the numbered run folders in ``home`` if it was interrupted, else a new one.
+
+    Returns the path and whether it is to be resumed.
+    """
     numbers = sorted(int(p.name) for p in home.glob("*") if p.name.isdecimal()) if home.is_dir() else []
     if numbers and not is_finished(RunFolder(home / f"{numbers[-1]:03}")):
         return home / f"{numbers[-1]:03}", True

@@ -18,6 +18,7 @@ EXTRAS: dict[str, tuple[str, ...]] = {
     "feetech": ("scservo_sdk",),
     "history": ("duckdb",),
     "gpu": ("warp",),
+    "fleet": ("ray",),
 }
 """Modules that this package imports, by the extra that installs them"""
 

@@ -1,6 +1,7 @@
 import dataclasses
 import json
 
+import cloudpickle
 import numpy as np
 import pytest
 from evaluation_samples import outcome
@@ -139,6 +140,27 @@ def test_a_batch_of_different_arms_is_each_of_them_alone():
     assert np.isfinite(whole.settled).all()
     assert np.isnan(whole.crossed).all()
     assert len(set(whole.settled.ravel())) == 3
+
+
+def test_cells_tried_by_other_processes_give_the_same_numbers(tmp_path):
+    """Cells travel as Ray lets them travel, and whoever leads tries none himself."""
+    ones = [classical("integrator"), classical("tuned-integrator")]
+    settings = TrialSettings(family=ArmFamily(arms=2, targets=1), protocol=Protocol(hold=1.5), crossing=False)
+    tried = []
+
+    def elsewhere(cells):
+        for cell in reversed(cells):
+            travelled = cloudpickle.loads(cloudpickle.dumps(cell))
+            travelled.try_it()
+            tried.append(cell.key)
+
+    variants = [find_variant("worn")]
+    here = evaluate(ARM, ones, variants, settings, tmp_path / "here", lambda *_: None)
+    there = evaluate(ARM, ones, variants, settings, tmp_path / "there", lambda *_: None, elsewhere)
+    assert there == here
+    assert len(tried) == 2
+    evaluate(ARM, ones, variants, settings, tmp_path / "there", lambda *_: None, elsewhere)
+    assert len(tried) == 2
 
 
 def test_the_same_command_takes_over_what_is_done(tmp_path):

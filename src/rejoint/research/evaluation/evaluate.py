@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
-from dataclasses import asdict
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +15,41 @@ from rejoint.research.evaluation.outcome import Outcome, read_outcome, write_out
 from rejoint.research.evaluation.page import write_page
 from rejoint.research.evaluation.result import Evaluation
 from rejoint.research.evaluation.summary import Outcomes, group, summarise
-from rejoint.research.evaluation.trials import TrialSettings, try_controller
+from rejoint.research.evaluation.trials import OnTargets, TrialSettings, try_controller
 from rejoint.system.files import write_json
 from rejoint.system.progress import Progress
 from rejoint.system.version import __version__
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Cell:
+    """One contestant on one variant; it can be tried in any process, and leaves its outcome as a file."""
+
+    arm: Arm
+    variant: Variant
+    contestant: Contestant
+    settings: TrialSettings
+    folder: Path
+
+    @property
+    def key(self) -> tuple[str, str]:
+        """Names of variant and contestant."""
+        return self.variant.name, self.contestant.name
+
+    def kept(self) -> Outcome | None:
+        """Return the outcome of the very same contestant, arms and settings, if it is there."""
+        return read_outcome(*self._file())
+
+    def try_it(self, on_targets: OnTargets = lambda _: None) -> Outcome:
+        """Try the contestant, and write the outcome."""
+        found = try_controller(self.arm, self.variant, self.contestant.make, self.settings, on_targets)
+        path, identity = self._file()
+        write_outcome(path, found, identity)
+        return found
+
+    def _file(self) -> tuple[Path, dict[str, Any]]:
+        identity = _identity(self.arm, self.variant, self.contestant, self.settings)
+        return outcome_path(self.folder, self.variant, self.contestant), identity
 
 
 def evaluate(
@@ -28,29 +59,31 @@ def evaluate(
     settings: TrialSettings,
     folder: Path,
     on_progress: Progress,
+    elsewhere: Callable[[Sequence[Cell]], object] | None = None,
 ) -> Evaluation:
     """Evaluate and write ``evaluation.json`` and ``.html`` into ``folder``, outcomes as Parquet below ``outcomes/``.
 
-    An outcome that is there already, of the very same contestant, arms and settings, is taken over.
+    An outcome that is there already, of the very same contestant, arms and settings, is taken over. ``elsewhere`` is
+    given the cells that are not there, and has them tried by other processes; what it leaves out is tried here.
     """
     check_names(contestants)
-    family, cells = settings.family, len(contestants) * len(variants)
+    family = settings.family
+    cells = [
+        Cell(arm=arm, variant=variant, contestant=one, settings=settings, folder=folder)
+        for variant in variants for one in contestants
+    ]  # fmt: skip
+    if elsewhere is not None:
+        elsewhere([cell for cell in cells if cell.kept() is None])
     each = family.arms * (family.targets + (family.crossings if settings.crossing else 0))
     outcomes: dict[tuple[str, str], Outcome] = {}
-    for variant in variants:
-        for one in contestants:
-            before, text = len(outcomes) * each, f"{variant.name}: {one.name}"
-            on_progress(before / (cells * each), text)
-            path, identity = outcome_path(folder, variant, one), _identity(arm, variant, one, settings)
-            found = read_outcome(path, identity)
-            if found is None:
+    for cell in cells:
+        before, text = len(outcomes) * each, ": ".join(cell.key)
+        on_progress(before / (len(cells) * each), text)
 
-                def report(done: int, before: int = before, text: str = text) -> None:
-                    on_progress((before + done) / (cells * each), text)
+        def report(done: int, before: int = before, text: str = text) -> None:
+            on_progress((before + done) / (len(cells) * each), text)
 
-                found = try_controller(arm, variant, one.make, settings, report)
-                write_outcome(path, found, identity)
-            outcomes[variant.name, one.name] = found
+        outcomes[cell.key] = cell.kept() or cell.try_it(report)
     return conclude(arm, settings, contestants, {v.name: v.meaning for v in variants}, outcomes, folder)
 
 

@@ -1,0 +1,210 @@
+"""Many emulated arms in one call: processes killed at random, the call itself killed once, beside two plain processes.
+
+    python -m benchmarks fleet
+    python -m benchmarks.fleet --checks 300 --repairs 30 --kills 2
+
+Every check and every repair must end as one by one, to the bit, with nothing left and nothing done twice. Training is
+cut down (`--quick` of `rejoint repair`), so that what Ray adds counts for more than it does in a real repair.
+"""
+
+import argparse
+import os
+import re
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+
+from rejoint.logs.history.rows import SUMMARY, read_rows
+from rejoint.logs.runlog import RunLog
+
+CHECKS, REPAIRS, KILLS = 12, 3, 2
+PROCESSES = 2
+REJOINT = [sys.executable, "-m", "rejoint"]
+FEW = ["--quick", "--sets", "1", "--repetitions", "1", "--controllers", "integrator,policy"]
+FILES = ("diagnosis.json", "twin.toml", "policy.onnx", "logs/excitation.parquet", "logs/targets.parquet")
+"""of a repair that hold neither dates nor times"""
+
+
+class WrongError(AssertionError):
+    """Something was lost, done twice, or is another than one by one."""
+
+
+def address(number: int) -> str:
+    return f"emulated:worn?seed={number}"
+
+
+def names(count: int) -> list[str]:
+    return [f"arm-{number:03}" for number in range(count)]
+
+
+def write_fleet(folder: Path, count: int) -> Path:
+    """Write the file of so many emulated arms."""
+    text = "may_move = true\nmay_repair = true\nneeds_somebody = false\n"
+    for number, name in enumerate(names(count)):
+        text += f'[[arm]]\nname = "{name}"\naddress = "{address(number)}"\n'
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / "FLEET.toml"
+    path.write_text(text)
+    return path
+
+
+def processes() -> dict[int, tuple[int, str]]:
+    """Parent and name of every process of this machine."""
+    found = {}
+    for entry in Path("/proc").glob("[0-9]*"):
+        try:
+            parent = int((entry / "stat").read_text().rpartition(")")[2].split()[1])
+            found[int(entry.name)] = parent, (entry / "cmdline").read_bytes().split(b"\0")[0].decode()
+        except OSError:  # it has ended
+            continue
+    return found
+
+
+def below(root: int) -> dict[int, str]:
+    """Names of a process and all that it has started."""
+    known = processes()
+    found = {root}
+    while more := {child for child, (parent, _) in known.items() if parent in found} - found:
+        found |= more
+    return {one: known[one][1] for one in found if one in known}
+
+
+def memory(process: int) -> float:
+    """[MB] that a process has for itself: shared libraries count by their share."""
+    try:
+        text = (Path("/proc") / str(process) / "smaps_rollup").read_text()
+    except OSError:
+        return 0.0
+    return int(re.search(r"^Pss:\s+(\d+) kB", text, re.MULTILINE)[1]) / 1e3  # type: ignore[index]
+
+
+class Watch(threading.Thread):
+    """Looks at a call once a second: memory, and processes to kill at random moments."""
+
+    def __init__(self, process: subprocess.Popen[str], kills: list[float]) -> None:
+        super().__init__(daemon=True)
+        self.process, self.kills, self.over = process, sorted(kills), threading.Event()
+        self.most, self.work, self.killed = 0.0, [0.0], 0
+
+    def run(self) -> None:
+        """Look until it is over."""
+        began = time.monotonic()
+        while not self.over.wait(0.5):
+            tree = below(self.process.pid)
+            at_work = [one for one, name in tree.items() if re.match(r"ray::arm-\d+:", name)]
+            sizes = {one: memory(one) for one in tree}
+            self.most = max(self.most, sum(sizes.values()))
+            self.work += [sizes[one] for one in at_work]
+            if self.kills and at_work and time.monotonic() - began > self.kills[0]:
+                self.kills.pop(0)
+                os.kill(at_work[self.killed % len(at_work)], signal.SIGKILL)
+                self.killed += 1
+
+
+def call(words: list[str], kills: list[float], killed_after: float | None = None) -> tuple[float, Watch, str]:
+    """Run the command, kill what works at ``kills`` [s], and the command itself; returns its time [s] and output."""
+    began = time.monotonic()
+    with subprocess.Popen([*REJOINT, *words], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as process:
+        watch = Watch(process, kills)
+        watch.start()
+        if killed_after is not None:
+            try:
+                process.wait(killed_after)
+            except subprocess.TimeoutExpired:
+                process.kill()
+        text = process.stdout.read() if process.stdout else ""
+    watch.over.set()
+    watch.join()
+    if killed_after is None and process.returncode not in (0, 5, 6, 7):
+        raise WrongError(text)
+    return time.monotonic() - began, watch, text
+
+
+def plain(folder: Path, verb: str, count: int) -> float:
+    """Do the same in two processes, one arm after the other in each; returns the time [s]."""
+    code = "import sys, rejoint\nfor words in sys.argv[1:]:\n name, robot = words.split('=', 1)\n"
+    code += {
+        "check": f" rejoint.check(robot, history={str(folder)!r}, name=name)\n",
+        "repair": f" rejoint.repair(robot, run={str(folder)!r} + '/' + name, quick=True, sets=1, repetitions=1, "
+        "controllers=('integrator', 'policy'))\n",
+    }[verb]
+    given = [f"{name}={address(number)}" for number, name in enumerate(names(count))]
+    began = time.monotonic()
+    running = [subprocess.Popen([sys.executable, "-c", code, *given[k::PROCESSES]]) for k in range(PROCESSES)]
+    codes = [process.wait() for process in running]
+    if any(codes):
+        raise WrongError("a plain process failed")
+    return time.monotonic() - began
+
+
+def check_same(verb: str, fleet: Path, alone: Path, count: int) -> None:
+    """Raise WrongError unless each arm was done once, and as one by one."""
+    for name in names(count):
+        if verb == "check":
+            done = list((fleet / "runs" / "checks" / name).glob(f"*/{SUMMARY}"))
+            (other,) = (alone / "checks" / name).glob(f"*/{SUMMARY}")
+            if len(done) != 1:
+                raise WrongError(f"{name} was checked {len(done)} times")
+            same = read_rows(done[0])[0].true_error_mm == read_rows(other)[0].true_error_mm
+            logs = [RunLog.load(path.parent / "check.parquet").position for path in (done[0], other)]
+            if not same or not np.array_equal(*logs):
+                raise WrongError(f"the check of {name} is another than alone")
+            continue
+        folders = sorted((fleet / "runs" / "repairs" / name).iterdir())
+        if len(folders) != 1 or not (folders[0] / "finished.json").exists():
+            raise WrongError(f"{name}: {[folder.name for folder in folders]}, or not finished")
+        for file in FILES:
+            if (folders[0] / file).read_bytes() != (alone / name / file).read_bytes():
+                raise WrongError(f"{file} of {name} is another than alone")
+
+
+def bench(verb: str, count: int, kills: int, work: Path, rng: np.random.Generator) -> None:
+    """Do it undisturbed, then with kills, then plainly; print what that took."""
+    few = FEW if verb == "repair" else []
+    alone = plain(work / f"plain-{verb}", verb, count)
+    quiet = write_fleet(work / f"quiet-{verb}", count)
+    took, watch, _ = call(["fleet", verb, str(quiet), *few], [])
+    check_same(verb, quiet.parent, work / f"plain-{verb}", count)
+    print(
+        f"{verb} of {count} arms: {PROCESSES} plain processes {alone:.0f} s, one fleet {took:.0f} s "
+        f"({100 * alone / took:.0f} % of their throughput); memory {watch.most:.0f} MB in all, "
+        f"{np.max(watch.work):.0f} MB for a process that works on an arm"
+    )
+    killed = write_fleet(work / f"killed-{verb}", count)
+    words = ["fleet", verb, str(killed), *few]
+    began = time.monotonic()
+    _, first, _ = call(words, list(rng.uniform(0.2, 0.5, kills - kills // 2) * took), killed_after=0.6 * took)
+    _, second, text = call(words, list(rng.uniform(0.2, 0.5, kills // 2) * took))
+    check_same(verb, killed.parent, work / f"plain-{verb}", count)
+    lost = Counter(re.findall(r"^arm-\d+: (\w+) lost", text, re.MULTILINE))
+    print(
+        f"  with {first.killed + second.killed} processes killed, and the command itself after {0.6 * took:.0f} s: "
+        f"{time.monotonic() - began:.0f} s; "
+        f"nothing lost, nothing twice, all as alone; the second call saw {dict(lost)} killed"
+    )
+
+
+def main(checks: int = CHECKS, repairs: int = REPAIRS, kills: int = KILLS, seed: int = 0) -> None:
+    rng = np.random.default_rng(seed)
+    with tempfile.TemporaryDirectory() as name:
+        if checks:
+            bench("check", checks, kills, Path(name), rng)
+        if repairs:
+            bench("repair", repairs, kills, Path(name), rng)
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.fleet")
+    parser.add_argument("--checks", type=int, default=CHECKS)
+    parser.add_argument("--repairs", type=int, default=REPAIRS)
+    parser.add_argument("--kills", type=int, default=KILLS)
+    parser.add_argument("--seed", type=int, default=0)
+    options = parser.parse_args()
+    main(options.checks, options.repairs, options.kills, options.seed)

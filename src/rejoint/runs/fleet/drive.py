@@ -1,0 +1,259 @@
+"""Who does what next: each arm's steps in their order, within its hours and with its permissions.
+
+What is left is asked of the files, every time, so that nothing is lost with this process. What it decides is what must
+not be decided where a process can be begun again by itself: whether an arm moves once more.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from datetime import datetime, timedelta
+from typing import Literal, Protocol, TypeAlias
+
+from rejoint.runs.fleet.file import FleetArm
+from rejoint.runs.fleet.work import Lost, Step, Work, WorkOutcome
+from rejoint.system.stopping import check, noted, pause, shielded
+
+End: TypeAlias = Literal["done", "failed", "left"]
+
+LOOK = 0.5
+"""[s] between two looks at the clock and at signals (chosen: an arm is asked to hold within it)"""
+TRIES = 4
+"""of one arm's work whose process is lost again and again (chosen: killed three times by chance is rare)"""
+ROOM = timedelta(minutes=5)
+"""Least time before the end of an arm's hours in which it begins to move (chosen: a check takes two and a half, a
+diagnosis four; a comparison is ended at the end of the hours, and goes on after its last finished trial)"""
+HOLDING = 15.0
+"""[s] that arms are given to come to a hold at the end (chosen: they take two)"""
+IDLE = 30.0
+"""[s] between two looks at hours where nothing else is to be done (chosen)"""
+
+
+class Executor(Protocol):
+    """Who does the work: processes here or elsewhere."""
+
+    def begin(self, work: Work) -> None:
+        """Have a piece of work done; returns at once."""
+
+    def wait(self, timeout: float) -> Sequence[tuple[Work, WorkOutcome | Lost]]:
+        """Return what has ended, after ``timeout`` [s] at the latest."""
+
+    def hold(self, work: Work) -> None:
+        """Ask for the arm to be brought to a hold, and the work ended."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rules:
+    """What holds for all arms of one call."""
+
+    somebody: bool = False
+    """whether somebody is there, as whoever calls says"""
+    stay: bool = False
+    """whether to wait for hours that begin later"""
+    at_once: int = 1_000_000
+    """real arms that move at the same time at most"""
+    now: Callable[[], datetime] = datetime.now
+
+
+@dataclass(frozen=True, kw_only=True)
+class Event:
+    """Something that happened to an arm."""
+
+    arm: FleetArm
+    step: Step
+    kind: Literal["begun", "done", "failed", "lost"]
+    text: str = ""
+    seconds: float = 0.0
+
+
+@dataclass(kw_only=True, eq=False)
+class Standing:
+    """How one arm stands in this call."""
+
+    arm: FleetArm
+    steps: list[tuple[Step, float]] = field(default_factory=list)
+    """done in this call, and [s] that each took"""
+    end: End | None = None
+    why: str = ""
+    """why it failed or was left"""
+    outcome: WorkOutcome | None = None
+    """of what failed"""
+    lost: int = 0
+    """pieces of work whose process was lost"""
+    left: tuple[Step, ...] | None = None
+    """steps that are not done; None where that has to be looked for"""
+    running: Work | None = None
+    held: bool = False
+    """whether it was asked to hold"""
+
+
+class _Lead:
+    """One call."""
+
+    def __init__(
+        self, arms: Sequence[FleetArm], left: Callable[[FleetArm], Sequence[Step]],
+        work: Callable[[FleetArm, Step], Work], executor: Executor, rules: Rules, tell: Callable[[Event], object],
+    ) -> None:  # fmt: skip
+        self.standings = [Standing(arm=arm) for arm in arms]
+        self._left, self._work, self._executor, self._rules, self._tell = left, work, executor, rules, tell
+
+    def lead(self) -> None:
+        """Go on until no arm has anything left that can be done in this call."""
+        while True:
+            check()
+            waiting = self._begin()
+            if any(one.running for one in self.standings):
+                self._hold_late()
+                for work, ended in self._executor.wait(LOOK):
+                    self._end(work, ended)
+            elif waiting and self._rules.stay:
+                pause(IDLE)
+            else:
+                return
+
+    def hold_all(self) -> None:
+        """Bring real arms to a hold."""
+        moving = [one for one in self.standings if one.running is not None and one.running.held]
+        for one in moving:
+            if one.running is not None:
+                self._executor.hold(one.running)
+        until = time.monotonic() + HOLDING
+        while any(one.running for one in moving) and time.monotonic() < until:
+            for work, ended in self._executor.wait(LOOK):
+                self._end(work, ended)
+
+    def _begin(self) -> bool:
+        """Begin what can be begun; returns whether an arm waits for its hours."""
+        now, waiting = self._rules.now(), False
+        idle = [one for one in self.standings if one.end is None and one.running is None]
+        for one in sorted(idle, key=lambda one: one.arm.hours.closes(now) or datetime.max):  # else in their order
+            if one.left is None:
+                one.left = tuple(self._left(one.arm))
+            if not one.left:
+                one.end = "done"
+                continue
+            work = self._work(one.arm, one.left[0])
+            if work.moves:
+                refusal = refused(work, self._rules)
+                opens = opening(one.arm, now)
+                if refusal or opens != now:
+                    one.why = refusal or _begins(opens)
+                    if refusal or opens is None or not self._rules.stay:
+                        one.end = "left"
+                    else:
+                        waiting = True
+                    continue
+                if not self._has_room(work):
+                    continue
+            one.running, one.why = work, ""
+            self._tell(Event(arm=one.arm, step=work.step, kind="begun"))
+            self._executor.begin(work)
+        return waiting
+
+    def _has_room(self, work: Work) -> bool:
+        """Tell whether an arm may begin to move beside those that move already."""
+        moving = [one.running for one in self.standings if one.running is not None and one.running.moves]
+        if work.arm.bench and any(other.arm.bench == work.arm.bench for other in moving):
+            return False
+        return not work.held or sum(other.held for other in moving) < self._rules.at_once
+
+    def _hold_late(self) -> None:
+        """Ask real arms to hold whose hours are over; what they have finished is kept."""
+        now = self._rules.now()
+        for one in self.standings:
+            work = one.running
+            if work is not None and work.held and not one.held and not one.arm.hours.is_open(now):
+                one.held = True
+                self._executor.hold(work)
+
+    def _end(self, work: Work, ended: WorkOutcome | Lost) -> None:
+        one = next(one for one in self.standings if one.running is work)
+        one.running = one.left = None
+        if isinstance(ended, Lost):
+            one.lost += 1
+            self._tell(Event(arm=one.arm, step=work.step, kind="lost", text=ended.why))
+            if work.held:
+                one.end = "failed"
+                one.why = f"what held it was lost during {work.step} ({ended.why}): look at the arm, then go on"
+            elif one.lost >= TRIES:
+                one.end, one.why = "failed", f"{work.step} was lost {TRIES} times ({ended.why})"
+            return
+        if one.held and ended.problem:
+            one.end, one.why = "left", f"held during {work.step}; {_begins(opening(one.arm, self._rules.now()))}"
+        elif ended.problem:
+            one.end, one.why, one.outcome = "failed", f"{work.step}: {ended.problem}", ended
+        elif work.step in tuple(self._left(one.arm))[:1]:
+            one.end, one.why = "failed", f"{work.step} ended, but left no file in {work.folder}: can all computers "
+            one.why += "reach that folder?"
+        else:
+            one.steps.append((work.step, ended.seconds))
+        kind: Literal["done", "failed"] = "done" if one.end is None else "failed"
+        self._tell(Event(arm=one.arm, step=work.step, kind=kind, text=one.why, seconds=ended.seconds))
+
+
+def drive(
+    arms: Sequence[FleetArm],
+    left: Callable[[FleetArm], Sequence[Step]],
+    work: Callable[[FleetArm, Step], Work],
+    executor: Executor,
+    rules: Rules,
+    tell: Callable[[Event], object] = lambda _: None,
+) -> list[Standing]:
+    """Have everything done that is left of all arms; Ctrl-C and SIGTERM first bring arms that move to a hold.
+
+    Parameters
+    ----------
+    arms
+        in the order in which they begin where nothing else decides: whose hours end first comes first
+    left
+        names the steps of an arm that are not done, in their order
+    work
+        makes a piece of work of a step
+    executor
+        does it
+    rules
+        permissions, hours, and how many at once
+    tell
+        called with everything that happens
+
+    Returns
+    -------
+    list
+        of how each arm stands, in the order of ``arms``
+    """
+    lead = _Lead(arms, left, work, executor, rules, tell)
+    with noted():
+        try:
+            lead.lead()
+        except BaseException:
+            with shielded():
+                lead.hold_all()
+            raise
+    return lead.standings
+
+
+def refused(work: Work, rules: Rules) -> str:
+    """Say why an arm may not move for some work in this call; empty where it may."""
+    arm = work.arm
+    if not arm.may_move:
+        return "may_move is not true in the file"
+    if work.step != "check" and not arm.may_repair:
+        return "may_repair is not true in the file"
+    if arm.needs_somebody and not rules.somebody:
+        return "somebody has to be there: say --somebody-is-there when somebody is"
+    return ""
+
+
+def opening(arm: FleetArm, now: datetime) -> datetime | None:
+    """Return ``now`` where an arm may begin to move, else when it next may; None where it never may."""
+    opens = arm.hours.opens(now)
+    closes = None if opens is None else arm.hours.closes(opens)
+    if opens == now and closes is not None and closes - now < ROOM:
+        return arm.hours.opens(closes)
+    return opens
+
+
+def _begins(opens: datetime | None) -> str:
+    return "its hours never come" if opens is None else f"its hours begin {opens:%a %Y-%m-%d %H:%M}"

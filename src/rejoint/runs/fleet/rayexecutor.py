@@ -1,0 +1,318 @@
+"""Work done by Ray: tasks on any computer of a cluster, and an actor for each real arm while it moves.
+
+The only module that imports Ray, when it is needed. Nothing here decides whether something is tried again: Ray may try
+nothing by itself, and says what it has lost.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import secrets
+import signal
+import sys
+import threading
+import time
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any, TypeVar
+
+from rejoint.runs.fleet.file import FleetArm
+from rejoint.runs.fleet.work import Lost, Work, WorkOutcome, do_work
+from rejoint.system.errors import InputError, RejointError, first_line
+from rejoint.system.extras import require
+from rejoint.system.progress import Progress
+from rejoint.system.stopping import SIGNALS, install, pause
+
+T = TypeVar("T")
+
+NAMESPACE = "rejoint"
+STORE = 80 * 2**20
+"""[bytes] of Ray's store of objects on one machine (chosen: the least that Ray takes; results go by files)"""
+PULSE = 0.5
+"""[s] between two reports of what is at work (chosen: nobody reads faster)"""
+TRIES_AGAIN = 3
+"""of work in which nothing moves, where nobody leads it (chosen: as many as in a fleet)"""
+GOING = 10.0
+"""[s] in which the actor of an arm's last step has ended (chosen: it takes a tenth of one)"""
+SILENCE = 10.0
+"""[s] without an answer after which an arm is brought to a hold (chosen: longer than a busy network is
+silent, and no cycle of control waits for it)"""
+
+
+class RayExecutor:
+    """Processes that Ray holds ready: those of this machine, or of the cluster at ``address``."""
+
+    def __init__(
+        self, arms: Sequence[FleetArm], *, address: str | None = None, cpus: int | None = None,
+        training_cpus: float = 1.0,
+    ) -> None:  # fmt: skip
+        """Start Ray, or connect to it; InputError where there is no such cluster, or nothing there reaches an arm."""
+        require("rejoint fleet", "fleet")
+        real = [arm for arm in arms if not arm.virtual]
+        self._training_cpus, self._running = training_cpus, {}  # type: float, dict[Any, tuple[Work, Any]]
+        self._refused: list[tuple[Work, WorkOutcome | Lost]] = []
+        self._show: Callable[[dict[str, tuple[float, str]]], object] | None = None
+        with _own_signals():
+            self._ray = _started(address, cpus, {arm.resource: 1.0 for arm in real})
+        try:
+            self.cpus = int(self._ray.cluster_resources().get("CPU", 0))
+            self._require_reached(real, address)
+            self._reports = self._ray.remote(num_cpus=0)(Reports).remote()
+            self._work = self._ray.remote(max_retries=0)(work_in_task)
+            self._arm = self._ray.remote(num_cpus=0, max_restarts=0, max_task_retries=0)(ArmHolder)
+        except BaseException:
+            self.close()
+            raise
+
+    def begin(self, work: Work) -> None:
+        """Have a piece of work done; a real arm that moves is held by an actor where it is reached."""
+        if not work.held:
+            cpus = self._training_cpus if work.step == "train" else 1.0
+            task = self._work.options(num_cpus=cpus, name=f"{work.arm.name}:{work.step}")
+            self._running[task.remote(work, self._reports)] = work, None
+            return
+        holder = self._holder(work.arm.resource)
+        if holder is None:
+            problem = "another call on this cluster moves this arm; wait until it is done"
+            self._refused.append((work, WorkOutcome(seconds=0.0, problem=problem, kind="InputError", code=2)))
+            return
+        self._running[holder.do.remote(work, self._reports)] = work, holder
+
+    def _holder(self, resource: str) -> Any:  # noqa: ANN401 - of Ray
+        """Return a new actor for an arm; None where there is one, which does not go."""
+        options = self._arm.options(name=resource, namespace=NAMESPACE, resources={resource: 1.0})
+        until = time.monotonic() + GOING
+        while True:
+            try:
+                return options.remote()
+            except ValueError:  # of that name
+                if time.monotonic() > until:
+                    return None
+                pause(0.1)
+
+    def wait(self, timeout: float) -> list[tuple[Work, WorkOutcome | Lost]]:
+        """Return what has ended, after ``timeout`` [s] at the latest."""
+        refused, self._refused = self._refused, []
+        references = list(self._running)
+        if refused or not references:
+            return refused
+        ready, _ = self._ray.wait(references, num_returns=1, timeout=timeout)
+        if ready:
+            ready, _ = self._ray.wait(references, num_returns=len(references), timeout=0.0)
+        if self._show is not None:
+            with suppress(self._ray.exceptions.RayError):  # the reports may be late
+                self._show(self._ray.get(self._reports.shares.remote(), timeout=PULSE))
+        return [self._ended(reference) for reference in ready]
+
+    def hold(self, work: Work) -> None:
+        """Ask for the arm to be brought to a hold."""
+        self._reports.hold.remote(work.arm.name)
+
+    def watch(self, show: Callable[[dict[str, tuple[float, str]]], object]) -> None:
+        """Have ``show`` called now and then: by name, the share done of an arm's work, and what is done."""
+        self._show = show
+
+    def close(self) -> None:
+        """Let all processes go; a cluster stays."""
+        self._ray.shutdown()
+
+    def _ended(self, reference: Any) -> tuple[Work, WorkOutcome | Lost]:  # noqa: ANN401 - of Ray
+        work, holder = self._running.pop(reference)
+        try:
+            found: WorkOutcome | Lost = self._ray.get(reference)
+        except self._ray.exceptions.RayTaskError as error:  # before the work had begun: another version there, say
+            found = WorkOutcome(seconds=0.0, problem=f"a bug: {_last_line(error)}", kind="InternalError", code=1,
+                            trace=str(error))  # fmt: skip
+        except self._ray.exceptions.RayError as error:
+            found = Lost(why=type(error).__name__)
+        if holder is not None:
+            self._ray.kill(holder)
+        return work, found
+
+    def _require_reached(self, arms: Sequence[FleetArm], address: str | None) -> None:
+        known = self._ray.cluster_resources()
+        missing = [arm for arm in arms if arm.resource not in known]
+        if missing:
+            names = ", ".join(arm.name for arm in missing)
+            one = missing[0].resource
+            raise InputError(
+                f"no computer of the cluster {address} says that it reaches {names}; on the one that does, run: "
+                f"ray start --address={address} --num-cpus=0 --resources='{{\"{one}\": 1}}'"
+            )
+
+
+def each_on_ray(
+    work: Callable[[T], object], items: Sequence[T], done: Callable[[int], object], *, address: str | None = None,
+    cpus_each: float = 1.0,
+) -> None:  # fmt: skip
+    """Do work on each of some items by Ray, in any order: files in, files out, and nothing moves.
+
+    ``done`` is called with the number of items that are done. What is lost is begun again by Ray, up to three times.
+    InputError says in a line what failed first.
+    """
+    require("--on ray", "fleet")
+    if not items:
+        return
+    with _own_signals():
+        ray = _started(address, None, {})
+    try:
+        task = ray.remote(num_cpus=cpus_each, max_retries=TRIES_AGAIN)(_done_or_why)
+        left = [task.remote(work, item) for item in items]
+        while left:
+            ready, left = ray.wait(left, num_returns=1, timeout=PULSE)
+            for problem in ray.get(ready):
+                if problem:
+                    raise InputError(f"on another process: {problem}")
+            done(len(items) - len(left))
+    except ray.exceptions.RayError as error:
+        raise InputError(f"Ray: {_last_line(error)}") from error
+    finally:
+        ray.shutdown()
+
+
+def _done_or_why(work: Callable[[T], object], item: T) -> str:
+    """Do work; returns why it failed, as errors of ours do not travel."""
+    try:
+        work(item)
+    except RejointError as error:
+        return str(error)
+    return ""
+
+
+class Reports:
+    """An actor that holds what everybody reports, and whom to hold."""
+
+    def __init__(self) -> None:
+        self._shares: dict[str, tuple[float, str]] = {}
+        self._hold: set[str] = set()
+
+    def pulse(self, name: str, share: float, what: str) -> bool:
+        """Take a report; returns whether the arm is to be held."""
+        self._shares[name] = share, what
+        return name in self._hold
+
+    def over(self, name: str) -> None:
+        """Forget an arm whose work has ended."""
+        self._shares.pop(name, None)
+        self._hold.discard(name)
+
+    def hold(self, name: str) -> None:
+        """Have an arm brought to a hold."""
+        self._hold.add(name)
+
+    def shares(self) -> dict[str, tuple[float, str]]:
+        """Return all reports."""
+        return self._shares
+
+
+def work_in_task(work: Work, reports: Any) -> WorkOutcome:  # noqa: ANN401 - of Ray
+    """Do work in which nothing real moves; reports go out and are not waited for."""
+    stop = threading.Event()
+    state = [0.0, ""]
+    thread = threading.Thread(target=_report, args=(reports, work.arm.name, state, stop), daemon=True)
+    thread.start()
+    try:
+        return do_work(work, _into(state))
+    finally:
+        stop.set()
+        thread.join()
+        reports.over.remote(work.arm.name)
+
+
+class ArmHolder:
+    """An actor that has the only connection to a real arm, for one piece of work."""
+
+    def __init__(self) -> None:
+        install()  # so that being ended brings the arm to a hold
+
+    def do(self, work: Work, reports: Any) -> WorkOutcome:  # noqa: ANN401 - of Ray
+        """Do work in which the arm moves; it is held where that is asked for, or nobody answers."""
+        stop = threading.Event()
+        state = [0.0, ""]
+        thread = threading.Thread(target=_watch, args=(reports, work.arm.name, state, stop), daemon=True)
+        thread.start()
+        try:
+            return do_work(work, _into(state))
+        finally:
+            stop.set()
+            thread.join(PULSE)
+            reports.over.remote(work.arm.name)
+
+
+def _into(state: list[Any]) -> Progress:
+    def update(share: float, what: str) -> None:
+        state[:] = share, what
+
+    return update
+
+
+def _report(reports: Any, name: str, state: list[Any], stop: threading.Event) -> None:  # noqa: ANN401
+    while not stop.wait(PULSE):
+        reports.pulse.remote(name, *state)
+
+
+def _watch(reports: Any, name: str, state: list[Any], stop: threading.Event) -> None:  # noqa: ANN401
+    """Report, and have the arm held where that is asked for or nobody is there who could ask."""
+    import ray
+
+    while not stop.wait(PULSE):
+        try:
+            wanted = ray.get(reports.pulse.remote(name, *state), timeout=SILENCE)
+        except Exception:  # noqa: BLE001 - whatever it is, nobody leads any more
+            wanted = True
+        if wanted and not stop.is_set():
+            os.kill(os.getpid(), signal.SIGTERM)
+            return
+
+
+def has_token() -> bool:
+    """Tell whether this computer has a token for a cluster: without one, whoever reaches it may run programs there."""
+    named = any(name in os.environ for name in ("RAY_AUTH_TOKEN", "RAY_AUTH_TOKEN_PATH"))
+    return os.environ.get("RAY_AUTH_MODE") != "disabled" and (named or Path("~/.ray/auth_token").expanduser().exists())
+
+
+def _started(address: str | None, cpus: int | None, resources: dict[str, float]) -> Any:  # noqa: ANN401
+    """Start Ray on this machine for this process alone, or connect to a cluster; returns the module."""
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # Ray tells nobody
+    if address is None:  # nobody else may send it work: nobody from outside, and nobody on this machine
+        if "ray" not in sys.modules:  # it looks at this when it is imported
+            os.environ.setdefault("RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER", "0")  # its way to listen on loopback alone
+        os.environ["RAY_AUTH_MODE"] = "token"
+        os.environ.setdefault("RAY_AUTH_TOKEN", secrets.token_hex(32))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # Ray's own, about itself
+        import ray
+
+        try:
+            if address is None:
+                ray.init(
+                    num_cpus=cpus, resources=resources, include_dashboard=False, object_store_memory=STORE,
+                    log_to_driver=False, logging_level=logging.ERROR, namespace=NAMESPACE,
+                )  # fmt: skip
+            else:
+                ray.init(address=address, log_to_driver=False, logging_level=logging.ERROR, namespace=NAMESPACE)
+        except (ConnectionError, RuntimeError, ValueError, ray.exceptions.RayError) as error:
+            where = "on this machine" if address is None else f"at {address}"
+            raise InputError(f"Ray cannot be used {where}: {first_line(error)}") from error
+    return ray
+
+
+@contextmanager
+def _own_signals() -> Iterator[None]:
+    """Keep the handlers of signals, which Ray replaces."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = {signum: signal.getsignal(signum) for signum in SIGNALS}
+    try:
+        yield
+    finally:
+        for signum, handler in before.items():
+            signal.signal(signum, handler)
+
+
+def _last_line(error: BaseException) -> str:
+    return (str(error).strip().splitlines() or [type(error).__name__])[-1]

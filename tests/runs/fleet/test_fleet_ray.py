@@ -1,0 +1,122 @@
+"""A true Ray on this machine, started once: an emulated arm in tasks, whose process is killed, and one behind TCP."""
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager, closing
+from dataclasses import replace
+from datetime import datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rejoint.logs.runlog import RunLog
+from rejoint.runs.fleet.call import run_fleet
+from rejoint.runs.fleet.drive import Event, Rules
+from rejoint.runs.fleet.file import Fleet, FleetArm
+from rejoint.runs.fleet.hours import read_hours
+from rejoint.runs.fleet.rayexecutor import RayExecutor
+from rejoint.runs.fleet.result import FleetResult
+from rejoint.runs.stages.check import check
+from rejoint.system.extras import installed
+
+pytestmark = pytest.mark.skipif(not installed("ray"), reason="needs the extra fleet")
+
+MONDAY = datetime(2026, 11, 23, 8)
+MOVING = 1.0
+"""[s] for which the real arm moves before its hours end"""
+
+
+@pytest.fixture(scope="module")
+def address() -> Iterator[str]:
+    """An arm behind the vendor's protocol, in wall-clock time, as a real one."""
+    words = [sys.executable, "-m", "rejoint", "emulate", "--port", "0"]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as emulator:
+        assert emulator.stdout is not None
+        text = ""
+        while (found := re.search(r"tcp://\S+:\d+(?=\s)", text)) is None:
+            line = emulator.stdout.readline()
+            assert line, text
+            text += line
+        yield found[0]
+        emulator.terminate()
+
+
+class World:
+    """The clock of a call, and what happens meanwhile."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder, self.events = folder, list[Event]()
+        self.since: float | None = None
+
+    def executor(self, arms: Sequence[FleetArm]) -> AbstractContextManager[RayExecutor]:
+        """Start Ray, and have an eye on it."""
+        executor = RayExecutor(arms, cpus=1)
+        executor.watch(self.see)
+        return closing(executor)
+
+    def see(self, shares: dict[str, tuple[float, str]]) -> None:
+        """Notice that the real arm moves."""
+        if self.since is None and shares.get("real", (0.0, ""))[0] > 0.0:
+            self.since = time.monotonic()
+
+    def now(self) -> datetime:
+        """Kill what works on the emulated arm, once; it becomes evening when the real arm has moved."""
+        if not any(event.kind == "lost" for event in self.events):
+            for process in working_on("virtual"):
+                os.kill(process, signal.SIGKILL)
+        late = self.since is not None and time.monotonic() - self.since > MOVING
+        return MONDAY + timedelta(hours=12) if late else MONDAY
+
+
+def working_on(name: str) -> list[int]:
+    """Return the processes that Ray has named after work on an arm."""
+    found = []
+    for entry in Path("/proc").glob("[0-9]*/cmdline"):
+        try:
+            if entry.read_bytes().startswith(f"ray::{name}:".encode()):
+                found.append(int(entry.parent.name))
+        except OSError:  # it has ended
+            continue
+    return found
+
+
+@pytest.fixture(scope="module")
+def called(address: str, tmp_path_factory: pytest.TempPathFactory) -> tuple[FleetResult, World]:
+    allowed = FleetArm(name="virtual", address="emulated:worn?seed=3", may_move=True, needs_somebody=False)
+    real = replace(allowed, name="real", address=address, hours=read_hours(["Mon-Fri 08:00-18:00"]))
+    home = tmp_path_factory.mktemp("fleet")
+    fleet, world = Fleet(path=home / "FLEET.toml", folder=home / "lab", arms=(real, allowed)), World(home / "lab")
+    rules = Rules(now=world.now)
+    before = [signal.getsignal(one) for one in (signal.SIGINT, signal.SIGTERM)]
+    found = run_fleet(fleet, "check", world.executor, rules, tell=world.events.append)
+    assert [signal.getsignal(one) for one in (signal.SIGINT, signal.SIGTERM)] == before
+    return found, world
+
+
+@pytest.mark.skipif(not Path("/proc").is_dir(), reason="looks for the process to kill in /proc")
+def test_work_whose_process_was_killed_is_done_again_to_the_same_bits(
+    called: tuple[FleetResult, World], tmp_path: Path
+) -> None:
+    found, world = called
+    row = next(row for row in found.rows if row.name == "virtual")
+    assert (row.end, row.lost) == ("done", 1)
+    (log,) = row.folder.glob("*/check.parquet")
+    alone = check("emulated:worn?seed=3", history=tmp_path, name="virtual")
+    np.testing.assert_array_equal(RunLog.load(log).position, RunLog.load(alone.folder / "check.parquet").position)
+    assert row.error_mm == alone.measures.true_error_mm
+    assert world.folder.joinpath("fleet", "check.html").exists()
+
+
+def test_a_real_arm_is_held_at_the_end_of_its_hours_and_its_motion_is_kept(called: tuple[FleetResult, World]) -> None:
+    found, world = called
+    row = next(row for row in found.rows if row.name == "real")
+    assert (row.end, row.lost, row.code) == ("left", 0, 5), row.found
+    assert "held during check; its hours begin Tue 2026-11-24 08:00" in row.found
+    (log,) = world.folder.glob("checks/real/*/*.parquet")
+    assert 0.5 < np.ptp(RunLog.load(log).time) < 30.0
