@@ -8,6 +8,7 @@ from typing import Protocol
 import numpy as np
 
 from rejoint.arms import Array
+from rejoint.arms.orientation import Orientation
 from rejoint.control.robot import JointState, Mask
 from rejoint.control.route import Route
 
@@ -25,6 +26,8 @@ class ControlInput:
     """(B,) [s] time since the target was set"""
     route: Route | None = None
     """where the target goes; None where it stands still"""
+    turn: Orientation | None = None
+    """(B,) how the tools are to be turned there; None where that does not matter"""
 
     def aims(self, later: Array) -> Array:
         """Return the TCP targets (k, B, 3) [m] ``later`` (k,) or (k, B) [s] than now, by all that is known now."""

@@ -13,7 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rejoint.arms import Array, tcp_position
+from rejoint.arms import Array, frames, tcp_position
+from rejoint.arms.orientation import REACHED_TURN, Orientation
 from rejoint.control.controller import ControlInput, Controller
 from rejoint.control.correction import Correction
 from rejoint.control.following import Following
@@ -64,8 +65,9 @@ def run(
     limits: GuardLimits | None = None,
     correction: Correction | None = None,
     on_cycle: OnCycle | None = None,
+    turns: Orientation | None = None,
 ) -> Recording:
-    """Drive ``robot`` to its ``targets`` (B, K, 3) [m], one after the other.
+    """Drive ``robot`` to its ``targets`` (B, K, 3) [m], one after the other, with the tools turned as in ``turns``.
 
     The last command carries over between targets. A target of NaN is no target: it lasts its whole
     dwell. Whatever ends the run early (a trip of the guard, an error of the robot, a signal) first
@@ -76,11 +78,13 @@ def run(
     targets = np.asarray(targets, dtype=float)
     if targets.ndim != 3 or targets.shape[0] != robot.count or targets.shape[1] == 0 or targets.shape[2] != 3:
         raise InputError(f"targets have shape {targets.shape}, expected ({robot.count}, K, 3) with K > 0")
+    if turns is not None and turns.weight.shape != targets.shape[:2]:
+        raise InputError(f"orientations have shape {turns.weight.shape}, expected that of the targets")
     limits = GuardLimits.of(robot.arm) if limits is None else limits
     recorder = Recorder(robot=robot, controller=controller.name)
     loop = _Loop(
         robot=robot, controller=controller, schedule=schedule, limits=limits, recorder=recorder, on_cycle=on_cycle,
-        correction=correction,
+        correction=correction, turns=turns,
     )  # fmt: skip
     _warm_up(limits)
     with noted():
@@ -127,7 +131,7 @@ def _drive(loop: _Loop, targets: Array) -> Recording:
     try:
         check()
         run_state = RunState.begin(
-            own(robot.read()), targets, loop.schedule.sent, loop.limits, loop.correction, loop.route
+            own(robot.read()), targets, loop.schedule.sent, loop.limits, loop.correction, loop.route, loop.turns
         )
         loop.controller.reset(run_state.inputs(), np.ones(robot.count, dtype=bool))
         while loop.cycle(run_state):
@@ -230,6 +234,7 @@ class _Loop:
     on_cycle: OnCycle | None
     correction: Correction | None
     route: Route | None = None
+    turns: Orientation | None = None
 
     def cycle(self, run_state: RunState) -> bool:
         """Do one control cycle; returns whether there is another one."""
@@ -257,7 +262,11 @@ class _Loop:
         finished: Mask = inputs.since_target >= self.schedule.dwell
         if self.schedule.stop_below is not None:
             error = np.linalg.norm(inputs.target - tcp_position(self.robot.arm, inputs.state.position), axis=-1)
-            finished = finished | (error < self.schedule.stop_below)
+            near = error < self.schedule.stop_below
+            if inputs.turn is not None:
+                turned = inputs.turn.angle(frames(self.robot.arm, inputs.state.position).tcp_rotation)
+                near = near & ~(turned > REACHED_TURN)
+            finished = finished | near
         return finished
 
     def _decide(self, run_state: RunState, renewed: Mask) -> Guarded:

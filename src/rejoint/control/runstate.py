@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Array
+from rejoint.arms.orientation import Orientation
 from rejoint.control.controller import ControlInput
 from rejoint.control.correction import Correction
 from rejoint.control.following import Following
@@ -51,6 +52,8 @@ class RunState:
     correction: Correction | None = None
     route: Route | None = None
     """where the only target of each arm goes, None where targets stand still"""
+    turns: Orientation | None = None
+    """(B, K) how the tools are to be turned at the targets, None where that does not matter"""
     unbelieved: Mask | None = None
     """(B, n) joints whose readings are not believed in this cycle, None where all are"""
     last_time: Array = field(init=False)
@@ -74,7 +77,7 @@ class RunState:
     @classmethod
     def begin(
         cls, state: JointState, targets: Array, sent: Array | None, limits: GuardLimits,
-        correction: Correction | None = None, route: Route | None = None,
+        correction: Correction | None = None, route: Route | None = None, turns: Orientation | None = None,
     ) -> RunState:  # fmt: skip
         """Begin with ``targets`` (B, K, 3) [m] and the command in force, ``sent`` (B, n) [rad]; None: the position."""
         count = len(targets)
@@ -86,7 +89,7 @@ class RunState:
             set_at=state.time.copy(), active=np.ones(count, dtype=bool), tripped=np.zeros(count, dtype=np.uint16),
             period=np.full(count, FIRST_PERIOD),
             following=Following(limits.arm, state, sent, limits.servos, bands=limits.bands), correction=correction,
-            route=route,
+            route=route, turns=turns,
         )  # fmt: skip
 
     @property
@@ -99,7 +102,14 @@ class RunState:
     def inputs(self) -> ControlInput:
         """Return what a controller knows."""
         since = self.state.time - self.set_at
-        return ControlInput(state=self.state, target=self.aim, sent=self.sent, since_target=since, route=self.route)
+        return ControlInput(
+            state=self.state, target=self.aim, sent=self.sent, since_target=since, route=self.route, turn=self.turn
+        )  # fmt: skip
+
+    @property
+    def turn(self) -> Orientation | None:
+        """(B,) orientations in force."""
+        return None if self.turns is None else self.turns[np.arange(len(self.index)), self.index]
 
     def advance(self, finished: Mask) -> Mask:
         """Set the next target where the present one is finished; returns the arms that got one."""
