@@ -8,7 +8,9 @@ as many metres as its weight says.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,11 +41,15 @@ class Orientation:
     axis: Array
     """(3,) direction of the tool in its own frame, see `tool_axis`"""
 
-    def __getitem__(self, index: object) -> Orientation:
+    def __getitem__(self, index: Any) -> Orientation:  # noqa: ANN401 - whatever arrays take
         """Return some of them, by an index of the leading shape."""
-        return Orientation(
-            rotation=self.rotation[index], whole=self.whole[index], weight=self.weight[index], axis=self.axis  # type: ignore[index]
-        )  # fmt: skip
+        return replace(self, rotation=self.rotation[index], whole=self.whole[index], weight=self.weight[index])
+
+    @property
+    def flat(self) -> Orientation:
+        """The same in one row."""
+        rotation = self.rotation.reshape(-1, 3, 3)
+        return replace(self, rotation=rotation, whole=self.whole.ravel(), weight=self.weight.ravel())
 
     @property
     def counts(self) -> NDArray[np.bool_]:
@@ -69,6 +75,14 @@ class Orientation:
         own = np.broadcast_to(self.rotation @ self.axis, (*self.weight.shape, 3))
         along = own[..., :, None] * (own[..., None, :] @ columns)
         return columns - np.where(self.whole[..., None, None], 0.0, along)
+
+
+def stacked(parts: Sequence[Orientation], axis: int) -> Orientation:
+    """Return orientations side by side along a new ``axis`` of the leading shape."""
+    return Orientation(
+        rotation=np.stack([one.rotation for one in parts], axis), whole=np.stack([one.whole for one in parts], axis),
+        weight=np.stack([one.weight for one in parts], axis), axis=parts[0].axis,
+    )  # fmt: skip
 
 
 def tool_axis(arm: Arm) -> Array:

@@ -9,7 +9,7 @@ import numpy as np
 from rejoint.arms.arm import Arm, Array
 from rejoint.arms.collision import collides
 from rejoint.arms.inverse import DAMPING, clip_norm, dls, solve_position
-from rejoint.arms.kinematics import frames, tcp_position
+from rejoint.arms.kinematics import frames
 from rejoint.arms.orientation import Orientation, task
 
 NEAR, TURNED = 1e-3, float(np.radians(0.5))
@@ -46,7 +46,7 @@ def find_postures(arm: Arm, target: Array, start: Array, turn: Orientation | Non
     """Return the postures (B, n) [rad] of poses, nearest to ``start`` (B, n) among those that are found.
 
     ``target`` is (B, 3) [m]; without a ``turn`` these are the postures of `solve_position`. Postures in which the arm
-    touches itself or the ground are taken only where there is no other. A pose out of reach gets the best posture found.
+    touches itself or the ground are taken only where there is no other. Out of reach, the best posture found is taken.
     """
     if turn is None:
         return solve_position(arm, target, start).q

@@ -52,6 +52,7 @@ class FeedforwardController:
     """Sends the posture that a sagging arm needs, then integrates what is left."""
 
     name = "feedforward"
+    heeds_turn = True
 
     def __init__(self, arm: Arm, stiffness: Array | float | None = None, gains: FeedforwardGains | None = None) -> None:
         self._arm, self._gains, self._goal = arm, gains or FeedforwardGains(), Goal(arm)

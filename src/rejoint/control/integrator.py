@@ -42,6 +42,7 @@ class IntegratorController:
     """Integrates the TCP error into the command."""
 
     name = "integrator"
+    heeds_turn = True
 
     def __init__(self, arm: Arm, gains: IntegratorGains | None = None) -> None:
         self._arm, self._gains, self._pace = arm, gains or IntegratorGains(), Pace()

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rejoint.arms import Array, frames, tcp_position
+from rejoint.arms import Array, tcp_position
 from rejoint.arms.orientation import REACHED_TURN, Orientation
-from rejoint.control.controller import ControlInput, Controller
+from rejoint.control.controller import ControlInput, Controller, turned_off
 from rejoint.control.correction import Correction
 from rejoint.control.following import Following
 from rejoint.control.guard import TRIPS, Guarded, GuardLimits, Reason, Reasons, guard, warm_up
@@ -248,6 +248,7 @@ class _Loop:
             time=before.state.time, position=before.state.position, command=command, target=target,
             aim=before.target, target_index=index, since_target=before.since_target,
             true_tcp=self.robot.true_tcp().copy(), active=fresh, reasons=reasons, load=reported_load(before.state),
+            turned=turned_off(self.robot.arm, before),
         )  # fmt: skip
         self.recorder.cycles.append(cycle)
         if self.on_cycle is not None:
@@ -262,11 +263,8 @@ class _Loop:
         finished: Mask = inputs.since_target >= self.schedule.dwell
         if self.schedule.stop_below is not None:
             error = np.linalg.norm(inputs.target - tcp_position(self.robot.arm, inputs.state.position), axis=-1)
-            near = error < self.schedule.stop_below
-            if inputs.turn is not None:
-                turned = inputs.turn.angle(frames(self.robot.arm, inputs.state.position).tcp_rotation)
-                near = near & ~(turned > REACHED_TURN)
-            finished = finished | near
+            turned = turned_off(self.robot.arm, inputs)
+            finished = finished | ((error < self.schedule.stop_below) & ~(turned > REACHED_TURN))
         return finished
 
     def _decide(self, run_state: RunState, renewed: Mask) -> Guarded:
@@ -328,6 +326,7 @@ class _Loop:
                     last._replace(
                         time=run_state.state.time, position=run_state.state.position, command=sent, active=where,
                         true_tcp=self.robot.true_tcp().copy(), load=reported_load(run_state.state),
+                        turned=np.full(len(where), np.nan),
                     )
                 )  # fmt: skip
         run_state.sent = np.where(where[:, None], sent, run_state.sent)

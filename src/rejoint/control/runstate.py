@@ -65,6 +65,8 @@ class RunState:
     """(B,) [s]"""
     aim: Array = field(init=False)
     """(B, 3) [m] where the controllers are sent: the targets, or what a correction makes of them"""
+    turn: Orientation | None = field(init=False, default=None)
+    """(B,) how the tools are to be turned there by the encoders, None where that does not matter"""
 
     def __post_init__(self) -> None:
         self.last_time = self.state.time
@@ -106,11 +108,6 @@ class RunState:
             state=self.state, target=self.aim, sent=self.sent, since_target=since, route=self.route, turn=self.turn
         )  # fmt: skip
 
-    @property
-    def turn(self) -> Orientation | None:
-        """(B,) orientations in force."""
-        return None if self.turns is None else self.turns[np.arange(len(self.index)), self.index]
-
     def advance(self, finished: Mask) -> Mask:
         """Set the next target where the present one is finished; returns the arms that got one."""
         last = self.index == self.targets.shape[1] - 1
@@ -135,11 +132,19 @@ class RunState:
         """Aim at the targets that were just set for the arms in ``where`` (B,)."""
         if self.route is not None:
             now = self.state.time - self.set_at
-            self.aim = self.route.aims(now, np.zeros((1, len(now))))[0]
+            at_once = np.zeros((1, len(now)))
+            self.aim, turn = self.route.aims(now, at_once)[0], self.route.turns(now, at_once)
+            self.turn = None if turn is None else turn[0]
             return
         target = self.target
-        fresh = target if self.correction is None else self.correction.aim(target, self.sent, where)
-        self.aim = np.where(where[:, None], fresh, self.aim)
+        turn = None if self.turns is None else self.turns[np.arange(len(self.index)), self.index]
+        if self.correction is None:
+            fresh = target
+        elif turn is None:
+            fresh = self.correction.aim(target, self.sent, where)
+        else:
+            fresh, turn = self.correction.aim_pose(target, turn, self.sent, where)
+        self.aim, self.turn = np.where(where[:, None], fresh, self.aim), turn
 
     def stepped(self, state: JointState, command: Array, speed: Array) -> None:
         """Take over what the robot was sent and what it answered."""
