@@ -21,8 +21,8 @@ from rejoint.arms.kinematics import frames, position_kinematics
 from rejoint.arms.loaded import bare
 
 WEIGHT = 0.05
-"""[m/rad] that an orientation counts where nothing else is said, so that a degree counts 0.9 mm (chosen on six worn arms:
-0.03 leaves 0.6 deg at rest instead of 0.3, 0.1 takes four millimetres from the place where a joint is stuck)"""
+"""[m/rad] that an orientation counts where nothing else is said, so that a degree counts 0.9 mm (chosen on seven worn
+arms: 0.03 leaves 0.6 deg at rest instead of 0.3, 0.1 takes four millimetres from the place where a joint is stuck)"""
 REACHED_TURN = float(np.radians(5.0))
 """[rad] within which an orientation counts as reached (chosen: as far from what a repaired arm leaves as the 10 mm)"""
 _OPPOSITE = 1e-6  # [rad] from half a turn within which every axis is as good as another

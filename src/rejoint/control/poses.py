@@ -97,10 +97,10 @@ def in_words(turn: Orientation) -> str:
     if not turn.counts:
         return ""
     if not turn.whole:
-        return "direction {:.2f} {:.2f} {:.2f}".format(*(turn.rotation @ turn.axis + 0.0))
+        return "direction {:.2f} {:.2f} {:.2f}".format(*(np.round(turn.rotation @ turn.axis, 2) + 0.0))
     frame = np.eye(4)
     frame[:3, :3] = turn.rotation
-    return "rx ry rz {:.1f} {:.1f} {:.1f} deg".format(*(np.degrees(to_coords(frame)[3:]) + 0.0))
+    return "rx ry rz {:.1f} {:.1f} {:.1f} deg".format(*(np.round(np.degrees(to_coords(frame)[3:]), 1) + 0.0))
 
 
 def columns(header: Sequence[str], first: Sequence[str] = PLACE) -> Callable[[Sequence[str]], Pose] | None:
