@@ -29,13 +29,13 @@ from rejoint.control.feedforward import FeedforwardController
 from rejoint.control.goal import Goal
 from rejoint.control.integrator import IntegratorController
 from rejoint.control.loop import Schedule, follow, run
-from rejoint.control.moving.drive import judge
+from rejoint.control.moving.drive import approach, judge
 from rejoint.control.moving.path import Path
-from rejoint.control.moving.posture import PathPostures
 from rejoint.control.moving.routes import LEAD_IN, Ahead, Routes
 from rejoint.control.moving.tracker import Tracker
 from rejoint.control.posture import PostureController, Wanted
 from rejoint.control.robot import JointState, Mask
+from rejoint.control.start import begin
 from rejoint.lab.plant.wear import load_wear
 from rejoint.research.evaluation.identification import identify_arm
 from rejoint.robots.emulated import EmulatedRobot
@@ -113,12 +113,12 @@ def asked(arm: Arm, rotation: Array, whole: bool) -> Orientation:
 def held(arm: Arm, seed: int, make: Controller, places: Array, turns: Orientation, *, alone: bool) -> Array:
     """Errors (2, K) in the last second at each pose: of the place [mm], of the orientation [deg]."""
     robot = EmulatedRobot(arm, [load_wear(f"worn?seed={seed}", arm)], seed=seed)
-    schedule = Schedule(dwell=DWELL, sent=arm.rest[None])
+    schedule = Schedule(dwell=DWELL, sent=begin(robot).command[-1])
     found = run(robot, make, places, schedule, turns=None if alone else turns)
-    rotation = frames(arm, found.position[:, 0])
+    seen = frames(arm, found.position[:, 0])
     index = found.target_index[:, 0]
-    off = np.linalg.norm(found.target[:, 0] - rotation.tcp_position, axis=-1)
-    angle = turns[0][index].angle(rotation.tcp_rotation)
+    off = np.linalg.norm(found.target[:, 0] - seen.tcp_position, axis=-1)
+    angle = turns[0][index].angle(seen.tcp_rotation)
     last = found.since_target[:, 0] > DWELL - 1.0
     return np.array([[s * e[last & (index == k)].mean() for k in range(COUNT)] for s, e in
                      ((1e3, off), (np.degrees(1.0), angle))])  # fmt: skip
@@ -132,11 +132,10 @@ def followed(arm: Arm, seed: int, twin: Twin, *, turned: bool) -> tuple[float, f
     wave = np.stack([0.03 * np.cos(round_once), 0.03 * np.sin(round_once), 0.0 * time], axis=-1)
     swing = np.stack([0.17 * np.sin(round_once), 0.17 * np.cos(round_once), -np.ones_like(time)], axis=-1)
     path = Path(time=time, place=centre + wave, direction=swing if turned else None).on(arm)
-    start, first = path.place[:1], path.turn_at(time[:1])
-    begin = PathPostures(arm, start, first).last
-    robot = EmulatedRobot(arm, [load_wear(f"worn?seed={seed}", arm)], seed=seed, start=begin)
+    robot = EmulatedRobot(arm, [load_wear(f"worn?seed={seed}", arm)], seed=seed)
+    sent = approach(robot, path.at(0.0), begin(robot).command[-1], turn=path.turn_at(0.0)).command[-1]
     guide = Ahead(path=path)
-    schedule = Schedule(dwell=LEAD_IN + LENGTH, sent=begin)
+    schedule = Schedule(dwell=LEAD_IN + LENGTH, sent=sent)
     done = judge(arm, follow(robot, Tracker(arm, servos_of(twin)), Routes([guide]), schedule), guide)
     return 1e3 * done.encoder.rms, float(np.degrees(np.nan if done.turned is None else done.turned))
 
