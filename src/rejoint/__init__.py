@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from rejoint.control.moving.path import Path
     from rejoint.control.moving.routes import Stream
     from rejoint.control.policy import Policy
+    from rejoint.control.poses import Pose
     from rejoint.control.robot import Robot
     from rejoint.diagnosis.calibration.calibration import Calibration
     from rejoint.diagnosis.calibration.measurements import Measurements
@@ -78,6 +79,7 @@ _HOMES = {
     "control.moving.drive": ("Followed",),
     "control.moving.path": ("Path",),
     "control.policy": ("Policy",),
+    "control.poses": ("Pose",),
     "control.robot": ("Robot",),
     "diagnosis.calibration.calibration": ("Calibration",),
     "diagnosis.calibration.measurements": ("Measurements",),
@@ -124,10 +126,10 @@ __all__ = [
     "ConnectionLostError", "ContractError", "Controller", "Deployed", "Diagnosed", "Diagnosis", "DrivenArm",
     "FileError", "Followed", "GuardTripError", "ImpossibleReplyError", "InputError", "Interrupted", "Judgement",
     "Loaded", "Measurements", "MissingExtraError", "NoReplyError", "NotReachedError", "NotReadyError", "Path",
-    "Policy", "PowerLostError", "ProfileError", "Progress", "Recommendation", "RejointError", "Repaired", "Replayed",
-    "Robot", "RobotError", "Run", "RunLog", "Serving", "Stage", "StaleReplyError", "Stream", "TrainedPolicy", "Twin",
-    "UnsavedError", "__version__", "calibrate", "check", "compare", "connect", "deploy", "diagnose", "follow", "gains",
-    "identify", "load_arm", "read_arm", "repair", "replay", "report", "serve", "train",
+    "Policy", "Pose", "PowerLostError", "ProfileError", "Progress", "Recommendation", "RejointError", "Repaired",
+    "Replayed", "Robot", "RobotError", "Run", "RunLog", "Serving", "Stage", "StaleReplyError", "Stream",
+    "TrainedPolicy", "Twin", "UnsavedError", "__version__", "calibrate", "check", "compare", "connect", "deploy",
+    "diagnose", "follow", "gains", "identify", "load_arm", "read_arm", "repair", "replay", "report", "serve", "train",
 ]  # fmt: skip
 
 

@@ -141,3 +141,25 @@ def test_a_twin_is_as_stiff_as_the_servos_are_now(run: Path, monkeypatch: pytest
         found = twin_in_force(Run.open(run), SimpleNamespace(servo_gains=lambda gains=gains: gains))
         assert found is not None
         np.testing.assert_allclose(found.parameters.stiffness, factor * a_twin().parameters.stiffness, rtol=1e-6)
+
+
+def test_an_arm_goes_to_poses_and_follows_a_path_that_turns_the_tool(run: Path) -> None:
+    a_twin().save(run / "twin.toml")
+    down = np.broadcast_to([0.0, 0.1, -1.0], (len(TIME), 3))
+    with rejoint.connect("emulated:worn?seed=10001", run=run, controller="shelf") as arm:
+        end = arm.move_to(rejoint.Pose(place_m=WAVE[0], direction=down[0]), within_m=0.004, within_rad=np.radians(2.0))
+        assert end is not None
+        assert end.turned_rad is not None
+        assert end.turned_rad < np.radians(2.0)
+        done = arm.follow(rejoint.Path(time=TIME, place=WAVE, direction=down))
+        assert done.passes[-1].turned is not None
+        assert done.passes[-1].turned < np.radians(3.0)
+        point = arm.move_to(WAVE[0], within_m=0.004)
+        assert point is not None
+        assert point.turned_rad is None, "a point says nothing of orientation"
+        with pytest.raises(rejoint.InputError, match="the tool cannot have direction"):
+            arm.move_to(rejoint.Pose(place_m=[0.229, 0.099, 0.249], direction=[-1.0, -1.0, 0.3]))
+        with pytest.raises(rejoint.InputError, match="places alone"):
+            arm.follow(rejoint.Path(time=TIME, place=WAVE, direction=down), rate_hz=30.0)
+        with pytest.raises(rejoint.NotReachedError, match=r"mm and 0\.01 deg of .* mm and .* deg off"):
+            arm.move_to(rejoint.Pose(place_m=WAVE[60], direction=down[0]), within_rad=np.radians(0.01), timeout_s=0.5)

@@ -120,7 +120,7 @@ KINDS = (
     Kind("run.json", lambda path: write_json(path, INFO), read_info, deep=b'{"a":' + b"[" * 200_000),
     Kind("policy.onnx", make_policy, plain_policy),
     Kind("targets.csv", lambda path: path.write_text("x,y,z\n170,0,200\n180,30,210\n"),
-         lambda path: read_targets(path, ARM).shape, sealed=False, deep=b"x,y,z\n" + b'"' * 200_000),
+         lambda path: read_targets(path, ARM)[0].shape, sealed=False, deep=b"x,y,z\n" + b'"' * 200_000),
     Kind("arm.toml", lambda path: write_arm_toml(path, ARM), lambda path: load_arm(str(path)).name, sealed=False,
          deep=b"name = " + b"[" * 200_000),
     Kind("published.toml", lambda path: path.write_bytes(PUBLISHED.read_bytes()),

@@ -44,6 +44,12 @@ def quaternion_of(rotation: Array) -> Array:
     return row / np.linalg.norm(row)
 
 
+def same_side(quaternions: Array) -> Array:
+    """Return quaternions (K, 4), each with the sign that is nearer to the one before it: both signs mean the same."""
+    turned = (quaternions[1:] * quaternions[:-1]).sum(axis=-1) < 0.0
+    return quaternions * np.concatenate([[1.0], np.cumprod(np.where(turned, -1.0, 1.0))])[:, None]
+
+
 def pose_of(rotation: Array, position: Array) -> Array:
     """Pose (4, 4) from a rotation (3, 3) and a position (3,) [m]."""
     pose = np.eye(4)

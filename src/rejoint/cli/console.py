@@ -134,10 +134,15 @@ def results_of(value: object, *traces: str) -> Any:  # noqa: ANN401 - plain data
 
     def kept(part: Any) -> Any:  # noqa: ANN401
         if isinstance(part, dict):
-            return {key: kept(one) for key, one in part.items() if key not in traces}
+            return {key: kept(one) for key, one in part.items() if key not in traces and not _unasked(key, one)}
         return [kept(one) for one in part] if isinstance(part, list | tuple) else part
 
     return kept(plain)
+
+
+def _unasked(key: str, value: object) -> bool:
+    """Tell whether something is about orientations that nobody asked for: points are told as ever."""
+    return key in ("turned", "orientation", "orientations") and not value and value != 0.0
 
 
 def _plain(value: object) -> object:

@@ -84,7 +84,7 @@ Camera = Annotated[
         "arm. The last millimetres go by it."
     ),
 ]
-Targets = Annotated[Path | None, typer.Option(help="CSV file of targets in mm with the header x,y,z.")]
+Targets = Annotated[Path | None, typer.Option(help="CSV file of targets in mm: x,y,z, and perhaps an orientation.")]
 Controllers = Annotated[str, typer.Option(help="Comma-separated controllers, or 'all': those of docs/commands.md.")]
 Full = Annotated[
     bool,

@@ -183,16 +183,20 @@ def effort(terminal: Terminal, spent: Effort | None) -> None:
 
 def followed(terminal: Terminal, done: Followed) -> None:
     """Print how well a path was followed, each time."""
+    posed = any(one.turned is not None for one in done.passes)
     rows = [
         [
             str(number), *(f"{1e3 * value:.2f}" for value in (one.encoder.rms, one.encoder.largest)),
             f"{1e3 * one.encoder.lag:.0f}",
             *(f"{1e3 * value:.2f}" for value in (one.encoder.rms_after, one.encoder.largest_after)),
-            str(one.true_error),
+            *([_degrees(one.turned)] if posed else []), str(one.true_error),
         ]
         for number, one in enumerate(done.passes, start=1)
     ]  # fmt: skip
-    headers = ["time", "rms mm", "largest mm", "lag ms", "rms after lag mm", "largest after lag mm", "rms of the tool"]
+    headers = [
+        "time", "rms mm", "largest mm", "lag ms", "rms after lag mm", "largest after lag mm",
+        *(["rms deg"] if posed else []), "rms of the tool",
+    ]  # fmt: skip
     terminal.table(f"{done.path}, {done.controller}: errors along the way by the encoders", headers, rows)
     if not done.followed:
         terminal.result(f"Not followed: {1e3 * done.within:g} mm root mean square after the lag were expected.")
@@ -200,12 +204,18 @@ def followed(terminal: Terminal, done: Followed) -> None:
         terminal.result(f"The answers stayed away {len(done.gaps)} times, for up to {max(done.gaps):.1f} s.")
 
 
+def _degrees(angle: float | None) -> str:
+    return "-" if angle is None else f"{np.degrees(angle):.2f}"
+
+
 def deployment(terminal: Terminal, within: float, done: Deployed) -> None:
     """Print what became of each target; ``within`` [m] one counts as reached."""
+    posed = any(visit.orientation for visit in done.visits)
     rows = [
         [
-            str(number), *(f"{1e3 * value:.1f}" for value in visit.target),
+            str(number), *(f"{1e3 * value:.1f}" for value in visit.target), *([visit.orientation] if posed else []),
             "-" if visit.error is None else f"{1e3 * visit.error:.2f}",
+            *([_degrees(visit.turned)] if posed else []),
             "-" if visit.error is None else str(visit.true_error), "yes" if visit.reached else "no", visit.remark,
         ]
         for number, visit in enumerate(done.visits, start=1)
@@ -213,7 +223,10 @@ def deployment(terminal: Terminal, within: float, done: Deployed) -> None:
     title = (
         f"Errors of {done.controller} at the end of each target (reached: within {1e3 * within:g} mm by the encoders)"
     )
-    headers = ["target", "x mm", "y mm", "z mm", "encoder error mm", "true error of the tool", "reached", "remark"]
+    headers = [
+        "target", "x mm", "y mm", "z mm", *(["orientation"] if posed else []), "encoder error mm",
+        *(["deg"] if posed else []), "true error of the tool", "reached", "remark",
+    ]  # fmt: skip
     width = len(headers) - (not any(visit.remark for visit in done.visits))
     terminal.table(title, headers[:width], [row[:width] for row in rows])
     if done.missed:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -259,9 +260,11 @@ def deploy(
         )  # fmt: skip
     tell(done)
     errors = [None if visit.error is None else 1e3 * visit.error for visit in done.visits]
+    turned = [None if visit.turned is None else math.degrees(visit.turned) for visit in done.visits]
+    posed = any(visit.orientation for visit in done.visits)
     terminal.finish({
         "run": run and str(run), "controller": done.controller, "error_mm": errors, "missed": done.missed,
-        "visits": done.visits,
+        **({"turned_deg": turned} if posed else {}), "visits": results_of(done.visits),
         "period": done.period, "gaps": done.gaps,
     })  # fmt: skip
     if done.missed:
@@ -314,7 +317,9 @@ def follow(
             terminal.say(f"Path: {draw_followed(job.folder, job.arm, done)}")
     terminal.finish({
         "run": str(run), "path": done.path, "controller": done.controller, "followed": done.followed,
-        "passes": [{"encoder": one.encoder, "true_error": one.true_error} for one in done.passes],
+        "passes": results_of(
+            [{"encoder": one.encoder, "true_error": one.true_error, "turned": one.turned} for one in done.passes]
+        ),
         "period": done.period, "gaps": done.gaps,
     })  # fmt: skip
     if not done.followed:

@@ -7,12 +7,14 @@ arm stands beside its target by design, so encoder errors are those from the aim
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
 
-from rejoint.arms import Arm, Array, Displacement, solve_position, tcp_position
+from rejoint.arms import Arm, Array, Displacement, frames, tcp_position
+from rejoint.arms.orientation import Orientation
+from rejoint.arms.posing import find_postures
 from rejoint.control.controller import ControlInput
 from rejoint.control.robot import Mask
 from rejoint.system.errors import InputError
@@ -40,6 +42,9 @@ class Correction(Protocol):
         ``start`` (B, n) [rad] is what the arms were sent last.
         """
 
+    def aim_pose(self, target: Array, turn: Orientation, start: Array, where: Mask) -> tuple[Array, Orientation]:
+        """Return the aims of ``target``, and how the encoders are to see the tools turned for ``turn`` (B,)."""
+
     def again(self, target: Array, inputs: ControlInput) -> Array | None:
         """Once a control cycle, return new aims (B, 3) [m]; None where the present ones, in ``inputs``, stay."""
 
@@ -55,12 +60,14 @@ class Modelled:
     _posture: Array = field(init=False)  # (B, n) where the arms were when they last moved
     _since: Array = field(init=False)  # (B,) [s] when that was
     _done: Mask = field(init=False)  # (B,) whether the target was aimed at again
+    _turned: Array = field(init=False)  # (B, 3, 3) how the encoders are to see the tools turned
 
     def __post_init__(self) -> None:
         self._moved = self.displacement.moved(self.arm)
         self._came = self._posture = np.zeros((0, self.arm.joints))
         self._since = np.zeros(0)
         self._done = np.zeros(0, dtype=bool)
+        self._turned = np.zeros((0, 3, 3))
 
     def shift(self, position: Array, approach: Array | None = None) -> Array:
         """Return how far (..., 3) [m] the tool is from where the encoders see it, at ``position`` (..., n) [rad].
@@ -72,6 +79,22 @@ class Modelled:
 
     def aim(self, target: Array, start: Array, where: Mask) -> Array:
         """Return the aims (B, 3) [m], at the postures that the inverse kinematics finds from ``start`` (B, n) [rad]."""
+        return self._aim(target, None, start, where)
+
+    def aim_pose(self, target: Array, turn: Orientation, start: Array, where: Mask) -> tuple[Array, Orientation]:
+        """Return the aims and orientations at the postures of the poses."""
+        if len(self._turned) != len(where):
+            self._turned = turn.rotation.copy()
+        aims = self._aim(target, turn, start, where)
+        return aims, replace(turn, rotation=self._turned.copy())
+
+    def untwisted(self, turn: Orientation, position: Array, approach: Array) -> Orientation:
+        """Return how the encoders are to see tools (...) turned that are to be as in ``turn``; else as `shift`."""
+        links = self.displacement.joints(self.arm, position, approach)
+        seen, own = frames(self.arm, position).tcp_rotation, frames(self._moved, links).tcp_rotation
+        return replace(turn, rotation=seen @ np.swapaxes(own, -1, -2) @ turn.rotation)
+
+    def _aim(self, target: Array, turn: Orientation | None, start: Array, where: Mask) -> Array:
         if len(self._since) != len(where):
             self._came = self._posture = start.copy()
             self._since = np.full(len(where), -np.inf)
@@ -84,9 +107,14 @@ class Modelled:
             return aims
         goal, posture = target[aimed], start[aimed]
         place = goal.copy()
+        wanted = own = None if turn is None else turn[aimed]
         for _ in range(ROUNDS):
-            posture = solve_position(self.arm, place, posture).q
+            posture = find_postures(self.arm, place, posture, own)
             place = goal - self.shift(posture, start[aimed])
+            if wanted is not None:
+                own = self.untwisted(wanted, posture, start[aimed])
+        if own is not None:
+            self._turned[aimed] = own.rotation
         aims[aimed] = checked(goal, place)
         return aims
 

@@ -16,6 +16,7 @@ class DefaultController:
     """Commands one posture per target."""
 
     name = "default"
+    heeds_turn = True
 
     def __init__(self, arm: Arm) -> None:
         self._goal = Goal(arm)

@@ -7,12 +7,13 @@ ended early does not count, and those after it were not tried.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, tcp_position
+from rejoint.arms.orientation import REACHED_TURN, Orientation
 from rejoint.control.accuracy import NOT_KNOWN, ToolModel, TrueError, mean_modelled, modelled
 from rejoint.control.comparison.result import Protocol
 from rejoint.control.contract import check_controller_period
@@ -20,6 +21,7 @@ from rejoint.control.controller import Controller
 from rejoint.control.correction import Correction
 from rejoint.control.guard import GuardLimits, Reason, Reasons, reason_names
 from rejoint.control.loop import Schedule, run
+from rejoint.control.poses import in_words
 from rejoint.control.recording import OnCycle, Recording, recording_of
 from rejoint.control.robot import Robot
 from rejoint.control.start import Stance, begin
@@ -45,6 +47,8 @@ class Deployment:
     """[s] per target"""
     within: float = REACHED
     """[m] of encoder error at the end within which a target counts as reached"""
+    turns: Orientation | None = None
+    """(K,) how the tool is to be turned there; None where that does not matter"""
 
     def __post_init__(self) -> None:
         if not self.within > 0.0:
@@ -68,6 +72,10 @@ class Visit:
     """of the tool near this target that were believed, where a camera watched"""
     seen_error: float | None = None
     """[m] error of the tool by the last of them, averaged; None where it was not seen"""
+    orientation: str = ""
+    """how the tool was to be turned, in words; empty where that did not matter"""
+    turned: float | None = None
+    """[rad] orientation error by the encoders at the end; None where none was asked for, or the arm was not sent"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -106,8 +114,9 @@ def deploy(
     check_controller_period(controller, start.usual_period())
     schedule = Schedule(dwell=job.dwell, sent=start.command[-1])
     recording = run(
-        robot, controller, job.targets[None], schedule, limits=limits, correction=correction, on_cycle=on_cycle
-    )
+        robot, controller, job.targets[None], schedule, limits=limits, correction=correction, on_cycle=on_cycle,
+        turns=job.turns and job.turns[None],
+    )  # fmt: skip
     return recording, judge(robot.arm, recording, job, model)
 
 
@@ -131,7 +140,8 @@ def judge(
     for k, target in enumerate(job.targets):
         own = rows[recording.target_index[rows, 0] == k]
         last = ended is not None and k == int(recording.target_index[rows[-1], 0])
-        visits.append(_visit(target, job, own, recording, error, gap, model, ended=last))
+        visit = _visit(target, job, own, recording, error, gap, model, ended=last)
+        visits.append(visit if job.turns is None else _posed(visit, job.turns[k], own, recording))
     lengths = tuple(float(value) for value in gap[gap > 0.0])
     period = recording.usual_period()
     usual = period if np.isfinite(period) else None
@@ -157,6 +167,19 @@ def _visit(
         target=(x, y, z), error=end, true_error=_true_error(recording, int(rows[-1]), target, model), reached=reached,
         remark="; ".join(remarks),
     )  # fmt: skip
+
+
+def _posed(visit: Visit, turn: Orientation, rows: Rows, recording: Recording) -> Visit:
+    """Add how the tool was turned at the end."""
+    visit = replace(visit, orientation=in_words(turn))
+    turned = float(recording.turned[rows[-1], 0]) if len(rows) else float("nan")
+    if not np.isfinite(turned):
+        return visit
+    visit = replace(visit, turned=turned)
+    if turned <= REACHED_TURN:
+        return visit
+    askew = f"still turned {np.degrees(turned):.0f} deg off"
+    return replace(visit, reached=False, remark="; ".join(filter(None, (visit.remark, askew))))
 
 
 def _true_error(recording: Recording, row: int, target: Array, model: ToolModel | None) -> TrueError:

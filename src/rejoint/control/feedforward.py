@@ -12,7 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rejoint.arms import Arm, Array, gravity_torque, position_kinematics
+from rejoint.arms import Arm, Array, gravity_torque
+from rejoint.arms.orientation import task
 from rejoint.arms.size import torque_size
 from rejoint.control.controller import ControlInput
 from rejoint.control.goal import Goal
@@ -51,6 +52,7 @@ class FeedforwardController:
     """Sends the posture that a sagging arm needs, then integrates what is left."""
 
     name = "feedforward"
+    heeds_turn = True
 
     def __init__(self, arm: Arm, stiffness: Array | float | None = None, gains: FeedforwardGains | None = None) -> None:
         self._arm, self._gains, self._goal = arm, gains or FeedforwardGains(), Goal(arm)
@@ -68,7 +70,8 @@ class FeedforwardController:
         self._goal.reset(inputs, where)
         goal = self._goal.position[where]
         # What was learned in the null space moves no tool, but adds up from target to target until the arm folds.
-        idle = null_space(position_kinematics(self._arm, goal)[1], self._correction[where])
+        turn = None if inputs.turn is None else inputs.turn[where]
+        idle = null_space(task(self._arm, goal, inputs.target[where], turn)[1], self._correction[where])
         self._correction[where] -= idle
         self._raised[where] = goal + gravity_torque(self._arm, goal) / self._stiffness
 
@@ -78,7 +81,7 @@ class FeedforwardController:
 
     def command(self, inputs: ControlInput) -> Array:
         """Return the raised goal postures plus the correction, (B, n) [rad]."""
-        seen = dls_step(self._arm, inputs.state.position, inputs.target)
+        seen = dls_step(self._arm, inputs.state.position, inputs.target, inputs.turn)
         step = fade(seen.error, self._gains.fade) * seen.step
         return self.correct(inputs, step, np.zeros_like(step))
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from rejoint.arms import Array
-from rejoint.control.controller import ControlInput, Controller
+from rejoint.control.controller import ControlInput, Controller, heeds_turn
 from rejoint.control.default import DefaultController
 from rejoint.control.robot import Mask
 from rejoint.control.servogains import ServoGains
@@ -25,7 +25,7 @@ class Geared:
 
     def __init__(self, controller: Controller, gains: ServoGains) -> None:
         self._controller, self.servo_gains = controller, gains
-        inner = controller.name
+        inner, self.heeds_turn = controller.name, heeds_turn(controller)
         self.name = GEARED if inner == DefaultController.name else f"{GEARED}+{inner}"
 
     def reset(self, inputs: ControlInput, where: Mask) -> None:

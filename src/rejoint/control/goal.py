@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from rejoint.arms import Arm, Array, solve_position
+from rejoint.arms.posing import find_postures
 from rejoint.control.controller import ControlInput
 from rejoint.control.robot import Mask
 
@@ -40,4 +41,5 @@ class Goal:
             self.position[known], self._foreseen[known] = self._ahead[known], np.nan
             where = where & ~known
         if where.any():
-            self.position[where] = solve_position(self._arm, inputs.target[where], inputs.sent[where]).q
+            turn = None if inputs.turn is None else inputs.turn[where]
+            self.position[where] = find_postures(self._arm, inputs.target[where], inputs.sent[where], turn)

@@ -42,6 +42,7 @@ class IntegratorController:
     """Integrates the TCP error into the command."""
 
     name = "integrator"
+    heeds_turn = True
 
     def __init__(self, arm: Arm, gains: IntegratorGains | None = None) -> None:
         self._arm, self._gains, self._pace = arm, gains or IntegratorGains(), Pace()
@@ -53,7 +54,7 @@ class IntegratorController:
         """Return the last command, moved towards the target, (B, n) [rad]."""
         arm, gains, measured = self._arm, self._gains, inputs.state.position
         elapsed = self._pace.tick(inputs.state.time)[:, None]
-        seen = dls_step(arm, measured, inputs.target)
+        seen = dls_step(arm, measured, inputs.target, inputs.turn)
         step = gains.rate * elapsed * fade(seen.error, gains.fade) * seen.step
         pull = clip_norm(null_space(seen.jacobian, gains.rest_gain * (arm.rest - inputs.sent)), gains.rest_step)
         far = np.linalg.norm(seen.error, axis=-1, keepdims=True) > gains.rest_distance

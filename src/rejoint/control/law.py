@@ -12,7 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rejoint.arms import Arm, Array, clip_norm, dls, position_kinematics
+from rejoint.arms import Arm, Array, clip_norm, dls
+from rejoint.arms.orientation import Orientation, task
 
 GAIN = 0.1
 """Fraction of the step that is added to the command per control cycle (chosen: 0.2 already oscillates on worn arms)."""
@@ -30,15 +31,14 @@ class DlsStep(NamedTuple):
     step: Array
     """(..., n) [rad] damped least-squares step towards the target, scaled down as a whole to STEP_LIMIT"""
     error: Array
-    """(..., 3) [m] target minus measured TCP (encoder kinematics)"""
+    """(..., k) [m] target minus measured TCP (encoder kinematics), and with an orientation what is missed of that"""
     jacobian: Array
-    """(..., 3, n) [m/rad] d(TCP)/dq at the measured position"""
+    """(..., k, n) [m/rad] d(TCP)/dq at the measured position, see `rejoint.arms.orientation.task`"""
 
 
-def dls_step(arm: Arm, measured: Array, target: Array) -> DlsStep:
-    """Step from joint positions ``measured`` (..., n) [rad] towards ``target`` (..., 3) [m]."""
-    tcp, jacobian = position_kinematics(arm, measured)
-    error = target - tcp
+def dls_step(arm: Arm, measured: Array, target: Array, turn: Orientation | None = None) -> DlsStep:
+    """Step from joint positions ``measured`` (..., n) [rad] towards ``target`` (..., 3) [m], turned as in ``turn``."""
+    error, jacobian = task(arm, measured, target, turn)
     return DlsStep(clip_norm(dls(jacobian, error), STEP_LIMIT), error, jacobian)
 
 

@@ -14,7 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from rejoint.arms import Array, tcp_position
-from rejoint.control.controller import ControlInput, Controller
+from rejoint.arms.orientation import REACHED_TURN, Orientation
+from rejoint.control.controller import ControlInput, Controller, turned_off
 from rejoint.control.correction import Correction
 from rejoint.control.following import Following
 from rejoint.control.guard import TRIPS, Guarded, GuardLimits, Reason, Reasons, guard, warm_up
@@ -64,8 +65,9 @@ def run(
     limits: GuardLimits | None = None,
     correction: Correction | None = None,
     on_cycle: OnCycle | None = None,
+    turns: Orientation | None = None,
 ) -> Recording:
-    """Drive ``robot`` to its ``targets`` (B, K, 3) [m], one after the other.
+    """Drive ``robot`` to its ``targets`` (B, K, 3) [m], one after the other, with the tools turned as in ``turns``.
 
     The last command carries over between targets. A target of NaN is no target: it lasts its whole
     dwell. Whatever ends the run early (a trip of the guard, an error of the robot, a signal) first
@@ -76,11 +78,13 @@ def run(
     targets = np.asarray(targets, dtype=float)
     if targets.ndim != 3 or targets.shape[0] != robot.count or targets.shape[1] == 0 or targets.shape[2] != 3:
         raise InputError(f"targets have shape {targets.shape}, expected ({robot.count}, K, 3) with K > 0")
+    if turns is not None and turns.weight.shape != targets.shape[:2]:
+        raise InputError(f"orientations have shape {turns.weight.shape}, expected that of the targets")
     limits = GuardLimits.of(robot.arm) if limits is None else limits
     recorder = Recorder(robot=robot, controller=controller.name)
     loop = _Loop(
         robot=robot, controller=controller, schedule=schedule, limits=limits, recorder=recorder, on_cycle=on_cycle,
-        correction=correction,
+        correction=correction, turns=turns,
     )  # fmt: skip
     _warm_up(limits)
     with noted():
@@ -127,7 +131,7 @@ def _drive(loop: _Loop, targets: Array) -> Recording:
     try:
         check()
         run_state = RunState.begin(
-            own(robot.read()), targets, loop.schedule.sent, loop.limits, loop.correction, loop.route
+            own(robot.read()), targets, loop.schedule.sent, loop.limits, loop.correction, loop.route, loop.turns
         )
         loop.controller.reset(run_state.inputs(), np.ones(robot.count, dtype=bool))
         while loop.cycle(run_state):
@@ -230,6 +234,7 @@ class _Loop:
     on_cycle: OnCycle | None
     correction: Correction | None
     route: Route | None = None
+    turns: Orientation | None = None
 
     def cycle(self, run_state: RunState) -> bool:
         """Do one control cycle; returns whether there is another one."""
@@ -243,6 +248,7 @@ class _Loop:
             time=before.state.time, position=before.state.position, command=command, target=target,
             aim=before.target, target_index=index, since_target=before.since_target,
             true_tcp=self.robot.true_tcp().copy(), active=fresh, reasons=reasons, load=reported_load(before.state),
+            turned=turned_off(self.robot.arm, before),
         )  # fmt: skip
         self.recorder.cycles.append(cycle)
         if self.on_cycle is not None:
@@ -257,7 +263,8 @@ class _Loop:
         finished: Mask = inputs.since_target >= self.schedule.dwell
         if self.schedule.stop_below is not None:
             error = np.linalg.norm(inputs.target - tcp_position(self.robot.arm, inputs.state.position), axis=-1)
-            finished = finished | (error < self.schedule.stop_below)
+            turned = turned_off(self.robot.arm, inputs)
+            finished = finished | ((error < self.schedule.stop_below) & ~(turned > REACHED_TURN))
         return finished
 
     def _decide(self, run_state: RunState, renewed: Mask) -> Guarded:
@@ -319,6 +326,7 @@ class _Loop:
                     last._replace(
                         time=run_state.state.time, position=run_state.state.position, command=sent, active=where,
                         true_tcp=self.robot.true_tcp().copy(), load=reported_load(run_state.state),
+                        turned=np.full(len(where), np.nan),
                     )
                 )  # fmt: skip
         run_state.sent = np.where(where[:, None], sent, run_state.sent)

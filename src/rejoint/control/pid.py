@@ -37,6 +37,8 @@ class PidGains:
 class PidController:
     """Adds a PID correction of the joint error to the measured position."""
 
+    heeds_turn = True
+
     def __init__(self, arm: Arm, gains: PidGains) -> None:
         self._goal, self._gains = Goal(arm), gains
         self._sum: Array = np.zeros((0, arm.joints))

@@ -40,6 +40,8 @@ class Cycle(NamedTuple):
     """(B,) flags of the guard"""
     load: Array
     """(B, n) told by the servos, as `JointState.load`; NaN where none was"""
+    turned: Array
+    """(B,) [rad] orientation error by the encoders; NaN where no orientation is asked for"""
 
 
 OnCycle = Callable[[Cycle], object]
@@ -77,6 +79,8 @@ class Recording:
     """(T, B)"""
     load: Array
     """(T, B, n)"""
+    turned: Array
+    """(T, B) [rad]"""
     tripped: Reasons
     """(B,) flags with which the guard stopped an arm, 0 where it did not"""
 
@@ -139,7 +143,7 @@ class Recorder:
         vector, point, number = np.zeros((0, count, n)), np.zeros((0, count, 3)), np.zeros((0, count))
         empty = Cycle(
             number, vector, vector, point, point, number.astype(np.intp), number, point, number.astype(bool),
-            number.astype(np.uint16), vector,
+            number.astype(np.uint16), vector, number,
         )  # fmt: skip
         return {name: column.copy() for name, column in empty._asdict().items()}
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Protocol
 
 from rejoint.arms import Array
+from rejoint.arms.orientation import Orientation
 
 
 class Route(Protocol):
@@ -22,3 +23,6 @@ class Route(Protocol):
 
         By all that is known at ``now``: a path knows its future, a stream guesses it.
         """
+
+    def turns(self, now: Array, later: Array) -> Orientation | None:
+        """Return how the tools are to be turned then, (k, B); None where that does not matter."""

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Array
+from rejoint.arms.orientation import Orientation
 from rejoint.control.controller import ControlInput
 from rejoint.control.correction import Correction
 from rejoint.control.following import Following
@@ -51,6 +52,8 @@ class RunState:
     correction: Correction | None = None
     route: Route | None = None
     """where the only target of each arm goes, None where targets stand still"""
+    turns: Orientation | None = None
+    """(B, K) how the tools are to be turned at the targets, None where that does not matter"""
     unbelieved: Mask | None = None
     """(B, n) joints whose readings are not believed in this cycle, None where all are"""
     last_time: Array = field(init=False)
@@ -62,6 +65,8 @@ class RunState:
     """(B,) [s]"""
     aim: Array = field(init=False)
     """(B, 3) [m] where the controllers are sent: the targets, or what a correction makes of them"""
+    turn: Orientation | None = field(init=False, default=None)
+    """(B,) how the tools are to be turned there by the encoders, None where that does not matter"""
 
     def __post_init__(self) -> None:
         self.last_time = self.state.time
@@ -74,7 +79,7 @@ class RunState:
     @classmethod
     def begin(
         cls, state: JointState, targets: Array, sent: Array | None, limits: GuardLimits,
-        correction: Correction | None = None, route: Route | None = None,
+        correction: Correction | None = None, route: Route | None = None, turns: Orientation | None = None,
     ) -> RunState:  # fmt: skip
         """Begin with ``targets`` (B, K, 3) [m] and the command in force, ``sent`` (B, n) [rad]; None: the position."""
         count = len(targets)
@@ -86,7 +91,7 @@ class RunState:
             set_at=state.time.copy(), active=np.ones(count, dtype=bool), tripped=np.zeros(count, dtype=np.uint16),
             period=np.full(count, FIRST_PERIOD),
             following=Following(limits.arm, state, sent, limits.servos, bands=limits.bands), correction=correction,
-            route=route,
+            route=route, turns=turns,
         )  # fmt: skip
 
     @property
@@ -99,7 +104,9 @@ class RunState:
     def inputs(self) -> ControlInput:
         """Return what a controller knows."""
         since = self.state.time - self.set_at
-        return ControlInput(state=self.state, target=self.aim, sent=self.sent, since_target=since, route=self.route)
+        return ControlInput(
+            state=self.state, target=self.aim, sent=self.sent, since_target=since, route=self.route, turn=self.turn
+        )  # fmt: skip
 
     def advance(self, finished: Mask) -> Mask:
         """Set the next target where the present one is finished; returns the arms that got one."""
@@ -125,11 +132,19 @@ class RunState:
         """Aim at the targets that were just set for the arms in ``where`` (B,)."""
         if self.route is not None:
             now = self.state.time - self.set_at
-            self.aim = self.route.aims(now, np.zeros((1, len(now))))[0]
+            at_once = np.zeros((1, len(now)))
+            self.aim, turn = self.route.aims(now, at_once)[0], self.route.turns(now, at_once)
+            self.turn = None if turn is None else turn[0]
             return
         target = self.target
-        fresh = target if self.correction is None else self.correction.aim(target, self.sent, where)
-        self.aim = np.where(where[:, None], fresh, self.aim)
+        turn = None if self.turns is None else self.turns[np.arange(len(self.index)), self.index]
+        if self.correction is None:
+            fresh = target
+        elif turn is None:
+            fresh = self.correction.aim(target, self.sent, where)
+        else:
+            fresh, turn = self.correction.aim_pose(target, turn, self.sent, where)
+        self.aim, self.turn = np.where(where[:, None], fresh, self.aim), turn
 
     def stepped(self, state: JointState, command: Array, speed: Array) -> None:
         """Take over what the robot was sent and what it answered."""

@@ -14,6 +14,7 @@ import numpy as np
 
 from rejoint.arms import Arm, Array, load_arm
 from rejoint.control.comparison.targets import draw_targets, read_targets, require_reachable
+from rejoint.control.poses import Pose, placed
 from rejoint.control.robot import Robot
 from rejoint.logs.found import describe
 from rejoint.logs.runlog import RunLog, read_log
@@ -23,6 +24,7 @@ from rejoint.runs.run import Run
 from rejoint.system.errors import FileError, InputError
 
 if TYPE_CHECKING:
+    from rejoint.arms.orientation import Orientation
     from rejoint.control.policy import Policy
     from rejoint.diagnosis.calibration.calibration import Calibration
     from rejoint.diagnosis.calibration.camera.filming import CameraGauge
@@ -50,8 +52,8 @@ NO_GAUGE: Literal["none"] = "none"
 RunLike: TypeAlias = "Run | Path | str"
 """A run, or its folder"""
 
-Targets: TypeAlias = "Array | Path | str"
-"""(K, 3) or (S, K, 3) [m], or a CSV file in millimetres with the header x,y,z"""
+Targets: TypeAlias = "Array | Sequence[Pose] | Path | str"
+"""(K, 3) or (S, K, 3) [m], or poses, or a CSV file in millimetres with the header x,y,z and perhaps an orientation"""
 
 Period: TypeAlias = "tuple[float, float]"
 """[s] interval from which the length of every control cycle is drawn"""
@@ -205,18 +207,25 @@ def run_of_logs(run: RunLike | None, logs: LogsLike, arm: ArmLike | None) -> tup
     return run_about(run, source_of(logs), chosen, None), chosen
 
 
-def as_targets(given: Targets | None, arm: Arm, *, sets: int, seed: int) -> Array:
+def as_targets(given: Targets | None, arm: Arm, *, sets: int, seed: int) -> tuple[Array, Orientation | None]:
     """Return targets (S, K, 3) [m]: those given, those of a file, or drawn ones where none are given.
 
-    InputError or FileError name those that the arm cannot reach: nothing is to move for them.
+    Beside them how the tool is to be turned there, (S, K); None for points. InputError or FileError name those that
+    the arm cannot reach: nothing is to move for them.
     """
     if given is None:
-        return draw_targets(arm, sets=sets, seed=seed)
+        return draw_targets(arm, sets=sets, seed=seed), None
     if isinstance(given, Path | str):
-        return read_targets(Path(given), arm)[None]
+        points, turns = read_targets(Path(given), arm)
+        return points[None], turns and turns[None]
+    if len(given) and all(isinstance(one, Pose) for one in given):
+        points, turns = placed(arm, cast("Sequence[Pose]", given))
+        turns = turns and turns[None]
+        require_reachable(arm, points[None], turns)
+        return points[None], turns
     points = np.asarray(given, dtype=float)
     if points.ndim not in (2, 3) or points.shape[-1] != 3:
         raise InputError(f"targets have shape {points.shape}, expected (targets, 3) or (sets, targets, 3) in metres")
     points = points[None] if points.ndim == 2 else points
     require_reachable(arm, points)
-    return points
+    return points, None

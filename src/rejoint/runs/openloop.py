@@ -85,5 +85,6 @@ def _recording(log: RunLog) -> tuple[Recording, Array]:
         aim=target[:, None].copy(), target_index=index[:, None].astype(np.intp),
         since_target=(time - begun[index])[:, None], true_tcp=log.true_tcp[rows][:, None],
         active=np.ones((count, 1), dtype=bool), reasons=np.zeros((count, 1), dtype=np.uint16),
-        load=np.full((count, 1, log.position.shape[1]), np.nan), tripped=np.zeros(1, dtype=np.uint16),
+        load=np.full((count, 1, log.position.shape[1]), np.nan), turned=np.full((count, 1), np.nan),
+        tripped=np.zeros(1, dtype=np.uint16),
     ), target[first]  # fmt: skip

@@ -1,12 +1,16 @@
 """Laws of paths: they go through their points smoothly, and what an arm cannot do is refused before it moves."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from rejoint.arms import mycobot280, position_kinematics, tcp_position
-from rejoint.control.moving.path import Path, read_path
+from rejoint.arms.posing import missed_pose
+from rejoint.control.moving.path import Path, path_of, read_path
 from rejoint.control.moving.posture import PathPostures, joint_weights, spread
 from rejoint.control.moving.standard import EASE, RADIUS, STANDARD, is_standard, standard_path
+from rejoint.control.poses import Pose, placed
 from rejoint.system.errors import FileError, InputError
 
 ARM = mycobot280()
@@ -119,3 +123,47 @@ def test_light_joints_are_spared():
     motion = spread(ARM, jacobian, way)
     assert np.allclose(jacobian @ motion, way, atol=1e-6)
     assert np.abs(motion[3:]).max() < 0.2 * np.abs(motion[:3]).max()
+
+
+def test_a_path_turns_the_tool_smoothly_through_what_is_given_whatever_the_signs_of_quaternions(tmp_path):
+    time = np.linspace(0.0, 4.0, 9)
+    place = np.array([0.18, 0.0, 0.2]) + 0.02 * np.sin(time)[:, None] * np.array([0.0, 1.0, 0.5])
+    angles = [[180.0 - 8.0 * np.sin(t), 5.0 * np.sin(2 * t), -90.0 + 6.0 * t] for t in time]
+    file = tmp_path / "poses.csv"
+    lines = [",".join(map(str, [t, *1e3 * p, *a])) for t, p, a in zip(time, place, angles, strict=True)]
+    file.write_text("\n".join(["time,x,y,z,rx,ry,rz", *lines]))
+    path = read_path(file).on(ARM)
+    wanted = placed(ARM, [Pose(place_m=p, angles_rad=np.radians(a)) for p, a in zip(place, angles, strict=True)])[1]
+    assert wanted.angle(path.turn_at(time).rotation).max() < 1e-6
+    flipped = replace(path, quaternion=path.quaternion * np.where(np.arange(9) % 2, -1.0, 1.0)[:, None])
+    fine = np.linspace(0.0, 4.0, 400)
+    np.testing.assert_allclose(flipped.turn_at(fine).rotation, path.turn_at(fine).rotation, atol=1e-12)
+    ways = path.turn_at(fine[1:]).angle(path.turn_at(fine[:-1]).rotation) / np.diff(fine)
+    assert ways.max() < np.radians(30.0)
+    path.require_followable(ARM)
+    postures = PathPostures(ARM, path.at(fine[:1]), path.turn_at(fine[:1]))
+    found = postures.along(path.at(fine)[:, None], path.turn_at(fine)[:, None])[:, 0]
+    off, angle = missed_pose(ARM, found, path.at(fine), path.turn_at(fine))
+    assert (off.max(), angle.max()) < (1e-4, np.radians(0.1))
+    back = path_of(path.time, path.place, path.turn_at(path.time), "back")
+    np.testing.assert_allclose(back.turn_at(fine).rotation, path.turn_at(fine).rotation, atol=1e-9)
+
+
+def test_a_path_with_an_orientation_out_of_reach_is_refused_with_where(tmp_path):
+    time = np.array([0.0, 3.0, 6.0])
+    direction = np.array([[0.0, 0.0, -1.0], [0.1, 0.0, -1.0], [-1.0, -1.0, 0.3]])
+    place = np.array([[0.18, 0.0, 0.2], [0.2, 0.03, 0.22], [0.229, 0.099, 0.249]])
+    with pytest.raises(InputError, match=r"at \d\.\d\d s .* mm the tool cannot have direction .* give another"):
+        Path(time=time, place=place, direction=direction).on(ARM).require_followable(ARM)
+    with pytest.raises(InputError, match="none zero"):
+        Path(time=time, place=place, direction=0.0 * direction)
+    file = tmp_path / "half.csv"
+    file.write_text("time,x,y,z,dx,dy,dz\n0,180,0,200,0,0,-1\n1,180,0,200,,,\n")
+    with pytest.raises(FileError, match="on every line or on none"):
+        read_path(file)
+
+
+def test_a_path_of_places_alone_asks_for_no_orientation():
+    path = bent()
+    assert path.on(ARM) is path
+    assert path.turn_at(np.linspace(0.0, 1.0, 5)) is None

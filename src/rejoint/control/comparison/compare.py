@@ -15,6 +15,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from rejoint.arms import Arm, Array
+from rejoint.arms.orientation import Orientation
 from rejoint.control.accuracy import ToolModel
 from rejoint.control.comparison.counting import Targets
 from rejoint.control.comparison.driven import Driven, Places, measure
@@ -29,6 +30,7 @@ from rejoint.control.controller import Controller
 from rejoint.control.correction import Correction
 from rejoint.control.guard import GuardLimits
 from rejoint.control.loop import run
+from rejoint.control.poses import in_words
 from rejoint.control.recording import Recording
 from rejoint.control.robot import Robot
 from rejoint.control.servogains import limits_under, under_gains
@@ -107,8 +109,9 @@ def compare(
     model: ToolModel | None = None,
     measured: Sequence[Driven] = (),
     source: str = "",
+    turns: Orientation | None = None,
 ) -> Comparison:
-    """Compare ``controllers`` by name on ``targets`` (S, K, 3) [m].
+    """Compare ``controllers`` by name on ``targets`` (S, K, 3) [m], with the tools turned as in ``turns`` (S, K).
 
     Trials of a batch that the guard ends count as failures; on a single arm the trip ends the
     comparison, as does an error of the robot. A command that is not a number costs its controller the trial in both.
@@ -129,7 +132,7 @@ def compare(
         tallies={name: Tally(shape, settings.protocol) for name in controllers},
         ledger=ledger or Ledger.nowhere(), limits=limits, stance=stance, correction=correction, model=model,
         progress=Targets(on_progress, len(controllers) * len(KINDS) * int(np.prod(shape))), on_trial=on_trial,
-        measured=tuple(measured), source=source,
+        measured=tuple(measured), source=source, turns=turns,
     )  # fmt: skip
     robot = session.run_batched() if settings.batched else session.run_interleaved()
     tallies = {name: session.tallies[name] for name in session.controllers}
@@ -138,6 +141,10 @@ def compare(
         most = shape[:2]
         targets = targets[: cut_to_driven(tallies)]
     result = summarise(robot, settings.seed, settings.batched, targets, tallies)
+    if turns is not None:
+        shape = targets.shape[:2]
+        words = tuple(tuple(in_words(turns[s, k]) for k in range(shape[1])) for s in range(shape[0]))
+        result = replace(result, orientations=words)
     return replace(result, left_out=tuple(session.left_out), race=settings.race, most=most)
 
 
@@ -160,6 +167,7 @@ class TrialRunner:
     on_trial: OnTrial | None
     measured: tuple[Driven, ...]
     source: str
+    turns: Orientation | None = None
     left_out: list[str] = field(default_factory=list)
 
     def run_batched(self) -> Robot:
@@ -209,6 +217,7 @@ class TrialRunner:
     ) -> tuple[Driven, Recording]:  # fmt: skip
         """Run one protocol for the trials (set, repetition) in ``places``, with a ``part`` of the targets of a set."""
         targets, first = self.targets[[s for s, _ in places]][:, part], part.start or 0
+        turns = None if self.turns is None else self.turns[[s for s, _ in places]][:, part]
         plan = schedule(kind, self.settings.protocol, keep_going=self.settings.batched, sent=sent)
         on_cycle = self.progress.watch(f"{name}: {kind} protocol", targets.shape[0] * targets.shape[1])
         failed = False
@@ -217,7 +226,9 @@ class TrialRunner:
         aiming = None if self.correction is None else self.correction(robot.arm)
         limits = limits_under(self.limits, robot, controller)
         with under_gains(robot, controller):
-            recording = run(robot, controller, targets, plan, limits=limits, correction=aiming, on_cycle=on_cycle)
+            recording = run(
+                robot, controller, targets, plan, limits=limits, correction=aiming, on_cycle=on_cycle, turns=turns
+            )
         if isinstance(controller, Watched):
             recording, failed = controller.mark(recording), controller.failed
         if self.on_trial is not None:

@@ -14,9 +14,10 @@ from dataclasses import replace
 import numpy as np
 
 from rejoint.arms import Arm, Array, tcp_position
+from rejoint.arms.orientation import REACHED_TURN
 from rejoint.control.comparison.protocols import Kind
 from rejoint.control.comparison.result import Protocol
-from rejoint.control.controller import ControlInput, Controller
+from rejoint.control.controller import ControlInput, Controller, turned_off
 from rejoint.control.guard import Reason
 from rejoint.control.recording import Recording
 from rejoint.control.robot import Mask
@@ -59,7 +60,8 @@ class Watched:
         """Tell (1,) whether the trial is to end here, see `Schedule.give_up`; called once per cycle."""
         if self._kind == "crossing":
             tcp = tcp_position(self._arm, inputs.state.position)
-            if np.linalg.norm(inputs.target - tcp, axis=-1)[0] < self._protocol.threshold:
+            askew = turned_off(self._arm, inputs)[0] > REACHED_TURN
+            if np.linalg.norm(inputs.target - tcp, axis=-1)[0] < self._protocol.threshold and not askew:
                 self._missed = 0
             elif inputs.since_target[0] >= self._protocol.dwell:
                 self._missed += 1

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, tcp_position
+from rejoint.arms.orientation import REACHED_TURN
 from rejoint.control.accuracy import ToolModel, modelled
 from rejoint.control.comparison.metrics import crossing, oscillation, settled, stay_time
 from rejoint.control.comparison.result import Protocol
@@ -61,6 +62,8 @@ class Holds:
     modelled: Array
     """(3, B, K) [m] true error by a model at the mean posture of the last part, and the ends of its interval; NaN where
     there is none, or the true error is known"""
+    turned: Array
+    """(B, K) [rad] orientation error by the encoders, mean of the last part; NaN where none is asked for"""
 
 
 def schedule(kind: Kind, protocol: Protocol, *, keep_going: bool, sent: Array | None = None) -> Schedule:
@@ -90,9 +93,12 @@ def measure_crossings(arm: Arm, recording: Recording, targets: Array, protocol: 
         crossed=np.where(spared, np.nan, 0.0), error=_unknown(shape), true_error=_unknown(shape), time=_unknown(shape)
     )
     for b, k, rows in _segments(recording, targets):
-        end = crossing(recording.since_target[rows, b], error[rows, b], protocol.threshold)
+        off = error[rows, b]
+        askew = recording.turned[rows, b] > REACHED_TURN  # a pose is reached where the orientation is as well
+        seen = np.where(askew, np.maximum(off, protocol.threshold), off)
+        end = crossing(recording.since_target[rows, b], seen, protocol.threshold)
         if end.reached or end.time >= protocol.dwell:
-            result.crossed[b, k], result.error[b, k], result.time[b, k] = end.reached, end.error, end.time
+            result.crossed[b, k], result.error[b, k], result.time[b, k] = end.reached, off[end.row], end.time
             result.true_error[b, k] = true_error[rows[end.row], b]
     return result
 
@@ -110,7 +116,7 @@ def measure_holds(
     result = Holds(
         settled=_unknown(shape), settled_true=_unknown(shape), oscillation=_unknown(shape),
         stay=_unknown((len(protocol.within), *shape)), away=_unknown((*shape, 3)), away_true=_unknown((*shape, 3)),
-        modelled=_unknown((3, *shape)),
+        modelled=_unknown((3, *shape)), turned=_unknown(shape),
     )  # fmt: skip
     posture = _unknown((*shape, arm.joints))
     for b, k, rows in _segments(recording, targets):
@@ -119,6 +125,7 @@ def measure_holds(
             continue
         result.settled[b, k] = settled(since, error[rows, b], protocol.window)
         result.settled_true[b, k] = settled(since, true_error[rows, b], protocol.window)
+        result.turned[b, k] = settled(since, recording.turned[rows, b], protocol.window)
         last = rows[since > since[-1] - protocol.window]
         result.away[b, k] = (tcp[last, b] - recording.aim[last, b]).mean(axis=0)
         result.away_true[b, k] = (recording.true_tcp[last, b] - recording.target[last, b]).mean(axis=0)

@@ -90,10 +90,31 @@ def _criteria(comparison: Comparison) -> tuple[_Criterion, ...]:
             name="settled error", results=lambda row: row.outcomes.array("settled").ravel(), missing=np.inf,
             show=lambda metres: f"{1e3 * metres:.2f} mm", plain=protocol.within[narrow],
         ),
+        *_turned(comparison),
         _Criterion(
             name=f"to stay within {1e3 * protocol.within[narrow]:g} mm",
             results=lambda row: row.outcomes.array("stay")[narrow].ravel(), missing=protocol.hold,
             show=lambda seconds: f"{seconds:.2f} s", plain=np.inf,
+        ),
+    )  # fmt: skip
+
+
+def _turned(comparison: Comparison) -> tuple[_Criterion, ...]:
+    """Return the criterion of orientation; nothing where targets have none. Points among poses do not count."""
+    if not comparison.orientations:
+        return ()
+    asked = np.array([word != "" for words in comparison.orientations for word in words])
+    sets, repetitions, count = comparison.rows[0].outcomes.shape
+    rows = np.broadcast_to(asked.reshape(sets, 1, count), (sets, repetitions, count))
+
+    def results(row: ControllerRow) -> Array:
+        own = row.outcomes
+        return np.where(rows, own.array("turned"), 0.0).ravel() if own.turned else np.full(rows.size, np.nan)
+
+    return (
+        _Criterion(
+            name="of orientation", results=results, missing=np.inf,
+            show=lambda angle: f"{np.degrees(angle):.2f} deg", plain=float(np.radians(1.0)),
         ),
     )  # fmt: skip
 

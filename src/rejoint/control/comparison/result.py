@@ -76,6 +76,8 @@ class HoldRow:
     """of the tool itself; None where nobody knows it"""
     settled_modelled: TrueError | None = None
     """true error over the same time by a calibration of the arm; None where it is known, or there is no calibration"""
+    turned: Spread | None = None
+    """[rad] orientation error by the encoders over the same time; None where targets have no orientation"""
 
     @property
     def true_error(self) -> TrueError:
@@ -123,6 +125,8 @@ class Outcomes:
     """per distance: 1 where the error stays below it, else 0; None where the target was not held"""
     modelled: tuple[Values, ...] = ()
     """[m] true error by a calibration, value and ends of its interval; empty where there is none, or it is known"""
+    turned: Values = ()
+    """[rad] orientation error by the encoders, mean of the last part of a hold; empty where targets have none"""
 
     def array(self, name: str) -> Array:
         """Return one field as (S, R, K), or (W, S, R, K) for ``stay``, ``stayed`` and ``modelled``; NaN for None."""
@@ -259,6 +263,8 @@ class Comparison:
     driven beside a comparison that was aimed"""
     directions: DirectionVariation | None = None
     """of the recommended controller; None where that was not asked for"""
+    orientations: tuple[tuple[str, ...], ...] = ()
+    """how the tool was to be turned at the targets, in words; empty where targets are points"""
 
     def row(self, controller: str) -> ControllerRow:
         """Return the row of a controller; InputError names those there are."""

@@ -33,7 +33,7 @@ class Tally:
     def __init__(self, shape: tuple[int, int, int], protocol: Protocol) -> None:
         self.shape, self.protocol = shape, protocol
         self.crossed, self.crossing_error, self.crossing_true, self.crossing_time = _unknown(4, shape)
-        self.settled, self.settled_true, self.oscillation = _unknown(3, shape)
+        self.settled, self.settled_true, self.oscillation, self.turned = _unknown(4, shape)
         self.stay = _unknown(len(protocol.within), shape)
         self.away, self.away_true = _unknown(2, (*shape, 3))
         self.modelled = _unknown(3, shape)
@@ -55,7 +55,7 @@ class Tally:
             self.settled[at], self.settled_true[at] = held.settled, held.settled_true
             self.oscillation[at], self.stay[(slice(None), *at)] = held.oscillation, held.stay
             self.away[at], self.away_true[at] = held.away, held.away_true
-            self.modelled[(slice(None), *at)] = held.modelled
+            self.modelled[(slice(None), *at)], self.turned[at] = held.modelled, held.turned
         self.cycles += driven.cycles
         self.ended += driven.ended
         for reason, cycles in driven.reasons.items():
@@ -115,6 +115,7 @@ class Tally:
             poses=_pose_accuracy(self.away),
             poses_true=_pose_accuracy(self.away_true),
             settled_modelled=mean_modelled(self.modelled) if np.isfinite(self.modelled).any() else None,
+            turned=spread(self.turned.ravel(), labels),
         )
 
     def _guard_counts(self) -> tuple[GuardCount, ...]:
@@ -140,6 +141,7 @@ class Tally:
             stay=tuple(_values(part) for part in stay),
             stayed=tuple(_values(part) for part in stayed),
             modelled=tuple(_values(part) for part in self.modelled) if np.isfinite(self.modelled).any() else (),
+            turned=_values(self.turned) if np.isfinite(self.turned).any() else (),
         )
 
 

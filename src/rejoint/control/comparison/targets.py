@@ -4,13 +4,20 @@ from __future__ import annotations
 
 import csv
 import io
+from collections.abc import Callable
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
 from rejoint.arms import Arm, Array, solve_position, tcp_position
+from rejoint.arms.orientation import Orientation
+from rejoint.arms.posing import NEAR, TURNED, find_postures, missed_pose
+from rejoint.control.poses import FORMS, columns, in_words, placed
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import read_bounded
+
+T = TypeVar("T")
 
 _HEADER = ["x", "y", "z"]
 _MOST = 250_000
@@ -20,6 +27,8 @@ _REACHED = 1e-3
 _POSTURES, _STARTS = 5000, 4
 """Postures to look among where a target is missed from rest, and the nearest of them from which to go on (measured: so
 each of a thousand places that an arm shows is found, for both arms of the catalogue)"""
+_WHOLE = 6
+"""Joints that an arm needs to turn its tool freely"""
 _NAMED = 5
 """Targets that an error names (chosen: one line)"""
 
@@ -35,9 +44,10 @@ def draw_targets(arm: Arm, *, sets: int, count: int = 10, seed: int = 0) -> Arra
     return np.stack([arm.targets.sample(np.random.default_rng(stream), (count,)) for stream in streams])
 
 
-def read_targets(path: Path, arm: Arm) -> Array:
+def read_targets(path: Path, arm: Arm) -> tuple[Array, Orientation | None]:
     """Read a CSV file with the header ``x,y,z`` and one target in millimetres a line; returns (K, 3) [m].
 
+    With columns of an orientation (`rejoint.control.poses`) also how the tools are to be turned there, (K,); else None.
     FileError names the line that cannot be read, or the lines whose targets lie outside the target region or
     out of the arm's reach.
     """
@@ -49,28 +59,30 @@ def read_targets(path: Path, arm: Arm) -> Array:
         raise FileError(path, "no such file", "check the path") from error
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise FileError(path, f"cannot be read as text ({error})", "give a CSV file") from error
-    if not lines or [cell.strip().lower() for cell in lines[0][1]] != _HEADER:
+    make = columns(lines[0][1]) if lines else None
+    if make is None:
         found = ",".join(lines[0][1]) if lines else "nothing"
-        raise FileError(path, f"the header is {found!r}, expected 'x,y,z'", "name the columns; values are millimetres")
+        raise FileError(path, f"the header is {found!r}, expected 'x,y,z'", f"name the columns: {FORMS}; in mm and deg")
     if len(lines) == 1:
         raise FileError(path, "no targets below the header", "add one line per target")
-    targets = np.array([_parse(path, number, line) for number, line in lines[1:]])
-    _check(path, arm, targets, [number for number, _ in lines[1:]])
-    return targets
+    targets, turns = placed(arm, [parsed(path, number, line, make) for number, line in lines[1:]])
+    _check(path, arm, targets, turns, [number for number, _ in lines[1:]])
+    return targets, turns
 
 
-def _parse(path: Path, number: int, line: list[str]) -> list[float]:
+def parsed(path: Path, number: int, line: list[str], make: Callable[[list[str]], T]) -> T:
+    """Return what ``make`` makes of a line; FileError with its number where that is none."""
     try:
-        values = [float(cell) / 1e3 for cell in line]
-    except ValueError as error:
-        raise FileError(path, f"line {number}: {','.join(line)!r} holds no numbers", "give x,y,z in mm") from error
-    if len(values) != len(_HEADER) or not np.isfinite(values).all():
-        raise FileError(path, f"line {number}: {','.join(line)!r} is not three finite numbers", "give x,y,z in mm")
-    return values
+        return make(line)
+    except InputError as error:
+        raise FileError(path, f"line {number}: {','.join(line)!r} {error}", "give what the header says") from error
 
 
-def require_reachable(arm: Arm, targets: Array) -> None:
-    """Raise InputError for targets (S, K, 3) [m] that are no numbers or out of the arm's reach, and name them."""
+def require_reachable(arm: Arm, targets: Array, turns: Orientation | None = None) -> None:
+    """Raise InputError for targets (S, K, 3) [m] that are no numbers or out of the arm's reach, and name them.
+
+    So are those where the tool cannot be turned as in ``turns`` (S, K).
+    """
     sets, count, _ = targets.shape
     if not np.isfinite(targets).all():
         raise InputError("targets: some are no finite numbers; give x, y, z in metres")
@@ -79,6 +91,9 @@ def require_reachable(arm: Arm, targets: Array) -> None:
     far = _out_of_reach(names, points, beyond_reach(arm, points))
     if far:
         raise InputError(f"targets: {far}; give places, in metres, that the tool can reach")
+    askew = "" if turns is None else _not_turned(arm, names, points, turns.flat)
+    if askew:
+        raise InputError(f"targets: {askew}")
 
 
 def beyond_reach(arm: Arm, targets: Array) -> Array:
@@ -109,7 +124,22 @@ def _point(target: Array) -> str:
     return f"({', '.join(f'{value * 1e3:g}' for value in target)}) mm"
 
 
-def _check(path: Path, arm: Arm, targets: Array, numbers: list[int]) -> None:
+def _not_turned(arm: Arm, names: list[str], targets: Array, turns: Orientation) -> str:
+    """Name the targets (K, 3) [m] where no posture turns the tool as in ``turns`` (K,); empty where there is none."""
+    postures = find_postures(arm, targets, np.broadcast_to(arm.rest, (len(targets), arm.joints)), turns)
+    off, angle = missed_pose(arm, postures, targets, turns)
+    which = np.flatnonzero((off > NEAR) | (angle > TURNED))
+    if not len(which):
+        return ""
+    far = [f"{names[k]}: at {_point(targets[k])} the tool cannot have {in_words(turns[k])}: at best "
+           f"{1e3 * off[k]:.0f} mm and {np.degrees(angle[k]):.0f} deg off" for k in which[:_NAMED]]  # fmt: skip
+    more = f"; and {len(which) - _NAMED} more" if len(which) > _NAMED else ""
+    few = arm.joints < _WHOLE and bool(turns.whole[which].any())
+    hint = f"an arm of {arm.joints} joints has a direction dx,dy,dz at most" if few else "give another orientation"
+    return f"{'; '.join(far)}{more}; {hint}"
+
+
+def _check(path: Path, arm: Arm, targets: Array, turns: Orientation | None, numbers: list[int]) -> None:
     box = arm.targets
     region = ", ".join(
         f"{low:.0f} <= {axis} <= {high:.0f}"
@@ -120,3 +150,6 @@ def _check(path: Path, arm: Arm, targets: Array, numbers: list[int]) -> None:
                for k in np.flatnonzero(~box.contains(targets))[:1]]  # fmt: skip
     for problem in filter(None, (_out_of_reach(names, targets, beyond_reach(arm, targets)), *outside)):
         raise FileError(path, problem, f"stay inside {region} mm")
+    askew = "" if turns is None else _not_turned(arm, names, targets, turns)
+    if askew:
+        raise FileError(path, *askew.rsplit("; ", 1))

@@ -9,13 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, tcp_position
+from rejoint.arms.orientation import REACHED_TURN, Orientation
 from rejoint.control.accuracy import NOT_KNOWN, TrueError
 from rejoint.control.controller import ControlInput, Controller
 from rejoint.control.correction import Modelled, checked
 from rejoint.control.guard import GuardLimits
 from rejoint.control.loop import Schedule, follow, move
 from rejoint.control.moving.errors import Along, along, interpolated
-from rejoint.control.moving.path import Path
+from rejoint.control.moving.path import Path, path_of
 from rejoint.control.moving.posture import PathPostures
 from rejoint.control.moving.routes import Ahead, Guide, Routes, Stream
 from rejoint.control.recording import OnCycle, Recording
@@ -39,6 +40,8 @@ class Pass:
     true_error: TrueError
     """root mean square of the tool itself, without a lag, and how it is known"""
     log: RunLog | None = None
+    turned: float | None = None
+    """[rad] root mean square of the orientation error by the encoders, without a lag; None where none was asked for"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -58,8 +61,9 @@ class Followed:
 
     @property
     def followed(self) -> bool:
-        """Whether the last pass was ``within``, root mean square after the best single lag."""
-        return bool(self.passes) and self.passes[-1].encoder.rms_after <= self.within
+        """Whether the last pass was ``within``, root mean square after the best single lag, and the tool turned so."""
+        last = self.passes[-1] if self.passes else None
+        return last is not None and last.encoder.rms_after <= self.within and (last.turned or 0.0) <= REACHED_TURN
 
 
 def corrected_path(arm: Arm, path: Path, correction: Modelled) -> Path:
@@ -67,13 +71,15 @@ def corrected_path(arm: Arm, path: Path, correction: Modelled) -> Path:
     time = np.linspace(0.0, path.duration, max(2, round(path.duration / _STEP) + 1))
     places = path.at(time)
     aims = places
-    postures = PathPostures(arm, places[:1])
+    wanted = turns = path.turn_at(time)
+    postures = PathPostures(arm, places[:1], turns and turns[:1])
     for _ in range(2):  # the second changes it by less than 0.1 mm
-        way = postures.along(aims[:, None])[:, 0]
+        way = postures.along(aims[:, None], turns and turns[:, None])[:, 0]
         came = np.concatenate([way[:1].repeat(_APPROACH, axis=0), way[:-_APPROACH]])[: len(way)]
         aims = checked(places, places - correction.shift(way, came))
+        turns = None if wanted is None else correction.untwisted(wanted, way, came)
         postures.last = way[:1]
-    return Path(time=time, place=aims, name=path.name)
+    return path_of(time, aims, turns, path.name)
 
 
 def corrector(arm: Arm, correction: Modelled, start: Array) -> Callable[[Array], Array]:
@@ -88,10 +94,10 @@ def corrector(arm: Arm, correction: Modelled, start: Array) -> Callable[[Array],
 
 def approach(
     robot: Robot, start: Array, sent: Array, limits: GuardLimits | None = None, *, give_up: GiveUp | None = None,
-    on_cycle: OnCycle | None = None,
+    on_cycle: OnCycle | None = None, turn: Orientation | None = None,
 ) -> Recording:  # fmt: skip
-    """Bring the arm slowly from the command ``sent`` (1, n) [rad] to the posture of ``start`` (3,) [m]."""
-    posture = PathPostures(robot.arm, start[None]).last[0]
+    """Bring the arm slowly from the command ``sent`` (1, n) [rad] to the posture of ``start`` (3,) [m] and ``turn``."""
+    posture = PathPostures(robot.arm, start[None], turn and turn[None]).last[0]
     return move(robot, posture, sent=sent, settle=0.5, limits=limits, give_up=give_up, on_cycle=on_cycle)
 
 
@@ -111,9 +117,11 @@ def judge(arm: Arm, recording: Recording, guide: Ahead | Stream, b: int = 0) -> 
     at, places, aims = route_of(guide)
     true = np.linalg.norm(recording.true_tcp[rows, b] - interpolated(time, at, places), axis=-1)
     known = bool(np.isfinite(true).all()) and len(true) > 0
+    turned = recording.turned[rows, b]
     return Pass(
         encoder=along(time, tool, at, aims),
         true_error=TrueError(how="known", value=float(np.sqrt((true**2).mean()))) if known else NOT_KNOWN,
+        turned=float(np.sqrt((turned**2).mean())) if len(turned) and np.isfinite(turned).all() else None,
     )
 
 

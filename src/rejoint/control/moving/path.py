@@ -4,18 +4,24 @@ from __future__ import annotations
 
 import csv
 import io
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path as FilePath
 
 import numpy as np
 
 from rejoint.arms import Arm, Array
-from rejoint.control.comparison.targets import beyond_reach
+from rejoint.arms.orientation import WEIGHT, Orientation, tool_axis
+from rejoint.arms.posing import NEAR, TURNED, missed_pose
+from rejoint.arms.rotations import quaternion_of, rotation_of, same_side
+from rejoint.control.comparison.targets import beyond_reach, parsed
 from rejoint.control.moving.posture import PathPostures
+from rejoint.control.poses import FORMS, PLACE, Pose, columns, in_words, pointing
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import read_bounded
 
-_HEADER = ["time", "x", "y", "z"]
+_HEADER = ("time", *PLACE)
 _MOST = 4_000_000
 """[bytes] largest file that is read (chosen: ten minutes at 100 Hz)"""
 _LOOK = 0.04
@@ -34,7 +40,17 @@ class Path:
     place: Array
     """(T, 3) [m]"""
     name: str = "path"
+    direction: Array | None = None
+    """(T, 3) in the base frame, of any length: where the tool points; None where that does not matter"""
+    quaternion: Array | None = None
+    """(T, 4) w, x, y, z, of any length: the whole orientation of the tool, instead"""
+    weight: float = WEIGHT
+    """[m/rad] that the orientation counts"""
+    axis: Array = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]), repr=False)
+    """(3,) direction of the tool in its own frame; `on` knows it"""
     _slope: Array = field(init=False, repr=False)  # (T, 3) [m/s]
+    _turn: Array | None = field(init=False, repr=False, default=None)  # (T, 3) directions or (T, 4) quaternions
+    _turning: Array | None = field(init=False, repr=False, default=None)  # their slopes [1/s]
 
     def __post_init__(self) -> None:
         time, place = (np.array(value, dtype=float) for value in (self.time, self.place))
@@ -50,6 +66,45 @@ class Path:
         for name, value in (("time", time), ("place", place), ("_slope", spline_slopes(time, place))):
             value.setflags(write=False)
             object.__setattr__(self, name, value)
+        turn = self._knots()
+        object.__setattr__(self, "_turn", turn)
+        object.__setattr__(self, "_turning", None if turn is None else spline_slopes(time, turn))
+
+    def _knots(self) -> Array | None:
+        """Return the orientations as unit vectors; quaternions each on the side of the one before it."""
+        if self.direction is not None and self.quaternion is not None:
+            raise InputError("path: direction and quaternion are given, expected one of them")
+        given, size = (self.quaternion, 4) if self.direction is None else (self.direction, 3)
+        if given is None:
+            return None
+        turn = np.array(given, dtype=float)
+        if turn.shape != (len(self.time), size) or not (np.linalg.norm(turn, axis=-1) > 0.0).all():
+            raise InputError(
+                f"path: orientations of shape {turn.shape}, expected ({len(self.time)}, {size}), none zero"
+            )
+        turn = turn / np.linalg.norm(turn, axis=-1, keepdims=True)
+        return turn if size == 3 else same_side(turn)
+
+    @property
+    def turned(self) -> bool:
+        """Whether it says how the tool is to be turned."""
+        return self._turn is not None
+
+    def on(self, arm: Arm) -> Path:
+        """Return the path for the tool of ``arm``."""
+        return replace(self, axis=tool_axis(arm)) if self.turned else self
+
+    def turn_at(self, time: Array | float) -> Orientation | None:
+        """Return how the tool is to be turned (...) at ``time`` (...) [s]; None where that does not matter."""
+        if self._turn is None or self._turning is None:
+            return None
+        found = on_spline(self.time, self._turn, self._turning, time)[0]
+        shape, own = found.shape[:-1], found.reshape(-1, found.shape[-1])
+        make = rotation_of if self.direction is None else partial(pointing, self.axis)
+        return Orientation(
+            rotation=np.stack([make(one) for one in own]).reshape(*shape, 3, 3), axis=self.axis,
+            whole=np.full(shape, self.direction is None), weight=np.full(shape, self.weight),
+        )  # fmt: skip
 
     @property
     def duration(self) -> float:
@@ -69,15 +124,7 @@ class Path:
         return self._spline(time)[2]
 
     def _spline(self, time: Array | float) -> tuple[Array, Array, Array]:
-        inside = np.clip(time, 0.0, self.duration)
-        k = np.clip(np.searchsorted(self.time, inside, side="right") - 1, 0, len(self.time) - 2)
-        h = (self.time[k + 1] - self.time[k])[..., None]
-        u = (inside - self.time[k])[..., None] / h
-        p, q, a, b = self.place[k], self.place[k + 1], h * self._slope[k], h * self._slope[k + 1]
-        c, d = 3.0 * (q - p) - 2.0 * a - b, 2.0 * (p - q) + a + b
-        moving = np.asarray((np.asarray(time) >= 0.0) & (np.asarray(time) <= self.duration))[..., None]
-        speed = (a + u * (2.0 * c + 3.0 * u * d)) / h
-        return p + u * (a + u * (c + u * d)), moving * speed, moving * (2.0 * c + 6.0 * u * d) / h**2
+        return on_spline(self.time, self.place, self._slope, time)
 
     def require_followable(self, arm: Arm) -> None:
         """Raise InputError, which says where, unless ``arm`` can reach every place and is fast enough for it."""
@@ -90,7 +137,19 @@ class Path:
                 f"path: at {times[k]:.2f} s {_point(places[k])} is out of reach, {1e3 * beyond[k]:.0f} mm too far; "
                 "give places that the tool can reach"
             )
-        postures = PathPostures(arm, places[:1]).along(places[:, None])[:, 0]
+        turns = self.turn_at(times)
+        postures = PathPostures(arm, places[:1], turns and turns[:1]).along(places[:, None], turns and turns[:, None])[
+            :, 0
+        ]
+        if turns is not None:
+            off, angle = missed_pose(arm, postures, places, turns)
+            askew = (off > NEAR) | (angle > TURNED)
+            if askew.any():
+                k = int(askew.argmax())
+                raise InputError(
+                    f"path: at {times[k]:.2f} s {_point(places[k])} the tool cannot have {in_words(turns[k])}, at best "
+                    f"{1e3 * off[k]:.0f} mm and {np.degrees(angle[k]):.0f} deg off; give another orientation there"
+                )
         share = np.abs(np.diff(postures, axis=0)) / np.diff(times)[:, None] / arm.max_speed
         k, j = (int(index) for index in np.unravel_index(int(share.argmax()), share.shape))
         if share[k, j] > SPEED_SHARE:
@@ -99,6 +158,34 @@ class Path:
                 f"{np.degrees(share[k, j] * arm.max_speed[j]):.0f} deg/s, "
                 f"{np.degrees(SPEED_SHARE * arm.max_speed[j]):.0f} at most were expected; give the path more time there"
             )
+
+
+def on_spline(knots: Array, values: Array, slopes: Array, time: Array | float) -> tuple[Array, Array, Array]:
+    """Return value, derivative and second derivative (..., k) at ``time`` (...) of a spline; outside it stands still.
+
+    It goes through ``values`` (T, k) at the times ``knots`` (T,) [s] with ``slopes`` (T, k) [1/s].
+    """
+    inside = np.clip(time, 0.0, knots[-1])
+    k = np.clip(np.searchsorted(knots, inside, side="right") - 1, 0, len(knots) - 2)
+    h = (knots[k + 1] - knots[k])[..., None]
+    u = (inside - knots[k])[..., None] / h
+    p, q, a, b = values[k], values[k + 1], h * slopes[k], h * slopes[k + 1]
+    c, d = 3.0 * (q - p) - 2.0 * a - b, 2.0 * (p - q) + a + b
+    moving = np.asarray((np.asarray(time) >= 0.0) & (np.asarray(time) <= knots[-1]))[..., None]
+    speed = (a + u * (2.0 * c + 3.0 * u * d)) / h
+    return p + u * (a + u * (c + u * d)), moving * speed, moving * (2.0 * c + 6.0 * u * d) / h**2
+
+
+def path_of(time: Array, place: Array, turn: Orientation | None, name: str) -> Path:
+    """Return a path through ``place`` (T, 3) [m] at ``time`` (T,) [s] with orientations (T,), all of one kind."""
+    if turn is None:
+        return Path(time=time, place=place, name=name)
+    whole = bool(turn.whole[0])
+    return Path(
+        time=time, place=place, name=name, weight=float(turn.weight[0]), axis=turn.axis,
+        direction=None if whole else turn.rotation @ turn.axis,
+        quaternion=np.stack([quaternion_of(rotation) for rotation in turn.rotation]) if whole else None,
+    )  # fmt: skip
 
 
 def spline_slopes(time: Array, place: Array) -> Array:
@@ -129,7 +216,7 @@ def spline_slopes(time: Array, place: Array) -> Array:
 def read_path(file: FilePath) -> Path:
     """Read a CSV file with the header ``time,x,y,z``, in seconds and millimetres; FileError names a line that is wrong.
 
-    More columns are refused: an orientation would be ignored.
+    More columns are those of an orientation (`rejoint.control.poses`), which every line then has.
     """
     try:
         text = read_bounded(file, _MOST, "give fewer points").decode("utf-8-sig")
@@ -138,24 +225,44 @@ def read_path(file: FilePath) -> Path:
         raise FileError(file, "no such file, and no standard path", "check the name") from error
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise FileError(file, f"cannot be read as text ({error})", "give a CSV file") from error
-    if not rows or [cell.strip().lower() for cell in rows[0][1]] != _HEADER:
+    make = columns(rows[0][1], _HEADER) if rows else None
+    if make is None:
         found = ",".join(rows[0][1]) if rows else "nothing"
-        raise FileError(file, f"the header is {found!r}, expected 'time,x,y,z'", "values are seconds and millimetres")
-    values = np.array([_numbers(file, number, row) for number, row in rows[1:]]).reshape(-1, 4)
+        raise FileError(
+            file, f"the header is {found!r}, expected 'time,x,y,z'", f"seconds and millimetres; after them {FORMS}"
+        )
+    poses = [parsed(file, number, row, make) for number, row in rows[1:]]
+    time = np.array([float(row[0]) for _, row in rows[1:]])
     try:
-        return Path(time=values[:, 0], place=values[:, 1:] / 1e3, name=file.stem)
+        return _through(time, poses, file.stem)
     except InputError as error:
         raise FileError(file, str(error), "give at least two lines of increasing time") from error
 
 
-def _numbers(file: FilePath, number: int, row: list[str]) -> list[float]:
-    try:
-        values = [float(cell) for cell in row]
-    except ValueError as error:
-        raise FileError(file, f"line {number}: {','.join(row)!r} holds no numbers", "give time,x,y,z") from error
-    if len(values) != len(_HEADER) or not np.isfinite(values).all():
-        raise FileError(file, f"line {number}: {','.join(row)!r} is not four finite numbers", "give time,x,y,z")
-    return values
+def _through(time: Array, poses: Sequence[Pose], name: str) -> Path:
+    """Return the path through poses, all of which have an orientation or none has."""
+    place = np.array([pose.place_m for pose in poses]).reshape(-1, 3)
+    turned = {pose.turned for pose in poses}
+    if len(turned) > 1 or len({pose.weight_m for pose in poses}) > 1:
+        raise InputError("path: orientations, of one weight, are on every line or on none")
+    if turned != {True}:
+        return Path(time=time, place=place, name=name)
+    if poses[0].direction is not None:
+        return Path(
+            time=time,
+            place=place,
+            name=name,
+            weight=poses[0].weight_m,
+            direction=np.array([pose.direction for pose in poses]),
+        )
+    rotations = [pose.rotation(np.array([0.0, 0.0, 1.0])) for pose in poses]  # whole ones need no axis
+    return Path(
+        time=time,
+        place=place,
+        name=name,
+        weight=poses[0].weight_m,
+        quaternion=np.array([quaternion_of(one) for one in rotations]),
+    )
 
 
 def _point(place: Array) -> str:

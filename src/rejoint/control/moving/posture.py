@@ -12,6 +12,8 @@ from functools import lru_cache
 import numpy as np
 
 from rejoint.arms import Arm, Array, gravity_torque, position_kinematics
+from rejoint.arms.orientation import Orientation, task
+from rejoint.arms.posing import find_postures
 
 SPARED = 20.0
 """Weight of the lightest joints by that of the heaviest (measured on four worn arms: 5 to 100 make no difference, with
@@ -35,38 +37,43 @@ def joint_weights(arm: Arm) -> Array:
 
 
 def spread(arm: Arm, jacobian: Array, way: Array) -> Array:
-    """Joint motions (..., n) [rad] that move the tool by ``way`` (..., 3) [m], mostly of the heavy joints."""
+    """Joint motions (..., n) [rad] that move the tool by ``way`` (..., k) [m], mostly of the heavy joints."""
     turned = np.swapaxes(jacobian, -1, -2) / joint_weights(arm)[:, None]
-    return (turned @ np.linalg.solve(jacobian @ turned + _SOFT * np.eye(3), way[..., None]))[..., 0]
+    ridge = _SOFT * np.eye(way.shape[-1])
+    return (turned @ np.linalg.solve(jacobian @ turned + ridge, way[..., None]))[..., 0]
 
 
 class PathPostures:
     """PathPostures of B arms; the search goes on from the last one."""
 
-    def __init__(self, arm: Arm, place: Array) -> None:
-        """Begin at ``place`` (B, 3) [m]."""
+    def __init__(self, arm: Arm, place: Array, turn: Orientation | None = None) -> None:
+        """Begin at ``place`` (B, 3) [m], with the tools turned as in ``turn`` (B,)."""
         self._arm = arm
         start = np.broadcast_to(arm.rest, (len(place), arm.joints))
-        self.last = self._search(place, start, _FIRST)
+        start = start if turn is None else find_postures(arm, place, start, turn)
+        self.last = self._search(place, start, _FIRST, turn)
         """(B, n) [rad]"""
 
-    def at(self, places: Array) -> Array:
-        """Return the postures (k, B, n) [rad] of ``places`` (k, B, 3) [m] near the last ones; keep the middle one."""
+    def at(self, places: Array, turns: Orientation | None = None) -> Array:
+        """Return the postures (k, B, n) [rad] of ``places`` (k, B, 3) [m] near the last ones; keep the middle one.
+
+        The tools are turned there as in ``turns`` (k, B).
+        """
         start = np.broadcast_to(self.last, (len(places), *self.last.shape))
-        found = self._search(places, start, _ROUNDS)
+        found = self._search(places, start, _ROUNDS, turns)
         self.last = found[len(found) // 2]
         return found
 
-    def along(self, places: Array) -> Array:
+    def along(self, places: Array, turns: Orientation | None = None) -> Array:
         """Return the postures (T, B, n) [rad] along ``places`` (T, B, 3) [m], one after the other."""
-        return np.concatenate([self.at(place[None]) for place in places])
+        return np.concatenate([self.at(place[None], turns and turns[k, None]) for k, place in enumerate(places)])
 
-    def _search(self, place: Array, q: Array, rounds: int) -> Array:
+    def _search(self, place: Array, q: Array, rounds: int, turn: Orientation | None) -> Array:
         arm = self._arm
         for _ in range(rounds):
-            tcp, jacobian = position_kinematics(arm, q)
+            missed, jacobian = task(arm, q, place, turn)
             home = arm.rest - q
-            way = place - tcp - (jacobian @ home[..., None])[..., 0]
+            way = missed - (jacobian @ home[..., None])[..., 0]
             step = home + spread(arm, jacobian, way)
             largest = np.abs(step).max(axis=-1, keepdims=True)
             q = np.clip(q + step * np.minimum(1.0, _STEP / np.maximum(largest, _STEP)), arm.lower, arm.upper)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from rejoint.arms import Array
-from rejoint.control.moving.path import Path
+from rejoint.control.moving.path import Path, path_of
 
 GAIN, LEAST, FADE = 0.7, 0.15, 0.6
 """Share of the first error that is added, the least one later, and the power of the number of times by which it falls
@@ -31,7 +31,8 @@ def learned(path: Path, aim: Path, time: Array, error: Array, number: int) -> Pa
     missed = np.stack([np.interp(grid, time, error[:, i]) for i in range(3)], axis=-1)
     shift = smooth(aim.at(grid) - path.at(grid) + max(GAIN / (1 + number) ** FADE, LEAST) * missed, grid[1] - grid[0])
     size = np.linalg.norm(shift, axis=-1, keepdims=True)
-    return Path(time=grid, place=path.at(grid) + shift * np.minimum(1.0, MOST / np.maximum(size, MOST)), name=path.name)
+    place = path.at(grid) + shift * np.minimum(1.0, MOST / np.maximum(size, MOST))
+    return path_of(grid, place, path.turn_at(grid), path.name)
 
 
 def smooth(values: Array, step: float) -> Array:

@@ -11,6 +11,7 @@ from typing import Protocol
 import numpy as np
 
 from rejoint.arms import Array
+from rejoint.arms.orientation import Orientation, stacked
 from rejoint.control.moving.path import Path
 from rejoint.system.errors import InputError
 
@@ -34,6 +35,9 @@ class Guide(Protocol):
     def aims(self, now: float, later: Array) -> Array:
         """Return where the encoders are to see the tool ``later`` (k,) [s] than ``now``, (k, 3) [m]."""
 
+    def turns(self, now: float, later: Array) -> Orientation | None:
+        """Return how the tool is to be turned then, (k,); None where that does not matter."""
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Ahead:
@@ -52,6 +56,10 @@ class Ahead:
     def aims(self, now: float, later: Array) -> Array:
         """Return the places (k, 3) [m] that are to come."""
         return (self.aim or self.path).at(now - self.lead_in + later)
+
+    def turns(self, now: float, later: Array) -> Orientation | None:
+        """Return the orientations (k,) that are to come."""
+        return (self.aim or self.path).turn_at(now - self.lead_in + later)
 
 
 @dataclass(eq=False)
@@ -105,6 +113,10 @@ class Stream:
         places = self._between(now + later - self.lag, now)
         return places if self.corrected is None else self.corrected(places)
 
+    def turns(self, now: float, later: Array) -> Orientation | None:  # noqa: ARG002 - a stream is of places
+        """Return None: the tool may be turned as it likes."""
+        return None
+
     def _between(self, time: Array, now: float) -> Array:
         with self._lock:
             count = bisect_right(self.time, now)
@@ -146,6 +158,13 @@ class Routes:
         """Return the aims (k, B, 3) [m] ``later`` (k, B) [s] than ``now`` (B,)."""
         columns = zip(self.guides, now, later.T, strict=True)
         return np.stack([guide.aims(float(time), column) for guide, time, column in columns], axis=1)
+
+    def turns(self, now: Array, later: Array) -> Orientation | None:
+        """Return how the tools are to be turned then, (k, B); None where that does not matter."""
+        columns = zip(self.guides, now, later.T, strict=True)
+        found = [guide.turns(float(time), column) for guide, time, column in columns]
+        known = [one for one in found if one is not None]
+        return stacked(known, axis=1) if len(known) == len(found) else None
 
 
 def played(path: Path, rate: float, lead_in: float = LEAD_IN) -> Stream:

@@ -22,9 +22,9 @@ class Sender:
     def reset(self, inputs: ControlInput, where: Mask) -> None:  # noqa: ARG002 - nothing is remembered that grows old
         """Begin at the first target."""
         if self._postures is None:
-            self._postures = PathPostures(self._arm, inputs.target)
+            self._postures = PathPostures(self._arm, inputs.target, inputs.turn)
 
     def command(self, inputs: ControlInput) -> Array:
         """Return the postures (B, n) [rad] of the targets now."""
         assert self._postures is not None  # noqa: S101 - the loop resets before it asks
-        return np.asarray(self._postures.at(inputs.aims(np.zeros(1)))[0])
+        return np.asarray(self._postures.at(inputs.aims(np.zeros(1)), inputs.turns(np.zeros(1)))[0])

@@ -70,7 +70,10 @@ class Tracker:
             return
         self._begun = True
         count = len(inputs.sent)
-        self._postures, self._seen = (PathPostures(self._arm, inputs.aims(np.zeros(1))[0]) for _ in range(2))
+        now = np.zeros(1)
+        turns = inputs.turns(now)
+        begin = inputs.aims(now)[0], turns and turns[0]
+        self._postures, self._seen = (PathPostures(self._arm, *begin) for _ in range(2))
         self._observer = PushObserver(self._arm, self._servos, self._gains.trust, self._usual)
         self._pace, self._firmness = Pace(), self._firm(self._observer.mass)
         self._pace.begin(inputs.state.time, np.ones(count, dtype=bool))
@@ -86,7 +89,7 @@ class Tracker:
             observer.sent(self._last, self._effective(inputs.sent) - self._wanted)
         elapsed = self._pace.tick(now)
         self._period += _SMOOTHING * (elapsed > 0.0) * (elapsed - self._period)
-        position, planned = inputs.state.position, self._seen.at(inputs.aims(np.zeros(1)))[0]
+        position, planned = inputs.state.position, self._planned(inputs)
         shift = self._relieve(position, position - planned, elapsed)
         observer.see(now, elapsed, position - planned - shift)
         away, speed = observer.soon(now)
@@ -111,10 +114,15 @@ class Tracker:
         self._missed += (1.0 - np.exp(-elapsed / self._gains.relief))[:, None] * (missed - self._missed)
         return dls(jacobian * ~light, -self._missed, _RELIEF_DAMPING)
 
+    def _planned(self, inputs: ControlInput) -> Array:
+        """Return the postures (B, n) [rad] that are wanted now."""
+        return np.asarray(self._seen.at(inputs.aims(np.zeros(1)), inputs.turns(np.zeros(1)))[0])
+
     def _motion(self, inputs: ControlInput, shift: Array) -> Moment:
         step = self._gains.step
         ahead = self._servos.delay + 0.5 * self._period + self._gains.early
-        plan = self._postures.at(inputs.aims(ahead + step * np.arange(-1.0, 2.0)[:, None]))
+        later = ahead + step * np.arange(-1.0, 2.0)[:, None]
+        plan = self._postures.at(inputs.aims(later), inputs.turns(later))
         return Moment(around=plan + shift, step=step)
 
     def _effective(self, sent: Array) -> Array:

@@ -18,7 +18,7 @@ IK_TOLERANCE, IK_ROUNDS, IK_STEP, IK_REST = 1e-5, 200, float(np.radians(10.0)), 
 """Those of `rejoint.arms.solve_position`; a test compares the results"""
 
 
-class Pose(NamedTuple):
+class LinkFrames(NamedTuple):
     """An arm in a posture."""
 
     axes: Tensor
@@ -33,7 +33,7 @@ class Pose(NamedTuple):
     """(n, 3) [m/rad] of the Jacobian"""
 
 
-def pose(graph: Graph, arm: Arm, q: Tensor) -> Pose:
+def pose(graph: Graph, arm: Arm, q: Tensor) -> LinkFrames:
     """Compute where everything is at the posture ``q`` (n,) [rad]."""
     sine, cosine = q.apply("Sin"), q.apply("Cos")
     frame = graph.constant(np.eye(4)[:3])
@@ -49,7 +49,7 @@ def pose(graph: Graph, arm: Arm, q: Tensor) -> Pose:
         centres.append((frame @ np.append(arm.com[j], 1.0)).shaped(1, 3))
     tcp = frame @ arm.tip[:, 3]
     joints, places = graph.joined(axes), graph.joined(origins)
-    return Pose(joints, places, graph.joined(centres), tcp, joints.cross(tcp - places))
+    return LinkFrames(joints, places, graph.joined(centres), tcp, joints.cross(tcp - places))
 
 
 def _framed(rotation: Array) -> Array:
@@ -69,7 +69,7 @@ def clip_norm(step: Tensor, limit: ArrayLike) -> Tensor:
     return step * (step.graph.tensor(limit) / step.largest().at_least(1e-12)).at_most(1.0)
 
 
-def gravity_torque(graph: Graph, arm: Arm, seen: Pose) -> Tensor:
+def gravity_torque(graph: Graph, arm: Arm, seen: LinkFrames) -> Tensor:
     """Return the torques (n,) [N m] that hold the arm against gravity."""
     hanging = np.triu(np.ones((arm.joints, arm.joints)))
     mass = (hanging @ arm.mass)[:, None]

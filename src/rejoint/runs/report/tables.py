@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from rejoint.control.comparison.racing import Race
 from rejoint.control.comparison.result import Comparison, ControllerRow, HoldRow, PoseAccuracy, Stay
 from rejoint.runs.report.numerals import NEVER, UNKNOWN, interval, number, spread
@@ -78,7 +80,8 @@ def _headers(comparison: Comparison) -> list[str]:
     within = " / ".join(f"{distance * MM:g}" for distance in comparison.protocol.within)
     return [
         "success [%]", "error at the crossing [mm]", f"{plural(_count(comparison), 'target')} [s]",
-        "settled error, encoders [mm]", "settled error, true [mm]", f"time to stay within {within} mm [s]",
+        "settled error, encoders [mm]", *(["orientation, encoders [deg]"] if comparison.orientations else []),
+        "settled error, true [mm]", f"time to stay within {within} mm [s]",
         "oscillation [mm]", "guard",
     ]  # fmt: skip
 
@@ -98,6 +101,7 @@ def _cells(row: ControllerRow, comparison: Comparison) -> list[Cell]:
         Cell(_spread(crossing.error, MM), _small_print("", paper.error)),
         Cell(_mean(crossing.cycle_time, 1.0, 3), _small_print(_range(crossing.cycle_time, 1.0), cycle)),
         Cell(_mean(hold.settled, MM, 3), _small_print(_range(hold.settled, MM), "", _held(row, comparison))),
+        *([_turned(hold)] if comparison.orientations else []),
         _true(hold),
         _stays(hold.stays),
         Cell(_mean(hold.oscillation, MM, 2)),
@@ -111,6 +115,11 @@ def _true(hold: HoldRow) -> Cell:
     if found.value is None or found.how == "known":
         return Cell(_mean(hold.settled_true, MM, 2), _range(hold.settled_true, MM, 2))
     return Cell(f"{number(found.value * MM, 2)}, {found.how}", found.range)
+
+
+def _turned(hold: HoldRow) -> Cell:
+    degrees = float(np.degrees(1.0))
+    return Cell(_mean(hold.turned, degrees, 2), _range(hold.turned, degrees, 2))
 
 
 def _small_print(own: str, paper: str, more: str = "") -> str:

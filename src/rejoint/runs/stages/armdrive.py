@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from rejoint.arms import Array
+from rejoint.arms.orientation import Orientation
 from rejoint.control.contract import check_controller_period
 from rejoint.control.controller import ControlInput, Controller
 from rejoint.control.correction import Modelled
@@ -44,6 +45,8 @@ class ArmDrive:
     run: Run
     robot: Robot
     controller: Controller
+    turning: Controller
+    """drives to poses; the same, where that turns tools"""
     name: str
     """of the controller"""
     limits: GuardLimits | None
@@ -69,14 +72,15 @@ class ArmDrive:
             self._journal = start_journal(self.run, LABEL, self.robot, self._label)
         return self._sent, self._usual
 
-    def to_target(self, target: Array, timeout: float, give_up: GiveUp) -> None:
-        """Drive to ``target`` (3,) [m]."""
+    def to_target(self, target: Array, turn: Orientation | None, timeout: float, give_up: GiveUp) -> None:
+        """Drive to ``target`` (3,) [m], with the tool turned as in ``turn`` ()."""
         sent, _ = self.begin()
         schedule = Schedule(dwell=timeout, sent=sent, give_up=give_up)
+        controller = self.controller if turn is None else self.turning
         self.kept(
             lambda: drive(
-                self.robot, self.controller, target[None, None], schedule, limits=self.limits,
-                correction=self.correction, on_cycle=self.see,
+                self.robot, controller, target[None, None], schedule, limits=self.limits,
+                correction=self.correction, on_cycle=self.see, turns=None if turn is None else turn[None, None],
             )
         )  # fmt: skip
 
@@ -122,11 +126,11 @@ class ArmCarrier:
     drive: ArmDrive
     ended: threading.Event
 
-    def approach(self, start: Array, sent: Array) -> Recording:
+    def approach(self, start: Array, sent: Array, turn: Orientation | None = None) -> Recording:
         """See `rejoint.runs.stages.pathdrive.Carrier`."""
         return self._piece(
             lambda see: approach(
-                self.drive.robot, start, sent, self.drive.limits, give_up=self._give_up, on_cycle=see
+                self.drive.robot, start, sent, self.drive.limits, give_up=self._give_up, on_cycle=see, turn=turn
             )
         )  # fmt: skip
 

@@ -89,8 +89,9 @@ def compare(
         baselines, on a real arm without the paper's PIDs (``pid-sum``, ``pid-literal``), the policy that comes with the
         package (``shelf``) where it suits, the policy of the run, and predictive control where there is a twin
     targets
-        (K, 3) or (S, K, 3) [m], or a CSV file in mm with the header ``x,y,z``; by default drawn, ten in a set; in a
-        race the first ten are those of the diagnosis
+        (K, 3) or (S, K, 3) [m], or `Pose` objects, or a CSV file in mm with the header ``x,y,z`` and perhaps columns
+        of an orientation, which only baselines heed; by default drawn, ten in a set; in a race the first ten are those
+        of the diagnosis
     run
         run, or its folder, with the policy and the twin, into which results are written; without one nothing is
     arm
@@ -152,17 +153,19 @@ def compare(
     with exclusive(about):
         real = not is_batchable(robot)
         race = Race() if real and not full else None
-        points = as_targets(targets, chosen, sets=sets or (SETS if race is None else RACE_SETS), seed=seed)
+        points, turns = as_targets(targets, chosen, sets=sets or (SETS if race is None else RACE_SETS), seed=seed)
         known = as_twin(twin) if twin is not None else None if about is None else about.twin
-        say_heavy(chosen, known, points, say)
-        factories = make_factories(controllers, chosen, period_of(robot, period), run=about, twin=known, real=real)
+        say_heavy(chosen, known, points, say, turns)
+        factories = make_factories(
+            controllers, chosen, period_of(robot, period), run=about, twin=known, real=real, posed=turns is not None
+        )
         settings = Settings(
             repetitions=repetitions or (REPETITIONS if race is None else 1), seed=seed, batched=not real,
             protocol=protocol or (Protocol() if race is None else RACE_PROTOCOL), leave_out=not controllers, race=race,
         )  # fmt: skip
         model = calibration_of(calibration, about, chosen, address_of(robot))
         before = None
-        if race is not None and about is not None and payload is None and tool is None:
+        if race is not None and about is not None and payload is None and tool is None and turns is None:
             before = open_loop(about, address_of(robot), settings.protocol, model)
         if before is not None and targets is None:
             points[0] = before.targets
@@ -171,6 +174,6 @@ def compare(
             twin=known, correct=correction_of(calibration, about, chosen, address_of(robot)),
             model=model,
             file=str(targets) if isinstance(targets, Path | str) else "", directions=directions,
-            before=before if before is not None and np.array_equal(points[0], before.targets) else None,
+            turns=turns, before=before if before is not None and np.array_equal(points[0], before.targets) else None,
         )  # fmt: skip
         return job.drive(on_progress)

@@ -39,6 +39,7 @@ from rejoint.system.stopping import noted
 from rejoint.system.version import __version__
 
 if TYPE_CHECKING:
+    from rejoint.arms.orientation import Orientation
     from rejoint.control.correction import Modelled
     from rejoint.diagnosis.calibration.calibration import Calibration
     from rejoint.twin.twin import Twin
@@ -81,6 +82,8 @@ class ComparisonJob:
     before: OpenLoopTrials | None
     """what the diagnosis measured at the first set; None where that is not known, or not wanted"""
     directions: bool
+    turns: Orientation | None = None
+    """(S, K) how the tools are to be turned at the targets; None where that does not matter"""
 
     def drive(self, on_progress: Progress) -> Compared:
         """Compare; in a run, go on after the trials that are done there, and write what comes out."""
@@ -127,7 +130,7 @@ class ComparisonJob:
                 watched, self.factories, self.targets, self.settings, on_progress=on_progress, on_trial=keep,
                 ledger=ledger, limits=guard_limits(self.run, self.arm, address_of(self.robot)),
                 stance=stance_of(self.twin), correction=self.correct, model=self.model,
-                measured=() if before is None else before.driven, source=SOURCE,
+                measured=() if before is None else before.driven, source=SOURCE, turns=self.turns,
             )  # fmt: skip
             result = self._beside(result, before, self._open if self.settings.batched else watched)
         if before is not None and self.run is not None:
@@ -149,7 +152,7 @@ class ComparisonJob:
         try:
             if self.correct is not None and before is not None:
                 result = replace(result, as_found=before.errors())
-            elif self.correct is not None and own is not None:
+            elif self.correct is not None and own is not None and self.turns is None:
                 result = replace(result, as_found=found_errors(how, own, self.targets[0], protocol))
             if self.directions:
                 best = recommend(result).controller
@@ -173,4 +176,7 @@ class ComparisonJob:
             __version__, address_of(self.robot), repr(self.arm), repr(self.settings), tuple(self.factories),
             self.period, files, self.targets.tolist(), repr(self.correct), self.before is None,
         )  # fmt: skip
+        if self.turns is not None:
+            asked = self.turns.rotation, self.turns.whole, self.turns.weight
+            about = (*about, *(part.tolist() for part in asked))
         return digest(repr(about).encode()).decode()

@@ -91,7 +91,8 @@ def deploy(
         policy, its file, the name of a baseline, ``shelf``, ``predictive``, or your own; by default the policy of
         ``run``, and where there is none that which comes with the package for any worn arm of this build
     targets
-        (K, 3) [m], or a CSV file in mm with the header ``x,y,z``; by default ten that are drawn
+        (K, 3) [m], or `Pose` objects, or a CSV file in mm with the header ``x,y,z`` and perhaps columns of an
+        orientation; by default ten points that are drawn
     run
         run, or its folder, with the policy and the twin; the run log is written there, without one nothing is
     arm
@@ -151,16 +152,21 @@ def deploy(
     chosen = with_load(arm_of(robot, arm) if about is None else about.arm, robot, payload, tool)
     seed = seed or 0 if about is None else about.seed
     with exclusive(about):
-        points = as_targets(targets, chosen, sets=1, seed=seed)
+        points, turns = as_targets(targets, chosen, sets=1, seed=seed)
         if len(points) != 1:
             raise InputError(f"deployment: {len(points)} sets of targets, expected one: (targets, 3) in metres")
         known = as_twin(twin) if twin is not None else None if about is None else about.twin
-        say_heavy(chosen, known, points, say)
+        if turns is not None and eye is not None:
+            raise InputError("deploy: what a camera sees corrects places only; leave it out, or give points")
+        say_heavy(chosen, known, points, say, turns)
         correct = correction_of(calibration, about, chosen, address_of(robot))
         usual = period_of(robot, period)
-        wanted = usual_controller(about) if controller is None else controller
-        ((name, make),) = make_factories([wanted], chosen, usual, run=about, twin=known).items()
-        job = Deployment(controller=name, targets=points[0], dwell=dwell, within=within)
+        posed = turns is not None
+        wanted = usual_controller(about, posed=posed) if controller is None else controller
+        ((name, make),) = make_factories([wanted], chosen, usual, run=about, twin=known, posed=posed).items()
+        job = Deployment(
+            controller=name, targets=points[0], dwell=dwell, within=within, turns=None if turns is None else turns[0]
+        )
         if about is not None:
             require_space(about.path)
         rows = 0 if usual is None else int(len(job.targets) * dwell / min(usual))
@@ -227,7 +233,8 @@ class _Drive:
             if done is not None:
                 on_end(with_sightings(done, seen))
             raise
-        log = recording.log(0, label)
+        asked = "; ".join(visit.orientation for visit in found.visits)
+        log = recording.log(0, label, {"orientations": asked} if job.turns is not None else None)
         found = replace(with_sightings(found, seen), log=log)
         if journal is not None:
             with saving(found):

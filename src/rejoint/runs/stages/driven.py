@@ -12,8 +12,10 @@ from numpy.typing import ArrayLike
 
 from rejoint.arms import Arm, Array, tcp_position
 from rejoint.control.comparison.targets import require_reachable
+from rejoint.control.controller import heeds_turn
 from rejoint.control.moving.drive import Followed
 from rejoint.control.moving.routes import Stream
+from rejoint.control.poses import Pose, placed
 from rejoint.control.servogains import limits_under, under_gains
 from rejoint.robots import open_robot
 from rejoint.runs.given import CalibrationLike, Period
@@ -27,6 +29,7 @@ from rejoint.runs.stages.driving import (
     recommended,
     stance_of,
     twin_in_force,
+    usual_controller,
 )
 from rejoint.runs.stages.loads import Say, say_heavy
 from rejoint.runs.stages.motions import AlongPath, MotionThread, MoveTo
@@ -35,6 +38,8 @@ from rejoint.system.errors import InputError, NotReachedError, NotReadyError
 from rejoint.system.files import require_space
 from rejoint.system.stopping import noted, pause
 
+WITHIN_TURN = float(np.radians(1.0))
+"""[rad] within which an orientation counts as reached where an arm is sent to a pose (chosen: as the vendor's)"""
 _LOOK = 0.01  # [s] between two looks at whether a motion has ended (chosen)
 
 
@@ -54,6 +59,8 @@ class ArmState:
     """(3,) where the arm was sent last"""
     error_m: float | None = None
     """of the tool from where it was sent, by the encoders"""
+    turned_rad: float | None = None
+    """of the tool from how it was to be turned, by the encoders; None where it was sent to a point"""
 
 
 class DrivenArm:
@@ -87,8 +94,13 @@ class DrivenArm:
             correct, driver = correction_of(calibration, run, arm, address), make(arm)
             stack.enter_context(under_gains(robot, driver))
             self._twin = twin_in_force(run, robot)
+            turning = driver
+            if not heeds_turn(driver):
+                by = usual_controller(run, posed=True)
+                (turn,) = make_factories([by], arm, period, twin=self._twin, posed=True).values()
+                turning = turn(arm)
             self._drive = ArmDrive(
-                run=run, robot=robot, controller=driver, name=self.controller,
+                run=run, robot=robot, controller=driver, turning=turning, name=self.controller,
                 limits=limits_under(guard_limits(run, arm, address), robot, driver),
                 stance=stance_of(self._twin),
                 correction=None if correct is None else correct(arm),
@@ -117,24 +129,30 @@ class DrivenArm:
         return self._followed
 
     def move_to(
-        self, target_m: ArrayLike, *, within_m: float = 0.002, timeout_s: float = 10.0, wait: bool = True
-    ) -> ArmState | None:
-        """Bring the tool to ``target_m`` (3,) [m] in the base frame.
+        self, target_m: ArrayLike | Pose, *, within_m: float = 0.002, within_rad: float = WITHIN_TURN,
+        timeout_s: float = 10.0, wait: bool = True,
+    ) -> ArmState | None:  # fmt: skip
+        """Bring the tool to ``target_m`` (3,) [m] in the base frame, or to a `Pose`.
 
-        It counts as reached once the tool stays ``within_m`` of where it is sent, by the encoders. With ``wait`` this
+        It counts as reached once the tool stays ``within_m`` of where it is sent, by the encoders, and where the target
+        has an orientation ``within_rad`` of that. To poses the feed-forward drives, where the controller of the run
+        does not turn the tool. With ``wait`` this
         returns the state at the end; without, it returns None at once: then `wait`, `state` and `stop` tell and end the
         motion. InputError for a target out of reach, before anything moves; NotReachedError after ``timeout_s``;
         GuardTripError or RobotError where the motion had to be ended. In any case the arm then holds.
         """
-        target = np.asarray(target_m, dtype=float)
+        pose = target_m if isinstance(target_m, Pose) else None
+        target = np.asarray(target_m if pose is None else pose.place_m, dtype=float)
         if target.shape != (3,) or not np.isfinite(target).all():
             raise InputError(f"move_to: expected a point (3,) in metres, got {target_m!r}")
-        if not (within_m > 0.0 and timeout_s > 0.0):
-            raise InputError(f"move_to: within_m and timeout_s are positive, got {within_m} and {timeout_s}")
-        require_reachable(self.arm, target[None, None])
+        if not (within_m > 0.0 and within_rad > 0.0 and timeout_s > 0.0):
+            given = f"{within_m}, {within_rad} and {timeout_s}"
+            raise InputError(f"move_to: within_m, within_rad and timeout_s are positive, got {given}")
+        turns = None if pose is None else placed(self.arm, [pose])[1]
+        require_reachable(self.arm, target[None, None], turns and turns[None])
         self._require_free()
-        say_heavy(self.arm, self._twin, target, self._say)
-        self._start(MoveTo(self._drive, target, within_m, timeout_s))
+        say_heavy(self.arm, self._twin, target, self._say, turns)
+        self._start(MoveTo(self._drive, target, (within_m, within_rad), timeout_s, turns and turns[0]))
         return self.wait() if wait else None
 
     @overload
@@ -164,7 +182,7 @@ class DrivenArm:
         require_repeatable(path, repeat, rate_hz)
         if not within_m > 0.0:
             raise InputError(f"follow: within_m is positive, got {within_m}")
-        given = followable(path, self.arm, self._run.seed, duration_s)
+        given = followable(path, self.arm, self._run.seed, duration_s, rate_hz)
         name, make = follower(TRACKER, self.arm, self._period, self._run, self._twin)
         self._followed = None
         self._start(
@@ -249,4 +267,5 @@ class DrivenArm:
             time_s=time, joints_rad=joints.copy(), tool_m=tool, moving=moving,
             target_m=cycle.target[0] if cycle is not None and aimed else None,
             error_m=float(np.linalg.norm(cycle.aim[0] - tool)) if cycle is not None and aimed else None,
+            turned_rad=None if cycle is None or np.isnan(cycle.turned[0]) else float(cycle.turned[0]),
         )  # fmt: skip

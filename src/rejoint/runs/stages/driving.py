@@ -17,7 +17,7 @@ from rejoint.control.bands import standing_bands
 from rejoint.control.catalogue import POLICY, PREDICTIVE, contenders, make_controller
 from rejoint.control.comparison.recommend import recommend
 from rejoint.control.contract import check_controller_period
-from rejoint.control.controller import Controller
+from rejoint.control.controller import Controller, heeds_turn
 from rejoint.control.correction import Modelled
 from rejoint.control.feedforward import FeedforwardController
 from rejoint.control.gainsearch import GainsFound
@@ -34,7 +34,7 @@ from rejoint.robots import place_of
 from rejoint.robots.own import unloaded
 from rejoint.runs.given import CalibrationLike, Period, as_calibration, as_policy
 from rejoint.runs.run import Run
-from rejoint.system.errors import AddressError, ContractError, FileError
+from rejoint.system.errors import AddressError, ContractError, FileError, InputError
 from rejoint.system.files import read_json
 
 if TYPE_CHECKING:
@@ -126,27 +126,40 @@ def recommended(run: Run) -> str:
 
 def make_factories(
     given: Controllers, arm: Arm, period: Period | None, *, run: Run | None = None, twin: Twin | None = None,
-    real: bool = False,
+    real: bool = False, posed: bool = False,
 ) -> dict[str, Factory]:  # fmt: skip
     """Return what makes each controller, by its name; the feed-forward believes the stiffness of ``twin``.
 
     Nothing given means the `contenders` for a ``real`` arm or one in virtual time. A name, a policy or a control
-    period that does not fit is refused here, before anything moves.
+    period that does not fit is refused here, before anything moves. For ``posed`` targets, which have an orientation,
+    those take part that turn the tool.
     """
     usual = np.nan if period is None else sum(period) / 2
     if not given:
         own = run is not None and run.folder.policy.exists()
         rivals = RIVALS if real and run is not None and run.folder.gains.exists() else ()
-        given = (*contenders(real=real, shelf=_on_shelf(arm, usual), policy=own, twin=twin is not None), *rivals)
+        shelf = not posed and _on_shelf(arm, usual)
+        given = (*contenders(real=real, shelf=shelf, policy=own and not posed, twin=bool(twin) and not posed), *rivals)
     named = given if isinstance(given, Mapping) else _unique(given)
     factories = {name: _factory(one, run, twin, usual) for name, one in named.items()}
-    for make in factories.values():
-        check_controller_period(make(arm), usual)
+    for name, make in factories.items():
+        controller = make(arm)
+        check_controller_period(controller, usual)
+        if posed and not heeds_turn(controller):
+            raise InputError(
+                f"{name} brings the tool to its place and does not turn it; for targets with an orientation take "
+                f"{FeedforwardController.name}, integrator or default"
+            )
     return factories
 
 
-def usual_controller(run: Run | None) -> str:
-    """Name what drives an arm where nothing else is asked for: the policy of its run, before one that of the shelf."""
+def usual_controller(run: Run | None, *, posed: bool = False) -> str:
+    """Name what drives an arm where nothing else is asked for: the policy of its run, before one that of the shelf.
+
+    Neither turns a tool: for ``posed`` targets it is the feed-forward, which knows the twin.
+    """
+    if posed:
+        return FeedforwardController.name
     return POLICY if run is not None and run.folder.policy.exists() else SHELF
 
 

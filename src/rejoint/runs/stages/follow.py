@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from numpy.typing import ArrayLike
 
 from rejoint.arms import Array
+from rejoint.arms.orientation import Orientation
 from rejoint.control.controller import Controller
 from rejoint.control.guard import GuardLimits
 from rejoint.control.moving.drive import Followed, approach, follow_guide
@@ -89,7 +90,8 @@ def follow(
     robot
         robot or its address
     path
-        `Path`, CSV file with the header ``time,x,y,z`` in seconds and millimetres, (T, 4) numbers in seconds and
+        `Path`, CSV file with the header ``time,x,y,z`` in seconds and millimetres and perhaps columns of an
+        orientation, (T, 4) numbers in seconds and
         metres, or a standard path: ``circle-8s``, ``random-0.2hz`` and the like; or a `Stream`, which needs a
         ``duration``, and a first target before it begins
     run
@@ -148,10 +150,11 @@ def follow(
     seed = seed or 0 if about is None else about.seed
     require_repeatable(path, repeat, rate)
     with exclusive(about):
-        given = followable(path, chosen, seed, duration)
+        given = followable(path, chosen, seed, duration, rate)
         known = as_twin(twin) if twin is not None else None if about is None else about.twin
         if isinstance(given, Path):
-            say_heavy(chosen, known, given.place[:: max(1, len(given.place) // LOOKED_AT)], say)
+            few = slice(None, None, max(1, len(given.place) // LOOKED_AT))
+            say_heavy(chosen, known, given.place[few], say, given.turn_at(given.time[few]))
         correct = correction_of(calibration, about, chosen, address_of(robot))
         usual = period_of(robot, period)
         if about is not None:
@@ -187,8 +190,8 @@ class _Logged:
     on_progress: Progress
     period: float
 
-    def approach(self, start: Array, sent: Array) -> Recording:
-        return approach(self.robot, start, sent, self.limits)
+    def approach(self, start: Array, sent: Array, turn: Orientation | None = None) -> Recording:
+        return approach(self.robot, start, sent, self.limits, turn=turn)
 
     def carry(self, guide: Ahead | Stream, controller: Controller, sent: Array, piece: Piece) -> Recording:
         rows, number, total = int(piece.duration / self.period), piece.number, piece.total

@@ -8,9 +8,11 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rejoint.arms import Arm, Array, gravity_torque, position_kinematics, solve_position
+from rejoint.arms import Arm, Array, gravity_torque, position_kinematics
 from rejoint.arms.kinematics import GRAVITY
 from rejoint.arms.loaded import LoadedArm, Payload, loaded
+from rejoint.arms.orientation import Orientation
+from rejoint.arms.posing import find_postures
 from rejoint.control.moving.posture import joint_weights
 from rejoint.logs.runlog import RunLog
 from rejoint.runs.given import RobotLike
@@ -49,12 +51,15 @@ def with_load(arm: Arm, robot: RobotLike, payload: PayloadLike | None, tool: Arr
     return found
 
 
-def say_heavy(arm: Arm, twin: Twin | None, targets: Array, say: Say) -> None:
-    """Say at which ``targets`` (..., 3) [m] a told load is too heavy, as far as the twin knows the motors."""
+def say_heavy(arm: Arm, twin: Twin | None, targets: Array, say: Say, turns: Orientation | None = None) -> None:
+    """Say at which ``targets`` (..., 3) [m] a told load is too heavy, as far as the twin knows the motors.
+
+    The tools are turned there as in ``turns`` (...).
+    """
     if twin is None or not isinstance(arm, LoadedArm):
         return
     points = targets.reshape(-1, 3)
-    over = heavy(arm, twin, points)
+    over = heavy(arm, twin, points, turns and turns.flat)
     which = np.flatnonzero(over.any(axis=1))
     if not len(which):
         return
@@ -64,7 +69,7 @@ def say_heavy(arm: Arm, twin: Twin | None, targets: Array, say: Say) -> None:
     say(f"Too heavy for the motor of {joints} by the twin: {places}{more}. The arm tries, but may not come there.")
 
 
-def heavy(arm: Arm, twin: Twin, targets: Array) -> NDArray[Any]:
+def heavy(arm: Arm, twin: Twin, targets: Array, turns: Orientation | None = None) -> NDArray[Any]:
     """Return which joints (K, n) are too weak to lift the arm at ``targets`` (K, 3) [m], against friction.
 
     Light joints do not count: the others make up for them.
@@ -72,7 +77,8 @@ def heavy(arm: Arm, twin: Twin, targets: Array) -> NDArray[Any]:
     from rejoint.twin.parameters import Layout
 
     known = twin.identified[Layout(arm.joints).at("torque_limit")] & (joint_weights(arm) <= 1.0)
-    load = np.abs(gravity_torque(arm, solve_position(arm, targets, arm.rest).q))
+    start = np.broadcast_to(arm.rest, (len(targets), arm.joints))
+    load = np.abs(gravity_torque(arm, find_postures(arm, targets, start, turns)))
     own = twin.parameters
     return ((1.0 + RUBBING) * load + 2.0 * own.coulomb > BELIEVED * own.torque_limit) & known
 

@@ -9,7 +9,8 @@ from collections.abc import Callable
 import numpy as np
 
 from rejoint.arms import Array, tcp_position
-from rejoint.control.controller import ControlInput
+from rejoint.arms.orientation import Orientation
+from rejoint.control.controller import ControlInput, turned_off
 from rejoint.control.moving.drive import Followed
 from rejoint.control.moving.path import Path
 from rejoint.control.moving.routes import Stream
@@ -46,21 +47,28 @@ class MotionThread(threading.Thread, ABC):
 
 
 class MoveTo(MotionThread):
-    """A motion to a target (3,) [m]."""
+    """A motion to a target (3,) [m], with the tool turned as in ``turn`` (), ``within`` metres and radians."""
 
-    def __init__(self, drive: ArmDrive, target: Array, within: float, timeout: float) -> None:
+    def __init__(
+        self, drive: ArmDrive, target: Array, within: tuple[float, float], timeout: float,
+        turn: Orientation | None = None,
+    ) -> None:  # fmt: skip
         super().__init__(_mm(target))
-        self._drive, self._target, self._within, self._timeout = drive, target, within, timeout
+        self._drive, self._target, self._turn, self._timeout = drive, target, turn, timeout
+        self._within, self._turned_within = within
         self._near_since: float | None = None
-        self._reached, self._error = False, float("nan")
+        self._reached, self._error, self._turned = False, float("nan"), float("nan")
 
     def _go(self) -> None:
-        self._drive.to_target(self._target, self._timeout, self._done)
+        self._drive.to_target(self._target, self._turn, self._timeout, self._done)
         if not (self._reached or self.ended.is_set()):
+            wanted, left = f"{1e3 * self._within:g} mm", f"{1e3 * self._error:.1f} mm"
+            if np.isfinite(self._turned):
+                wanted += f" and {np.degrees(self._turned_within):g} deg"
+                left += f" and {np.degrees(self._turned):.1f} deg"
             raise NotReachedError(
-                f"the arm did not come within {1e3 * self._within:g} mm of {self.goal} in {self._timeout:g} s, still "
-                f"{1e3 * self._error:.1f} mm off; it holds. Give it more time or room, or look whether something is in "
-                "its way"
+                f"the arm did not come within {wanted} of {self.goal} in {self._timeout:g} s, still {left} off; it "
+                "holds. Give it more time or room, or look whether something is in its way"
             )
 
     def _done(self, inputs: ControlInput) -> Mask:
@@ -68,7 +76,9 @@ class MoveTo(MotionThread):
         self._error = float(np.linalg.norm(inputs.target[0] - tool))
         now = float(inputs.state.time[0])
         since = self._near_since if self._near_since is not None else now
-        self._near_since = since if self._error < self._within else None
+        self._turned = float(turned_off(self._drive.robot.arm, inputs)[0])
+        near = self._error < self._within and not self._turned > self._turned_within
+        self._near_since = since if near else None
         self._reached = self._near_since is not None and now - self._near_since >= CALM
         return np.array([self._reached or self.ended.is_set()])
 

@@ -31,6 +31,7 @@ from rejoint.runs.stages.driving import ControllerLike, make_factories
 from rejoint.system.errors import InputError
 
 if TYPE_CHECKING:
+    from rejoint.arms.orientation import Orientation
     from rejoint.twin.twin import Twin
 
 PathLike: TypeAlias = "Path | FilePath | str | Array"
@@ -61,8 +62,8 @@ class Piece:
 class Carrier(Protocol):
     """Drives the arm, and keeps what it does."""
 
-    def approach(self, start: Array, sent: Array) -> Recording:
-        """Bring the arm slowly from the command ``sent`` (1, n) [rad] to the place ``start`` (3,) [m]."""
+    def approach(self, start: Array, sent: Array, turn: Orientation | None = None) -> Recording:
+        """Bring the arm slowly from the command ``sent`` (1, n) [rad] to the place ``start`` (3,) [m] and ``turn``."""
 
     def carry(self, guide: Ahead | Stream, controller: Controller, sent: Array, piece: Piece) -> Recording:
         """Drive the arm behind a guide; ``sent`` (1, n) [rad] is the command in force."""
@@ -90,7 +91,7 @@ class PathDrive:
         aim, passes = wanted, list[Pass]()
         last: Recording | None = None
         for number in range(repeat):
-            sent = self.carrier.approach(wanted.at(0.0), sent).command[-1]
+            sent = self.carrier.approach(wanted.at(0.0), sent, wanted.turn_at(0.0)).command[-1]
             guide = Ahead(path=path, aim=aim)
             piece = Piece(label=self._label(path.name), duration=duration, number=number, total=repeat)
             told = guide if rate is None else played(wanted, rate)
@@ -137,13 +138,17 @@ def as_path(given: PathLike, arm: Arm, seed: int) -> Path:
     return Path(time=numbers[:, 0], place=numbers[:, 1:])
 
 
-def followable(given: PathLike | Stream, arm: Arm, seed: int, duration: float | None) -> Path | Stream:
+def followable(
+    given: PathLike | Stream, arm: Arm, seed: int, duration: float | None, rate: float | None
+) -> Path | Stream:
     """Return the stream, or the path that ``arm`` is able to follow; InputError where it cannot."""
     if isinstance(given, Stream):
         if duration is None or not duration > 0.0:
             raise InputError("follow: a stream needs a duration in seconds for which it is followed")
         return given
-    path = as_path(given, arm, seed)
+    path = as_path(given, arm, seed).on(arm)
+    if rate is not None and path.turned:
+        raise InputError("follow: what is told as it goes are places alone; leave out the rate, or the orientation")
     path.require_followable(arm)
     return path
 

@@ -1,0 +1,125 @@
+"""Laws of orientations: errors, their derivatives, and postures that turn a tool as wanted."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from rejoint.arms import Arm, collides, frames, mycobot280, position_kinematics, so101, solve_position
+from rejoint.arms.loaded import loaded
+from rejoint.arms.orientation import WEIGHT, Orientation, stacked, task, tool_axis
+from rejoint.arms.posing import NEAR, TURNED, find_postures, missed_pose, solve_pose
+from rejoint.arms.rotations import quaternion_of, rotation_about, rotation_of, same_side
+
+ARMS = (mycobot280(), so101())
+KINDS = [(arm, whole) for arm in ARMS for whole in (True, False)]
+
+
+def shown(arm: Arm, q: np.ndarray, whole: bool) -> Orientation:
+    """Orientations that postures (B, n) show."""
+    rotation = frames(arm, q).tcp_rotation
+    count = len(q)
+    return Orientation(
+        rotation=rotation, whole=np.full(count, whole), weight=np.full(count, WEIGHT), axis=tool_axis(arm)
+    )
+
+
+def postures(arm: Arm, count: int, seed: int) -> np.ndarray:
+    drawn = np.random.default_rng(seed).uniform(arm.lower, arm.upper, (20 * count, arm.joints))
+    return drawn[~collides(arm, frames(arm, drawn))][:count]
+
+
+def test_the_tool_points_where_it_stands_off_the_arm():
+    np.testing.assert_array_equal(tool_axis(ARMS[0]), [0.0, 0.0, 1.0])
+    np.testing.assert_array_equal(tool_axis(ARMS[1]), [1.0, 0.0, 0.0])
+    bent = loaded(ARMS[0], None, [0.1, 0.0, 0.0])
+    np.testing.assert_array_equal(tool_axis(bent), [0.0, 0.0, 1.0], "a tool that was told turns nothing")
+
+
+@pytest.mark.parametrize(("arm", "whole"), KINDS)
+def test_where_a_pose_is_reached_both_errors_are_zero(arm, whole):
+    q = postures(arm, 40, 1)
+    turn, place = shown(arm, q, whole), frames(arm, q).tcp_position
+    off, angle = missed_pose(arm, q, place, turn)
+    assert off.max() == 0.0
+    assert angle.max() < 1e-7
+    found = solve_pose(arm, place, q + np.random.default_rng(2).uniform(-0.1, 0.1, q.shape), turn)
+    off, angle = missed_pose(arm, found, place, turn)
+    assert (np.median(off), np.median(angle)) < (1e-4, 1e-3)
+
+
+@pytest.mark.parametrize(("arm", "whole"), KINDS)
+def test_rows_are_the_derivatives_of_the_error(arm, whole):
+    q, h = postures(arm, 10, 3), 1e-6
+    turn, place = shown(arm, q, whole), frames(arm, q).tcp_position
+    jacobian = task(arm, q, place, turn)[1]
+    for j in range(arm.joints):
+        step = h * np.eye(arm.joints)[j]
+        slope = (task(arm, q + step, place, turn)[0] - task(arm, q - step, place, turn)[0]) / (2 * h)
+        np.testing.assert_allclose(slope, -jacobian[..., j], atol=1e-7)
+
+
+@pytest.mark.parametrize("whole", [True, False])
+def test_the_error_is_the_angle_of_a_known_turn_up_to_half_of_one(whole):
+    arm, q = ARMS[0], postures(ARMS[0], 5, 4)
+    turn, own = shown(arm, q, whole), frames(arm, q).tcp_rotation
+    across = own @ np.array([1.0, 0.0, 0.0])  # at right angles to the tool
+    for angle in (1e-6, 0.3, 2.0, np.pi - 1e-6, np.pi):
+        turned = np.stack([rotation_about(axis, angle) for axis in across]) @ own
+        np.testing.assert_allclose(turn.angle(turned), angle, atol=2e-6)
+        back = np.stack([rotation_about(e / np.linalg.norm(e), np.linalg.norm(e)) for e in turn.error(turned)])
+        np.testing.assert_allclose(back @ turned @ turn.axis, own @ turn.axis, atol=1e-5)
+
+
+def test_a_direction_leaves_the_turn_about_the_tool_free_and_no_weight_everything():
+    arm, q = ARMS[0], postures(ARMS[0], 6, 5)
+    turn, f = shown(arm, q, whole=False), frames(arm, q)
+    spun = np.stack([rotation_about(rotation @ turn.axis, 1.0) @ rotation for rotation in f.tcp_rotation])
+    assert turn.angle(spun).max() < 1e-7
+    assert (replace(turn, whole=np.ones(6, dtype=bool)).angle(spun) > 0.9).all()
+    free = replace(turn, weight=np.zeros(6))
+    assert np.isnan(free.angle(spun)).all()
+    error, jacobian = task(arm, q, f.tcp_position + 0.01, free)
+    assert not error[:, 3:].any()
+    assert not jacobian[:, 3:].any()
+    np.testing.assert_array_equal(jacobian[:, :3], position_kinematics(arm, q)[1])
+
+
+def test_both_signs_of_a_quaternion_are_one_orientation():
+    quaternions = np.random.default_rng(6).normal(size=(30, 4))
+    for one in quaternions:
+        np.testing.assert_array_equal(rotation_of(one), rotation_of(-one))
+    unit = np.stack([quaternion_of(rotation_of(one)) for one in quaternions])
+    flipped = unit * np.random.default_rng(7).choice([-1.0, 1.0], (30, 1))
+    np.testing.assert_allclose(same_side(flipped), same_side(unit) * np.sign(flipped[0, 0] / unit[0, 0]))
+    assert ((np.diff(same_side(unit), axis=0) ** 2).sum(axis=-1) <= 2.0 + 1e-12).all()
+
+
+@pytest.mark.parametrize(("arm", "whole"), KINDS)
+def test_poses_that_an_arm_shows_are_found_from_rest_within_its_limits(arm, whole):
+    q = postures(arm, 25, 8)
+    turn, place = shown(arm, q, whole), frames(arm, q).tcp_position
+    found = find_postures(arm, place, np.broadcast_to(arm.rest, q.shape), turn)
+    off, angle = missed_pose(arm, found, place, turn)
+    assert ((off < NEAR) & (angle < TURNED)).sum() >= 24
+    assert ((found >= arm.lower) & (found <= arm.upper)).all()
+    assert collides(arm, frames(arm, found)).sum() <= 1
+
+
+def test_without_an_orientation_postures_are_those_of_points_to_the_bit():
+    arm = ARMS[0]
+    places = arm.targets.sample(np.random.default_rng(9), (20,))
+    start = np.broadcast_to(arm.rest, (20, 6))
+    np.testing.assert_array_equal(find_postures(arm, places, start, None), solve_position(arm, places, start).q)
+    error, jacobian = task(arm, start, places, None)
+    tcp, expected = position_kinematics(arm, start)
+    np.testing.assert_array_equal(error, places - tcp)
+    np.testing.assert_array_equal(jacobian, expected)
+
+
+def test_orientations_are_taken_apart_and_put_together():
+    turn = shown(ARMS[0], postures(ARMS[0], 6, 10), whole=True)
+    both = stacked([turn[:3], turn[3:]], axis=0)
+    assert both.weight.shape == (2, 3)
+    np.testing.assert_array_equal(both.flat.rotation, turn.rotation)
+    np.testing.assert_array_equal(both[1, 2].rotation, turn.rotation[5])
