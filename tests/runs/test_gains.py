@@ -69,13 +69,14 @@ def test_what_a_search_finds_takes_part_in_the_comparison(tmp_path, monkeypatch)
     assert settled["servo-gains"] < settled["default"]
 
 
-def test_without_a_search_and_for_arms_that_tell_no_gains_all_is_as_it_was(tmp_path):
-    run = Run.create(tmp_path / "run", "emulated:so101", ARM)
+def test_an_arm_that_tells_no_gains_is_not_driven_under_any(tmp_path):
+    arm = replace(ARM, servos=())
+    run = Run.create(tmp_path / "run", "emulated:worn", arm)
     found_by(run)
-    assert not place_of("emulated:so101").tunable
-    assert place_of("feetech:///dev/ttyACM0").tunable
+    assert not place_of("emulated:worn").tunable(arm)
+    assert place_of("feetech:///dev/ttyACM0").tunable(arm)
     with pytest.raises(InputError, match="no servo gains"):
-        rejoint.deploy("emulated:so101", "servo-gains", [[0.3, 0.05, 0.2]], run=run)
+        rejoint.deploy("emulated:worn", "servo-gains", [[0.3, 0.05, 0.2]], run=run)
 
 
 def test_only_the_gains_of_what_is_recommended_are_kept(tmp_path, monkeypatch):

@@ -213,7 +213,7 @@ def repair(
     measured = gauge != NO_GAUGE and (emulated or gauge is not None)
     meter = None if gauge == NO_GAUGE else gauge
     rivals = not controllers and not quick
-    tunable = isinstance(robot, str) and place_of(robot).tunable and (rivals or any_geared(controllers))
+    tunable = isinstance(robot, str) and place_of(robot).tunable(chosen) and (rivals or any_geared(controllers))
     chain = _Chain(about.begin(), on_stage, on_progress, measured=measured, tunable=tunable)
     found = chain.run
     chain.do("diagnose", lambda update: diagnose(robot, run=found, period=period, quick=quick, on_progress=update))
