@@ -16,7 +16,8 @@ from rejoint.control.servogains import Rung, ServoGains
 from rejoint.lab.plant.channel import Channel, Interval
 from rejoint.lab.plant.plant import Plant
 from rejoint.lab.plant.streams import stream_keys
-from rejoint.lab.plant.stsplant import StsPlant, has_these_servos
+from rejoint.lab.plant.sts3215 import has_these_servos
+from rejoint.lab.plant.stsplant import StsPlant
 from rejoint.lab.plant.wear import Wear
 from rejoint.robots.feetech.emulated import EmulatedServos
 from rejoint.robots.feetech.gains import RUNGS, Gains

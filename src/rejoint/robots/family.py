@@ -74,10 +74,7 @@ class Place(Generic[T]):
     def tunable(self, arm: Arm) -> bool:
         """Whether the gains of the servos' own loops of an ``arm`` can be read and set there."""
         can = self.family.tunable
-        if isinstance(can, bool):
-            return can
-        require(self.text, *self.family.needs)
-        return can(arm)
+        return can if isinstance(can, bool) else can(arm)
 
     @property
     def default_period(self) -> tuple[float, float]:

@@ -95,7 +95,7 @@ def _emulated(place: Place[EmulatedAddress], opening: Opening) -> Robot:
 
 def _has_gains(arm: Arm) -> bool:
     """Whether the gains of the servos of an emulated arm can be set."""
-    from rejoint.lab.plant.stsplant import has_these_servos
+    from rejoint.lab.plant.sts3215 import has_these_servos
 
     return has_these_servos(arm)
 

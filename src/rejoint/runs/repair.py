@@ -55,7 +55,7 @@ Found = TypeVar("Found")
 QUICK_TARGETS = 3
 """Targets that controllers are compared on for a first try (chosen)"""
 
-StageName = Literal["diagnose", "calibrate", "identify", "train", "gains", "compare", "report"]
+StageName = Literal["diagnose", "calibrate", "identify", "gains", "train", "compare", "report"]
 STAGES: tuple[StageName, ...] = get_args(StageName)
 
 
@@ -219,8 +219,8 @@ def repair(
     chain.do("diagnose", lambda update: diagnose(robot, run=found, period=period, quick=quick, on_progress=update))
     chain.do("calibrate", lambda update: calibrate(robot, run=found, gauge=meter, period=period, on_progress=update))
     chain.do("identify", lambda update: identify(run=found, quick=quick, on_progress=update))
-    chain.do("train", lambda update: train(run=found, preset=preset, quick=quick, on_progress=update))
     chain.do("gains", lambda update: gains(robot, found, period=period, on_progress=update))
+    chain.do("train", lambda update: train(run=found, preset=preset, quick=quick, on_progress=update))
     few = (1, 1) if quick else (3, 2) if emulated else (None, None)
     if quick and targets is None:
         targets = draw_targets(found.arm, sets=1, count=QUICK_TARGETS, seed=found.seed)
@@ -244,7 +244,7 @@ class _Chain:
         self.run, self._on_stage, self._on_progress = run, on_stage, on_progress
         files = run.folder
         places = (
-            files.diagnosis, files.calibration, files.twin, files.policy, files.gains, files.comparison, files.report,
+            files.diagnosis, files.calibration, files.twin, files.gains, files.policy, files.comparison, files.report,
         )  # fmt: skip
         self._files: dict[StageName, Path] = dict(zip(STAGES, places, strict=True))
         if not measured:

@@ -29,15 +29,6 @@ torque that bench measurements give (4.4 to 6 N m, kscalelabs/sysid), and its vi
 of five joints, the sum of that motor's back-EMF and the D of a servo as sold"""
 
 
-SERVO = "STS3215"
-"""As `rejoint.arms.Arm.servos` calls them"""
-
-
-def has_these_servos(arm: Arm) -> bool:
-    """Tell whether every joint of ``arm`` is moved by such a servo."""
-    return set(arm.servos) == {SERVO}
-
-
 class StsPlant(Plant):
     """B arms with STS3215 servos, whose ``settings`` (B, n) of `sts3215.SETTING` may be changed at any time."""
 

@@ -52,7 +52,7 @@ class EmulatedServos:
         self._tuning.tune(gains)
 
     def _read(self, servo: int, address: int, size: int, _until: float | None) -> bytes:
-        """Registers of a servo: of load and heat those of the arm that suffers most."""
+        """Return registers of a servo: of load and heat those of the arm that suffers most."""
         joint, plant = servo - 1, self._plant
         if (address, size) == (FIRST, SIZE):
             row = plant.settings[0, joint]
