@@ -27,6 +27,9 @@ COMMON = 1.0
 factor of three, so that it is the arm that tells)"""
 OWN = 0.3
 """The same of a single motor beside it (chosen: new ones differ by some percent, those of emulated worn arms by 0.3)"""
+ANY = 3.0
+"""The same of a stiffness whose line is known: what is believed of it comes by the largest torque alone, else five
+guesses at five alike servos would pass for knowledge (chosen: a factor of twenty)"""
 OPEN = tuple(replace(p, alike=None) for p in UNKNOWN_PARAMETERS)
 """The table of parameters: wide, since servos that tell loads are not those of a worn myCobot, and the likeness of
 motors comes in by `OWN`"""
@@ -49,11 +52,12 @@ def prior_by_loads(arm: Arm, logs: Sequence[RunLog]) -> Prior | None:
         place = np.arange(limits.start, limits.stop)[group]
         mean[place] = mean[place].mean()
         covariance[np.ix_(place, place)] = COMMON**2 + OWN**2 * np.eye(len(group))
-    for joint in np.flatnonzero(np.isfinite(np.broadcast_to(lines.within, arm.joints))):
+    within = np.broadcast_to(lines.within, arm.joints)
+    for joint in [joint for joint in np.concatenate(alike) if np.isfinite(within[joint])]:
+        covariance[gains.start + joint, gains.start + joint] = ANY**2
         row = np.zeros(len(mean))
         row[gains.start + joint], row[limits.start + joint] = 1.0, -1.0
-        error = float(np.broadcast_to(lines.within, arm.joints)[joint])
-        mean, covariance = _seen(mean, covariance, row, float(np.log(lines.gain[joint])), error)
+        mean, covariance = _seen(mean, covariance, row, float(np.log(lines.gain[joint])), float(within[joint]))
     sigma = np.sqrt(np.diag(covariance))
     return replace(
         belief, mean=np.clip(mean, belief.lower, belief.upper), sigma=sigma,
