@@ -27,7 +27,6 @@ from rejoint.logs import import_logs
 from rejoint.robots import place_of
 from rejoint.robots.emulated import EmulatedRobot
 from rejoint.robots.feetech.bus import FeetechBus
-from rejoint.robots.feetech.gains import LIMITED
 from rejoint.runs.stages.posing import PosedArm
 from rejoint.system.errors import NoReplyError
 from rejoint.twin.judge import judge_paths
@@ -133,12 +132,8 @@ def gains():
 
 def _settled(arm, controller, targets, p, i):
     """Mean distance [mm] of the tool by the encoders from its target in the last second of `DWELL`."""
-    wears = [load_wear("so101", arm)]
-    robot = EmulatedRobot(arm, wears, seed=0, period=(0.020, 0.020))
-    robot.plant = StsPlant(arm, wears, seed=0)
-    for name, value in {"p": p, "i": i, "integral_limit": LIMITED if i else 0}.items():
-        robot.plant.settings[name] = value
-    robot.restart(arm.rest)
+    gains = {"p": p, "i": i}
+    robot = EmulatedRobot(arm, [load_wear("so101", arm)], seed=0, period=(0.020, 0.020), gains=gains)
     recording = run(robot, controller, targets[None], Schedule(dwell=DWELL))
     time, tool = recording.time[:, 0] - recording.time[0, 0], tcp_position(arm, recording.position[:, 0])
     last = [(time >= (k + 1) * DWELL - 1.0) & (time < (k + 1) * DWELL) for k in range(len(targets))]

@@ -72,8 +72,8 @@ def test_a_worn_arm_of_another_build_is_found_out_and_a_healthy_one_is_not():
         logs = record(open_robot(address, arm=arm, seed=7), seed=7)[0]
         diagnosis = judge(arm, logs, reference)
         assert diagnosis.condition == condition, diagnosis.verdict
-    soft = {finding.joint for finding in diagnosis.findings if finding.kind == "weak_gain"}
-    assert {"shoulder_lift", "elbow_flex"} <= soft
+    found = {(finding.joint, finding.kind) for finding in diagnosis.findings}
+    assert {("shoulder_lift", "weak_gain"), ("elbow_flex", "hysteresis")} <= found
 
 
 def test_a_reference_for_an_unknown_arm_is_measured_on_demand(monkeypatch):

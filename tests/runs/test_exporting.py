@@ -28,6 +28,7 @@ from rejoint.control.observation import layout_slots
 from rejoint.control.policy import Policy
 from rejoint.control.recording import Recording
 from rejoint.control.residual import CommandLaw
+from rejoint.control.servogains import ServoGains
 from rejoint.robots import open_robot
 from rejoint.runs.exporting.bundle import OUTSIDE
 from rejoint.runs.exports import export_run
@@ -40,7 +41,7 @@ BOUND = 1e-5
 """[rad] by which other runtimes may differ"""
 
 
-def write_policy(path: Path, arm: Arm, **changes) -> Policy:
+def write_policy(path: Path, arm: Arm, gains: ServoGains | None = None, **changes) -> Policy:
     """A policy with a random network, which does something in every cycle."""
     n = arm.joints
     law = CommandLaw(anchor="goal", stiffness=(7.0,) * n, load_penalty=3.0, decay_start=1.0)
@@ -51,7 +52,7 @@ def write_policy(path: Path, arm: Arm, **changes) -> Policy:
         arm=arm.name, arm_digests=law_digests(arm), joint_names=arm.joint_names, lower=tuple(arm.lower.tolist()),
         upper=tuple(arm.upper.tolist()), layout="residual", observation=layout_slots("residual", n),
         law=replace(law, **changes), min_period=0.018, max_period=0.055, probe=(), twin_digest="", preset="default",
-        seed=0, software="0",
+        seed=0, software="0", servo_gains=gains,
     )  # fmt: skip
     export_policy(path, network, contract)
     return Policy.load(path)
@@ -88,6 +89,15 @@ def test_onnx_runtime_commands_what_our_controller_commands(arm: Arm, address: s
         assert len(found) > 60
         assert found.max() < BOUND
         about.folder.policy.unlink(missing_ok=True)  # then the run has the feed-forward
+
+
+def test_a_file_says_which_gains_the_servos_are_to_have(tmp_path: Path) -> None:
+    about = Run.create(tmp_path / "run", "emulated:so101", so101(), 0)
+    write_policy(about.folder.policy, so101(), {"p": (48, 48, 64, 40, 32), "i": (0,) * 5})
+    file, _ = export_run(about, "onnx")
+    told = {prop.key: prop.value for prop in onnx.load(file).metadata_props}
+    assert told["rejoint.servo_gains"] == "p 48/48/64/40/32, i 0"
+    assert "# The servos are to have the gains p 48/48/64/40/32, i 0.\n" in file.with_suffix(".yaml").read_text("utf-8")
 
 
 def test_a_file_says_what_it_is_and_what_is_not_in_it(tmp_path: Path) -> None:

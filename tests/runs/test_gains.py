@@ -14,6 +14,8 @@ from rejoint.cli import main
 from rejoint.control.comparison.result import Protocol
 from rejoint.control.contract import decode_contract, encode_contract
 from rejoint.control.gainsearch import GainsFound, Round
+from rejoint.control.geared import Geared
+from rejoint.control.servogains import under_gains
 from rejoint.lab.emulator.feetech.arm import build_arm
 from rejoint.lab.emulator.feetech.emulate import serve_bus
 from rejoint.lab.emulator.feetech.session import BusSession
@@ -21,12 +23,14 @@ from rejoint.robots import place_of
 from rejoint.robots.feetech.gains import for_all
 from rejoint.runs.effort import read_effort
 from rejoint.runs.run import Run
+from rejoint.runs.stages import driving
 from rejoint.runs.stages import gains as stage
 from rejoint.runs.stages.gains import gains_to_keep
-from rejoint.system.errors import FileError, InputError
+from rejoint.system.errors import ContractError, FileError, InputError
 from rejoint.system.files import read_json, write_json
 from rejoint.training.presets import DEFAULT
 from rejoint.training.train import policy_contract
+from rejoint.twin.parameters import nominal_parameters
 from servorobot import ARM, ServoRobot
 
 FOUND = for_all({"p": 32, "i": 0, "d": 32, "dead": 1, "startup": 16}, 5) | {"limit": (0,) * 5}
@@ -69,13 +73,14 @@ def test_what_a_search_finds_takes_part_in_the_comparison(tmp_path, monkeypatch)
     assert settled["servo-gains"] < settled["default"]
 
 
-def test_without_a_search_and_for_arms_that_tell_no_gains_all_is_as_it_was(tmp_path):
-    run = Run.create(tmp_path / "run", "emulated:so101", ARM)
+def test_an_arm_that_tells_no_gains_is_not_driven_under_any(tmp_path):
+    arm = replace(ARM, servos=())
+    run = Run.create(tmp_path / "run", "emulated:worn", arm)
     found_by(run)
-    assert not place_of("emulated:so101").tunable
-    assert place_of("feetech:///dev/ttyACM0").tunable
+    assert not place_of("emulated:worn").tunable(arm)
+    assert place_of("feetech:///dev/ttyACM0").tunable(arm)
     with pytest.raises(InputError, match="no servo gains"):
-        rejoint.deploy("emulated:so101", "servo-gains", [[0.3, 0.05, 0.2]], run=run)
+        rejoint.deploy("emulated:worn", "servo-gains", [[0.3, 0.05, 0.2]], run=run)
 
 
 def test_only_the_gains_of_what_is_recommended_are_kept(tmp_path, monkeypatch):
@@ -136,6 +141,63 @@ def test_a_policy_is_trained_for_the_gains_of_the_diagnosis(tmp_path, monkeypatc
     earlier = json.loads(text)
     del earlier["servo_gains"]
     assert decode_contract(json.dumps(earlier)).servo_gains is None
+
+
+def tuned_run(path, monkeypatch, policy=True):
+    """A run whose search has found gains, with a twin, and a policy that was trained for them."""
+    run = Run.create(path, "emulated:so101", ARM)
+    found = found_by(run)
+    stiff = replace(nominal_parameters(ARM), stiffness=np.full(5, 20.0))
+    twin = SimpleNamespace(parameters=stiff, digest=lambda: "0" * 16)
+    monkeypatch.setattr(Run, "twin", twin)
+    monkeypatch.setattr(driving, "replace", lambda one, **changes: SimpleNamespace(**(vars(one) | changes)))
+    if policy:
+        run.folder.policy.write_bytes(b"")
+        contract = SimpleNamespace(servo_gains=found.under)
+        monkeypatch.setattr(Run, "policy", SimpleNamespace(contract=contract))
+    return run, found
+
+
+def test_a_policy_is_trained_for_the_gains_that_a_search_found_on_a_twin_as_stiff_as_then(tmp_path, monkeypatch):
+    asked = []
+
+    def learn(arm, twin, *, options, **_):
+        asked.append((twin.parameters.stiffness, options.servo_gains))
+        raise KeyboardInterrupt
+
+    run, found = tuned_run(tmp_path / "run", monkeypatch, policy=False)
+    monkeypatch.setattr("rejoint.training.train.train", learn)
+    with pytest.raises(KeyboardInterrupt):
+        rejoint.train(run=run)
+    np.testing.assert_allclose(asked[0][0], 20.0 * np.array([40, 48, 48, 40, 32]) / 32)
+    assert asked[0][1] == found.under
+
+
+def test_what_a_run_made_for_tuned_gains_is_driven_under_them_and_not_under_those_before(tmp_path, monkeypatch):
+    run, found = tuned_run(tmp_path / "run", monkeypatch)
+    names = driving._contenders(ARM, 0.02, run, run.twin, real=True)
+    assert {"servo-gains+policy", "servo-gains+predictive"} <= set(names)
+    assert not {"policy", "predictive"} & set(names)
+    assert driving.recommended(run) == driving.usual_controller(run) == "servo-gains+policy"
+    run.policy.contract.servo_gains = found.found  # trained before the search, as runs used to be
+    assert "policy" in driving._contenders(ARM, 0.02, run, run.twin, real=True)
+    assert driving.usual_controller(run) == "policy"
+    with pytest.raises(ContractError, match=r"no policy for the gains that its search found \(p 40/48/48/40/32"):
+        driving.make_factories(["servo-gains+policy"], ARM, (0.02, 0.02), run=run)
+
+
+def test_a_policy_that_brings_its_gains_is_not_refused_for_those_that_are_there():
+    robot = ServoRobot()
+    gains = FOUND | {"p": (48,) * 5}
+    contract = replace(policy_contract(ARM, None, DEFAULT, 0), servo_gains=gains)
+    plain = SimpleNamespace(name="policy", contract=contract)
+    with pytest.raises(ContractError, match="trained for servos with p=48"), under_gains(robot, plain):
+        pass
+    with under_gains(robot, Geared(plain, gains)):
+        assert robot.servo_gains()["p"] == (48,) * 5
+    with pytest.raises(ContractError, match="trained for servos with p=48"), under_gains(robot, Geared(plain, FOUND)):
+        pass
+    assert robot.servo_gains() == FOUND
 
 
 def test_the_page_shows_controllers_under_tuned_gains(tmp_path):

@@ -112,11 +112,14 @@ def limits_under(limits: GuardLimits | None, robot: Robot, controller: object) -
 
 
 def require_gains(robot: Robot, controller: object) -> None:
-    """Refuse (ContractError) a policy that was trained for other gains than the servos of ``robot`` have."""
+    """Refuse (ContractError) a policy that was trained for other gains than it is driven under.
+
+    Those are the ones that the servos of ``robot`` have, or those that the controller itself asks for.
+    """
     contract = getattr(controller, "contract", None)
     if not isinstance(contract, PolicyContract) or contract.servo_gains is None:
         return
-    found = gains_in_force(robot)
+    found: ServoGains | None = getattr(controller, "servo_gains", None) or gains_in_force(robot)
     if found is None:
         return
     other = differing(contract.servo_gains, found)

@@ -1,4 +1,7 @@
-"""Worn arms in this process, in virtual time: the plant behind a channel with latency and jitter."""
+"""Worn arms in this process, in virtual time: the plant behind a channel with latency and jitter.
+
+Arms whose servos are STS3215 move by the law of that servo, with gains that can be read and set as on their bus.
+"""
 
 from __future__ import annotations
 
@@ -9,10 +12,15 @@ import numpy as np
 from rejoint.arms import Arm, Array
 from rejoint.arms.kinematics import GRAVITY
 from rejoint.control.robot import JointState, Mask
+from rejoint.control.servogains import Rung, ServoGains
 from rejoint.lab.plant.channel import Channel, Interval
 from rejoint.lab.plant.plant import Plant
 from rejoint.lab.plant.streams import stream_keys
+from rejoint.lab.plant.sts3215 import has_these_servos
+from rejoint.lab.plant.stsplant import StsPlant
 from rejoint.lab.plant.wear import Wear
+from rejoint.robots.feetech.emulated import EmulatedServos
+from rejoint.robots.feetech.gains import RUNGS, Gains
 from rejoint.system.errors import InputError
 
 _CHANNEL_PURPOSE = 1
@@ -42,18 +50,25 @@ class EmulatedRobot:
         tells_load: bool = True,
         bodies: Sequence[Arm] | None = None,
         gravity: Array = GRAVITY,
+        gains: Gains | None = None,
     ) -> None:
         """Put the arms at rest at ``start`` (B, n) or (n,) [rad], by default in the rest posture.
 
         ``payload``, a number or (B,) [kg], is what their tools carry and nobody knows of. ``tells_load`` says whether
         their servos report a load, as not all do. ``bodies`` are the arms as they really are, where ``arm`` only
         describes them; ``gravity`` (3,) [m/s^2] in the frame of the base is another one where that stands askew.
+        ``gains`` are those of the servos of an SO-101, by the names of `rejoint.robots.feetech.gains.KNOBS`, where they
+        are not as sold.
         """
         self._address, self._tells_load = address, tells_load
         self._channel = Channel(latency=command_latency, age=readback_age, period=period)
-        self.plant = Plant(
+        law = has_these_servos(arm)
+        if gains and not law:
+            raise InputError(f"{address} has no servo gains that could be set; an SO-101 has: give --arm so101")
+        self.plant = (StsPlant if law else Plant)(
             arm, wears, seed=seed, threads=threads, first=first, payload=payload, bodies=bodies, gravity=gravity
         )
+        self._servos = EmulatedServos(self.plant, gains or {}) if isinstance(self.plant, StsPlant) else None
         self._keys = stream_keys(seed, len(wears), first=first, purpose=_CHANNEL_PURPOSE)
         self._cycle = np.zeros(len(wears), np.int64)
         self._position = np.zeros((len(wears), arm.joints))
@@ -89,7 +104,7 @@ class EmulatedRobot:
             position=self._position.copy(),
             age=np.zeros(self.count),
             temperature=self.plant.temperature,
-            load=self.plant.load if self._tells_load else None,
+            load=self._load() if self._tells_load else None,
         )
 
     def step(self, command: Array, active: Mask | None = None) -> JointState:
@@ -109,8 +124,37 @@ class EmulatedRobot:
         """Make the arms hold: the firmware's reference stays where its ramp is."""
         self.plant.halt()
 
+    def servo_gains(self) -> ServoGains | None:
+        """Return the gains of the servos' own loops; None where they have none that could be told."""
+        return None if self._servos is None else self._servos.gains
+
+    def rungs(self) -> tuple[Rung, ...]:
+        """Return what a search for better gains tries."""
+        return () if self._servos is None else RUNGS
+
+    def tune(self, gains: ServoGains) -> None:
+        """Bring the gains of all arms in small steps to these, in virtual time."""
+        self._tunable().tune(gains)
+        self._position = self.plant.encoder()
+
+    def keep(self, gains: ServoGains) -> None:  # noqa: ARG002 - nothing of an arm in this process outlasts it
+        """Refuse (InputError): nothing of an arm in this process outlasts it."""
+        raise InputError(
+            f"{self._address} forgets its gains at the end of the command; name them in its address, as "
+            "emulated:so101?p=48, or keep them in what `rejoint emulate --arm so101` serves"
+        )
+
     def close(self) -> None:
         """Nothing to release."""
+
+    def _tunable(self) -> EmulatedServos:
+        if self._servos is None:
+            raise InputError(f"{self._address} has no servo gains that could be set; an SO-101 has")
+        return self._servos
+
+    def _load(self) -> Array:
+        """(B, n) what the servos tell of their torque, as their driver puts it."""
+        return self.plant.load if self._servos is None else self._servos.load
 
     def _merge(self, position: Array, where: Mask | None) -> Array:
         return position if where is None else np.where(where[:, None], position, self._position)

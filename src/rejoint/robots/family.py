@@ -50,8 +50,8 @@ class Family(Generic[T]):
     """[s] shortest and longest control period where none is asked for"""
     virtual: bool = False
     """whether any number of arms can be opened side by side, in virtual time, which costs nothing"""
-    tunable: bool = False
-    """whether the gains of the servos' own loops can be read and set there"""
+    tunable: bool | Callable[[Arm], bool] = False
+    """whether the gains of the servos' own loops can be read and set there, or of which arms they can"""
     needs: tuple[str, ...] = ()
     """extras of this package, or modules of them, without which no such robot can be opened"""
 
@@ -71,10 +71,10 @@ class Place(Generic[T]):
         """Whether arms come in batches there, in virtual time."""
         return self.family.virtual
 
-    @property
-    def tunable(self) -> bool:
-        """Whether the gains of the servos' own loops can be read and set there."""
-        return self.family.tunable
+    def tunable(self, arm: Arm) -> bool:
+        """Whether the gains of the servos' own loops of an ``arm`` can be read and set there."""
+        can = self.family.tunable
+        return can if isinstance(can, bool) else can(arm)
 
     @property
     def default_period(self) -> tuple[float, float]:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from rejoint.arms import Arm
@@ -13,6 +14,7 @@ from rejoint.robots.bus import Bus
 from rejoint.robots.busrobot import bus_family
 from rejoint.robots.family import DEFAULT_ARM, Family, Opening, Place
 from rejoint.robots.feetech.address import FORM, FeetechAddress, feetech_address
+from rejoint.robots.feetech.gains import KNOBS, Gains, read_gains
 
 SIMULATOR = "mujoco"
 """Module that emulated arms need."""
@@ -36,10 +38,12 @@ class EmulatedAddress:
     """of its wear"""
     payload: float = 0.0
     """[kg] that its hand really carries, whatever anybody was told"""
+    gains: Gains = field(default_factory=dict)
+    """of its servos, where they are not as sold"""
 
     @property
     def text(self) -> str:
-        """The address of the same arm with an empty hand."""
+        """The address of the same arm with an empty hand, whatever its gains."""
         return f"emulated:{self.profile}"
 
 
@@ -48,18 +52,24 @@ def _profile(text: str) -> EmulatedAddress:
     if not detail or detail.startswith("//"):
         raise ValueError("not of the form emulated:PROFILE")
     base, _, query = detail.partition("?")
-    loads = [part for part in query.split("&") if part.startswith("payload=")]
-    rest = "&".join(part for part in query.split("&") if part not in loads)
-    profile = f"{base}?{rest}" if rest else base
-    if not loads:
-        return EmulatedAddress(profile=detail)
+    parts = query.split("&") if query else []
+    keys = [part.partition("=")[0] for part in parts]
+    rest = "&".join(part for part, key in zip(parts, keys, strict=True) if key not in ("payload", *KNOBS))
+    given = {key: part.partition("=")[2] for part, key in zip(parts, keys, strict=True)}
+    gains = read_gains({key: text for key, text in given.items() if key in KNOBS})
+    return EmulatedAddress(profile=f"{base}?{rest}" if rest else base, payload=_payload(given), gains=gains)
+
+
+def _payload(given: Mapping[str, str]) -> float:
+    """Read the mass [kg] in the hand from the options of an address; ValueError for what is none."""
+    text = given.get("payload", "0")
     try:
-        payload = float(loads[-1].removeprefix("payload="))
+        payload = float(text)
     except ValueError:
         payload = -1.0
     if not 0.0 <= payload < 100.0:
-        raise ValueError(f"a payload is a mass in kg, such as payload=0.1, got {loads[-1]!r}")
-    return EmulatedAddress(profile=profile, payload=payload)
+        raise ValueError(f"a payload is a mass in kg, such as payload=0.1, got {f'payload={text}'!r}")
+    return payload
 
 
 def _profile_arm(address: EmulatedAddress) -> str:
@@ -79,7 +89,15 @@ def _emulated(place: Place[EmulatedAddress], opening: Opening) -> Robot:
     return EmulatedRobot(
         opening.arm, [load_wear(place.detail.profile, true)] * opening.count, address=place.text, seed=opening.seed,
         period=opening.period, threads=opening.threads, payload=place.detail.payload, bodies=bodies,
+        gains=place.detail.gains,
     )  # fmt: skip
+
+
+def _has_gains(arm: Arm) -> bool:
+    """Whether the gains of the servos of an emulated arm can be set."""
+    from rejoint.lab.plant.sts3215 import has_these_servos
+
+    return has_these_servos(arm)
 
 
 def unloaded(address: str) -> str:
@@ -101,7 +119,8 @@ def _feetech(address: FeetechAddress, arm: Arm) -> Bus:
 
 EMULATED = Family(
     scheme="emulated", form="emulated:PROFILE", parse=_profile,
-    connect=_emulated, default_arm=_profile_arm, default_period=_EMULATED_PERIOD, virtual=True, needs=(SIMULATOR,),
+    connect=_emulated, default_arm=_profile_arm, default_period=_EMULATED_PERIOD, virtual=True, tunable=_has_gains,
+    needs=(SIMULATOR,),
 )  # fmt: skip
 MYCOBOT_TCP = bus_family(
     _mycobot, scheme="tcp", form="tcp://HOST:PORT", parse=lambda text: tcp_address(text, port=_PORT),

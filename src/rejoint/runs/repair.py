@@ -47,6 +47,7 @@ from rejoint.system.extras import require
 from rejoint.system.progress import Progress, no_progress, paced, part
 
 if TYPE_CHECKING:
+    from rejoint.arms import Arm
     from rejoint.control.policy import Policy
     from rejoint.diagnosis.diagnosis import Diagnosis
     from rejoint.training.presets import Preset
@@ -57,7 +58,7 @@ Found = TypeVar("Found")
 QUICK_TARGETS = 3
 """Targets that controllers are compared on for a first try (chosen)"""
 
-StageName = Literal["diagnose", "calibrate", "identify", "train", "gains", "compare", "report"]
+StageName = Literal["diagnose", "calibrate", "identify", "gains", "train", "compare", "report"]
 STAGES: tuple[StageName, ...] = get_args(StageName)
 MOVING: tuple[StageName, ...] = ("diagnose", "calibrate", "gains", "compare")
 """Stages in which the arm moves"""
@@ -226,7 +227,7 @@ def repair(
         as_targets(targets, chosen, sets=1, seed=0)
     emulated = is_batchable(robot)
     meter = None if gauge == NO_GAUGE else gauge
-    files = stages_of(robot, about.folder, controllers=controllers, gauge=gauge, quick=quick)
+    files = stages_of(robot, chosen, about.folder, controllers=controllers, gauge=gauge, quick=quick)
     chain = _Chain(about.begin(), files, on_stage, on_progress, only=only)
     found = chain.run
     chain.do("diagnose", lambda update: diagnose(robot, run=found, period=period, quick=quick, on_progress=update))
@@ -234,8 +235,8 @@ def repair(
     if not (quick or (emulated if afresh is None else afresh)) and isinstance(preset, str):
         chain.why = str(keep_what_holds(found, preset) or "")
     chain.do("identify", lambda update: identify(run=found, quick=quick, on_progress=update))
-    chain.do("train", lambda update: train(run=found, preset=preset, quick=quick, on_progress=update))
     chain.do("gains", lambda update: gains(robot, found, period=period, on_progress=update))
+    chain.do("train", lambda update: train(run=found, preset=preset, quick=quick, on_progress=update))
     few = (1, 1) if quick else (3, 2) if emulated else (None, None)
     if quick and targets is None:
         targets = draw_targets(found.arm, sets=1, count=QUICK_TARGETS, seed=found.seed)
@@ -252,18 +253,18 @@ def repair(
 
 
 def stages_of(
-    robot: RobotLike, files: RunFolder, *, controllers: Controllers = (), gauge: GaugeLike | None = None,
+    robot: RobotLike, arm: Arm, files: RunFolder, *, controllers: Controllers = (), gauge: GaugeLike | None = None,
     quick: bool = False,
 ) -> dict[StageName, Path]:  # fmt: skip
     """Name the stages of a repair in their order, each with the file by which it counts as done."""
     places = (
-        files.diagnosis, files.calibration, files.twin, files.policy, files.gains, files.comparison, files.report,
+        files.diagnosis, files.calibration, files.twin, files.gains, files.policy, files.comparison, files.report,
     )  # fmt: skip
     found: dict[StageName, Path] = dict(zip(STAGES, places, strict=True))
     if gauge == NO_GAUGE or (gauge is None and not is_batchable(robot)):
         del found["calibrate"]
     rivals = not controllers and not quick
-    if not (isinstance(robot, str) and place_of(robot).tunable and (rivals or any_geared(controllers))):
+    if not (isinstance(robot, str) and place_of(robot).tunable(arm) and (rivals or any_geared(controllers))):
         del found["gains"]
     return found
 
@@ -293,7 +294,7 @@ class _Chain:
                     number=number + 1,
                     total=total,
                     result=self._kept(name),
-                    why=self.why if name in ("identify", "train") else "",
+                    why=self.why if name in ("identify", "gains", "train") else "",
                 )
             )
             return

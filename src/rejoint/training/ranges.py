@@ -70,6 +70,8 @@ class BroadRanges:
     """factor on the torque limit of such a joint: from stuck to slow"""
     ramp_speed: Interval = (0.7, 1.31)
     """80 to 150 deg/s"""
+    acceleration: float = np.inf
+    """[rad/s^2] of the servos' references; inf: their speed is limited instead"""
     offset: float = float(np.radians(0.5))
     """[rad] standard deviation of the joint offsets"""
     gravity_scale: Interval = (0.85, 1.15)
@@ -106,7 +108,7 @@ class BroadRanges:
             command_delay=rng.uniform(*self.command_delay, whole),
             readback_delay=rng.uniform(*self.readback_delay, whole),
             stiction=rng.uniform(*self.stiction, joints),
-            acceleration=np.full(count, np.inf),
+            acceleration=np.full(count, self.acceleration),
             gravity_scale=rng.uniform(*self.gravity_scale, whole),
             period=rng.uniform(*self.period, whole),
             **self._draw_backlash(rng, count),

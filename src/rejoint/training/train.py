@@ -60,6 +60,8 @@ class TrainingOptions:
     """of Warp that simulates the twins; None: the processors"""
     servo_gains: dict[str, tuple[int, ...]] | None = None
     """of the servos that the twin was identified on, for the contract"""
+    ranges: Ranges | None = None
+    """which arms to train on where there is no twin; by default those of the preset"""
 
     @property
     def recipe(self) -> Preset:
@@ -164,7 +166,7 @@ def write_curves(path: Path, curve: Sequence[CurvePoint]) -> None:
 
 def make_learner(arm: Arm, twin: Twin | None, recipe: Preset, options: TrainingOptions) -> Learner:
     """Set up what a training works on, at its beginning."""
-    ranges, workers = training_ranges(arm, twin, recipe), min(WORKERS, recipe.ppo.agents)
+    ranges, workers = options.ranges or training_ranges(arm, twin, recipe), min(WORKERS, recipe.ppo.agents)
     sizes = [len(part) for part in np.array_split(np.arange(recipe.ppo.agents), workers)]
     tasks = [
         ReachTask(

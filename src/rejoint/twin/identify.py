@@ -18,6 +18,7 @@ from rejoint.system.errors import InputError
 from rejoint.system.progress import Progress, no_progress
 from rejoint.twin.declaration import TIMESTEP
 from rejoint.twin.fit import Fit, Problem, fit, search
+from rejoint.twin.loads import prior_by_loads
 from rejoint.twin.parameters import (
     Layout,
     Prior,
@@ -82,7 +83,7 @@ def identify(
             f"identification: {seconds:.0f} s of motion in {len(windows)} windows of about {settings.window:g} s, "
             f"expected at least {SHORTEST:.0f} s and {settings.hold_out} windows, one held out; record a longer log"
         )
-    belief = prior(arm)
+    belief = prior_by_loads(arm, logs) or prior(arm)
 
     period = seconds / sum(len(log) - 1 for log in logs)
     pieces = divide(seen, round(settings.coarse_window / period))

@@ -18,8 +18,11 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from rejoint.arms import Arm
 from rejoint.lab.plant.servo import STEP
 
+SERVO = "STS3215"
+"""As `rejoint.arms.Arm.servos` calls it"""
 COUNTS = 4096
 """of the encoder a turn"""
 WINDOW = 20
@@ -78,6 +81,11 @@ DEFAULTS = {
     "warmth": 0.0, "stall": 2.94, "bias": 0.0, "viscous": 0.0,
 }  # fmt: skip
 """A servo as sold (C018), powered, with its torque on."""
+
+
+def has_these_servos(arm: Arm) -> bool:
+    """Tell whether every joint of ``arm`` is moved by such a servo."""
+    return set(arm.servos) == {SERVO}
 
 
 @njit(cache=True)

@@ -16,6 +16,7 @@ from rejoint.control.contract import check_contract
 from rejoint.control.feedforward import NOMINAL_STIFFNESS, FeedforwardController
 from rejoint.control.law import STEP_LIMIT
 from rejoint.control.residual import CommandLaw
+from rejoint.control.servogains import in_words
 from rejoint.runs.given import as_policy
 from rejoint.runs.run import Run
 from rejoint.runs.stages.driving import recommended
@@ -67,7 +68,10 @@ def design_of(run: Run) -> Design:
             "expected 'goal' and 'residual'; train with the default preset"
         )
     periods = contract.min_period, contract.max_period
-    return Design(arm=arm, law=contract.law, network=policy.content, name=POLICY, damping=damping, periods=periods)
+    gains = "" if contract.servo_gains is None else in_words(contract.servo_gains)
+    return Design(
+        arm=arm, law=contract.law, network=policy.content, name=POLICY, damping=damping, periods=periods, gains=gains
+    )
 
 
 def write_controller(run: Run, out: Path) -> Design:
@@ -116,6 +120,7 @@ def metadata(design: Design) -> dict[str, str]:
             "zeros begin anew; where a command was limited on its way, write what was sent into the entries 'sent' of "
             "state_out before it goes back as state_in"
         ),
+        **({"rejoint.servo_gains": design.gains} if design.gains else {}),
         "rejoint.not_inside": OUTSIDE,
         "rejoint.software": __version__,
     }
@@ -145,7 +150,10 @@ def leapp_text(design: Design, file: str, data: bytes) -> str:
         "sha256sum": hashlib.sha256(data).hexdigest(), "backend": "onnx", "warp_segments": 0,
     }  # fmt: skip
     assert len(slots) == size  # noqa: S101 - written by the same table
-    return f"""# {OUTSIDE}
+    about = f"# {OUTSIDE}"
+    if design.gains:
+        about += f"\n# The servos are to have the gains {design.gains}."
+    return f"""{about}
 # It was made for control periods of {1e3 * low:g} to {1e3 * high:g} ms; refuse others. state_in of zeros begins anew.
 models:
   controller:

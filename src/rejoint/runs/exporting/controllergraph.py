@@ -63,6 +63,8 @@ class Design:
     """[N m s/rad] of the servos, () where it is not known"""
     periods: tuple[float, float] = (0.018, 0.055)
     """[s] shortest and longest control period that it is for"""
+    gains: str = ""
+    """in words, of the servos' own loops that it was trained for; empty where they are not known"""
 
 
 def controller_graph(design: Design) -> onnx.ModelProto:

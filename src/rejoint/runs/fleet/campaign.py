@@ -13,6 +13,7 @@ from rejoint.logs.history.rows import SUMMARY, HistoryRow, read_rows, utc_now
 from rejoint.runs.fleet.file import Fleet, FleetArm
 from rejoint.runs.fleet.work import RepairOptions, Step, Work
 from rejoint.runs.folder import RunFolder
+from rejoint.runs.given import arm_of
 from rejoint.runs.repair import stages_of
 from rejoint.runs.run import newest_or_new_in
 from rejoint.system.errors import FileError
@@ -82,7 +83,8 @@ class Campaign:
                 return ()
         if files.finished.exists():
             return ()
-        stages = stages_of(arm.address, files, controllers=options.controllers, quick=options.quick)
+        built = arm_of(arm.address, arm.description)
+        stages = stages_of(arm.address, built, files, controllers=options.controllers, quick=options.quick)
         return tuple(name for name, file in stages.items() if name == "report" or not file.exists())
 
     def work(self, arm: FleetArm, step: Step) -> Work:

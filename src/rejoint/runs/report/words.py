@@ -23,6 +23,8 @@ CONTROLLERS = {
     "servo-gains": "target sent once, under better gains of the servos themselves",
     "servo-gains+integrator": "integrator, under better gains of the servos",
     "servo-gains+feedforward": "feedforward, under better gains of the servos",
+    "servo-gains+policy": "policy, trained for better gains of the servos and driven under them",
+    "servo-gains+predictive": "predictive, under better gains of the servos",
     "shelf": "learned in simulation for any worn arm of this build, comes with rejoint",
     "policy": "learned in simulation of this arm",
     "predictive": "plans on the twin of this arm, leaves the last millimetre to another",

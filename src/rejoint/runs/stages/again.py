@@ -90,8 +90,10 @@ def twin_error(arm: Arm, twin: Twin, log: RunLog) -> float:
 
 
 def _take_over(run: Run, last: Run, why: Kept) -> None:
-    """Copy training, twin and policy, in this order: a policy that is missing is trained on that twin."""
+    """Copy training, twin, gains and policy, in this order: what is missing is made anew from those before it."""
     shutil.copytree(last.folder.outputs.folder, run.folder.outputs.folder, dirs_exist_ok=True)
     write_json(run.folder.kept, why)
-    for source, target in ((last.folder.twin, run.folder.twin), (last.folder.policy, run.folder.policy)):
-        write_whole(target, partial(shutil.copyfile, source))
+    ours, theirs = run.folder, last.folder
+    for source, target in ((theirs.twin, ours.twin), (theirs.gains, ours.gains), (theirs.policy, ours.policy)):
+        if source.exists():
+            write_whole(target, partial(shutil.copyfile, source))

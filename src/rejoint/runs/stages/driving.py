@@ -21,11 +21,11 @@ from rejoint.control.controller import Controller, heeds_turn
 from rejoint.control.correction import Modelled
 from rejoint.control.feedforward import FeedforwardController
 from rejoint.control.gainsearch import GainsFound
-from rejoint.control.geared import GEARED, RIVALS, Geared, inner_name
+from rejoint.control.geared import GEARED, GEARED_POLICY, GEARED_PREDICTIVE, RIVALS, Geared, inner_name
 from rejoint.control.guard import GuardLimits
 from rejoint.control.lines import servo_lines
 from rejoint.control.robot import Robot
-from rejoint.control.servogains import gains_in_force, stiffness_under
+from rejoint.control.servogains import ServoGains, differing, gains_in_force, in_words, stiffness_under
 from rejoint.control.shelf import SHELF, shelf_controller, shelf_policy
 from rejoint.control.start import Stance
 from rejoint.logs.journal import Journal
@@ -94,8 +94,31 @@ def twin_in_force(run: Run, robot: Robot) -> Twin | None:
     twin, diagnosis = run.twin, run.diagnosis
     if twin is None or diagnosis is None:
         return twin
-    stiffness = stiffness_under(twin.parameters.stiffness, diagnosis.servo_gains, gains_in_force(robot))
+    return twin_under(twin, diagnosis.servo_gains, gains_in_force(robot))
+
+
+def twin_under(twin: Twin, before: ServoGains | None, now: ServoGains | None) -> Twin:
+    """Return a ``twin`` that was fitted under the gains ``before``, its servos as stiff as under those ``now``.
+
+    What more stiffness does to the rest of a servo was not worth an excitation of its own: on eight emulated SO-101
+    predictive control settles no nearer on a twin that was fitted under the tuned gains (docs/so101.md).
+    """
+    stiffness = stiffness_under(twin.parameters.stiffness, before, now)
     return replace(twin, parameters=replace(twin.parameters, stiffness=stiffness))
+
+
+def tuned_gains(run: Run | None) -> GainsFound | None:
+    """Return what the search for better gains of a run found; None where there was none."""
+    if run is None or not run.folder.gains.exists():
+        return None
+    return read_json(run.folder.gains, GainsFound)
+
+
+def trained_for_tuned(run: Run | None) -> bool:
+    """Whether the policy of a run was trained for the gains that its search found."""
+    found, policy = tuned_gains(run), None if run is None else run.policy
+    gains = None if policy is None else policy.contract.servo_gains
+    return found is not None and gains is not None and not differing(gains, found.under)
 
 
 def correction_of(
@@ -121,7 +144,12 @@ def recommended(run: Run) -> str:
     comparison = run.comparison
     if comparison is not None:
         return recommend(comparison).controller
-    return POLICY if run.folder.policy.exists() else FeedforwardController.name
+    return _own_policy(run) if run.folder.policy.exists() else FeedforwardController.name
+
+
+def _own_policy(run: Run) -> str:
+    """Name the policy of a run among the controllers."""
+    return GEARED_POLICY if trained_for_tuned(run) else POLICY
 
 
 def make_factories(
@@ -136,10 +164,7 @@ def make_factories(
     """
     usual = np.nan if period is None else sum(period) / 2
     if not given:
-        own = run is not None and run.folder.policy.exists()
-        rivals = RIVALS if real and run is not None and run.folder.gains.exists() else ()
-        shelf = not posed and _on_shelf(arm, usual)
-        given = (*contenders(real=real, shelf=shelf, policy=own and not posed, twin=bool(twin) and not posed), *rivals)
+        given = _contenders(arm, usual, run, twin, real=real, posed=posed)
     named = given if isinstance(given, Mapping) else _unique(given)
     factories = {name: _factory(one, run, twin, usual) for name, one in named.items()}
     for name, make in factories.items():
@@ -153,6 +178,24 @@ def make_factories(
     return factories
 
 
+def _contenders(
+    arm: Arm, period: float, run: Run | None, twin: Twin | None, *, real: bool, posed: bool
+) -> tuple[str, ...]:
+    """Name who takes part in a comparison: what the run has made, under tuned gains where it was made for those.
+
+    Policies and plans do not turn a tool: for ``posed`` targets they are left out.
+    """
+    own, tuned = run is not None and run.folder.policy.exists() and not posed, tuned_gains(run) is not None
+    plain = contenders(
+        real=real, shelf=not posed and _on_shelf(arm, period), policy=own and not trained_for_tuned(run),
+        twin=twin is not None and not tuned and not posed,
+    )  # fmt: skip
+    if not tuned:
+        return plain
+    missing = {GEARED_POLICY: posed or not trained_for_tuned(run), GEARED_PREDICTIVE: posed or twin is None}
+    return (*plain, *(name for name in RIVALS if not missing.get(name)))
+
+
 def usual_controller(run: Run | None, *, posed: bool = False) -> str:
     """Name what drives an arm where nothing else is asked for: the policy of its run, before one that of the shelf.
 
@@ -160,7 +203,7 @@ def usual_controller(run: Run | None, *, posed: bool = False) -> str:
     """
     if posed:
         return FeedforwardController.name
-    return POLICY if run is not None and run.folder.policy.exists() else SHELF
+    return _own_policy(run) if run is not None and run.folder.policy.exists() else SHELF
 
 
 def _on_shelf(arm: Arm, period: float) -> bool:
@@ -212,7 +255,7 @@ def _factory(given: ControllerLike, run: Run | None, twin: Twin | None, period: 
     if given == PREDICTIVE and twin is not None:
         return lambda arm: _predictive(arm, twin, period)
     if isinstance(given, str) and given in RIVALS:
-        return partial(_geared, given, run=run, twin=twin)
+        return partial(_geared, given, run=run, twin=twin, period=period)
     if isinstance(given, str) and not given.endswith(".onnx"):
         file = run.folder.policy if run is not None and run.folder.policy.exists() else None
         known = {} if twin is None else {"stiffness": twin.parameters.stiffness}
@@ -226,15 +269,26 @@ def _factory(given: ControllerLike, run: Run | None, twin: Twin | None, period: 
     return given
 
 
-def _geared(name: str, arm: Arm, *, run: Run | None, twin: Twin | None) -> Controller:
-    """Return a controller under the gains that the search of this run found; FileError where there was none."""
-    if run is None or not run.folder.gains.exists():
+def _geared(name: str, arm: Arm, *, run: Run | None, twin: Twin | None, period: float) -> Controller:
+    """Return a controller under the gains that the search of this run found; FileError where there was none.
+
+    ContractError for a policy that was trained for others.
+    """
+    found = tuned_gains(run)
+    if run is None or found is None:
         where = "RUN" if run is None else str(run.path)
         raise FileError(f"{where}/gains.json", "no such file", f"run `rejoint gains ROBOT {where}` first")
-    found = read_json(run.folder.gains, GainsFound)
-    inner = inner_name(name)
-    stiffness = None if twin is None else stiffness_under(twin.parameters.stiffness, found.found, found.under)
-    controller = make_controller(inner, arm, stiffness=stiffness)
+    inner, stiffer = inner_name(name), None if twin is None else twin_under(twin, found.found, found.under)
+    if name == GEARED_POLICY and not trained_for_tuned(run):
+        raise ContractError(
+            f"{run.path} has no policy for the gains that its search found ({in_words(found.under)}); train one with: "
+            f"rejoint train {run.path}"
+        )
+    if name == GEARED_PREDICTIVE and stiffer is not None:
+        controller = _predictive(arm, stiffer, period)
+    else:
+        stiffness = None if stiffer is None else stiffer.parameters.stiffness
+        controller = make_controller(inner, arm, stiffness=stiffness, policy=run.folder.policy)
     return Geared(controller, found.alone if name == GEARED else found.under)
 
 

@@ -11,6 +11,7 @@ from rejoint.arms import Arm, load_arm
 from rejoint.control.policy import Policy
 from rejoint.runs.given import ArmLike, RunLike, TwinLike, as_arm, as_run, as_twin
 from rejoint.runs.run import exclusive, mark_quick
+from rejoint.runs.stages.driving import tuned_gains, twin_under
 from rejoint.system.errors import InputError
 from rejoint.system.progress import Progress, no_progress, paced
 
@@ -101,9 +102,11 @@ def train(
         found = as_run(run).seeded(seed)
         with exclusive(found):
             mark_quick(found, quick=quick)
-            told = found.diagnosis
-            gains = None if told is None else told.servo_gains
-            task = _Task(found.arm, found.twin, preset, found.seed, threads, resume, quick, device, gains)
+            told, tuned, known = found.diagnosis, tuned_gains(found), found.twin
+            gains = tuned.under if tuned is not None else None if told is None else told.servo_gains
+            if tuned is not None and known is not None:
+                known = twin_under(known, tuned.found, tuned.under)
+            task = _Task(found.arm, known, preset, found.seed, threads, resume, quick, device, gains)
             return task.train(found.path, trainer, on_progress)
     known = None if twin is None else as_twin(twin)
     if known is None and arm is None:
@@ -129,7 +132,7 @@ class _Task:
     quick: bool
     device: str
     servo_gains: dict[str, tuple[int, ...]] | None = None
-    """in force when the arm was diagnosed"""
+    """that will be in force: the best that a search found, else those of the diagnosis"""
 
     def train(self, folder: Path, trainer: Trainer | None, on_progress: Progress) -> TrainedPolicy:
         """Train by PPO or another trainer, and take up the policy that is then in the folder."""

@@ -8,6 +8,7 @@ from rejoint.arms import Array
 from rejoint.control.comparison.failure import failure
 from rejoint.control.comparison.recommend import NO_INTERVAL
 from rejoint.control.comparison.result import Comparison, ControllerRow
+from rejoint.control.geared import own_policy
 from rejoint.runs.report.bytarget import by_target
 from rejoint.runs.report.figures import Series, error_per_target, intervals
 from rejoint.runs.report.gallery import Gallery
@@ -66,7 +67,9 @@ def _per_target(comparison: Comparison, best: str, healthy: Series | None, galle
 
 def _chosen(comparison: Comparison, best: str) -> list[ControllerRow]:
     """Pick what matters most: the arm as it was, the recommended controller, the policy."""
-    wanted = dict.fromkeys(name for name in ("default", best, "policy") if name in comparison.controllers)
+    wanted = dict.fromkeys(
+        name for name in ("default", best, own_policy(comparison.controllers)) if name in comparison.controllers
+    )
     others = [name for name in comparison.controllers if name not in wanted]
     names = [*wanted, *others][:_BARS]
     return [row for row in comparison.rows if row.controller in names]

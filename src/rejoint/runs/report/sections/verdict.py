@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from rejoint.control.comparison.failure import failure
 from rejoint.control.comparison.recommend import NO_INTERVAL, Recommendation, difference
 from rejoint.control.comparison.result import Comparison, ControllerRow
+from rejoint.control.geared import own_policy
 from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.diagnosis.diagnosis import ringing_most
 from rejoint.runs.folder import LOGS
@@ -94,14 +95,15 @@ def _gain(before: Spread, best: ControllerRow) -> str:
 
 def _policy(advice: Recommendation, comparison: Comparison) -> tuple[str, ...]:
     """Say plainly how the learned policy did where it is not the one to use."""
-    if advice.controller == "policy" or "policy" not in comparison.controllers:
+    own, name = own_policy(comparison.controllers), advice.controller
+    if own is None or own == name:
         return ()
-    row, name = comparison.row("policy"), advice.controller
+    row = comparison.row(own)
     if row.beaten:
         return (f"The learned policy was tried and is not the best here. {sentence(failure(row))}",)
     if row.out or row.failures:
         return (f"The learned policy was tried and failed. {sentence(failure(row))}",)
-    gap = difference(comparison, "policy", name)
+    gap = difference(comparison, own, name)
     if gap is None:
         return (f"The learned policy was tried and gave no result to compare with “{name}”.",)
     if above_zero(gap):

@@ -1,0 +1,179 @@
+"""Emulated SO-101 on the law of their servos, in virtual time: `python -m benchmarks.so101 shelf|push|loads|tuned`.
+
+`shelf`: the policy from the shelf against the classical controllers, on twenty arms that it never met, at two P.
+`push`: a friction push with dither over the integrator, under gains that a search found; it knows the true friction.
+`loads`: what a servo's load does for the identification of arms whose links are 15 % heavier than described.
+`tuned`: what controllers gain from the gains of a search, with the twin of the gains before made as stiff as then.
+"""
+
+import sys
+from dataclasses import replace
+
+import numpy as np
+
+from rejoint.arms import load_arm
+from rejoint.control.comparison.protocols import measure_holds
+from rejoint.control.comparison.result import Protocol
+from rejoint.control.comparison.targets import draw_targets
+from rejoint.control.default import DefaultController
+from rejoint.control.feedforward import FeedforwardController
+from rejoint.control.gainsearch import search
+from rejoint.control.integrator import IntegratorController
+from rejoint.control.law import dls_step, limit_position
+from rejoint.control.loop import Schedule, run
+from rejoint.control.shelf import shelf_controller
+from rejoint.diagnosis.record import record
+from rejoint.lab.plant.wear import load_wear
+from rejoint.robots.emulated import EmulatedRobot
+from rejoint.runs.stages.driving import twin_under
+from rejoint.twin.identify import identify
+from rejoint.twin.parameters import Layout, pack
+from rejoint.twin.predictive import PredictiveController
+
+ARM, PROTOCOL = load_arm("so101"), Protocol()
+KINDS = ("worn", "so101")
+"""Wear profiles: a worn small arm, and an SO-101 as one was found"""
+GOLDEN = np.pi * (3 - np.sqrt(5))
+
+
+def arms(count, first):
+    """Names of ``count`` arms of each kind."""
+    return [f"{kind}?seed={first + i}" for kind in KINDS for i in range(count)]
+
+
+def robot(names, gains=None, seed=5, **options):
+    """Emulated arms, each under its own ``gains``."""
+    found = EmulatedRobot(ARM, [load_wear(name, ARM) for name in names], seed=seed, **options)
+    for arm, own in enumerate(gains or ()):
+        for name, values in own.items():
+            found.plant.settings["integral_limit" if name == "limit" else name][arm] = values
+    found.restart(ARM.rest)
+    return found
+
+
+def targets(count, each, seed):
+    return np.random.default_rng(seed).uniform(ARM.targets.lower, ARM.targets.upper, (count, each, 3))
+
+
+def held(arm, controller, points):
+    """Settled error [mm] and tremble [mm], both (B, K), and time [s] (B, K) to come and stay within 2 mm."""
+    recording = run(arm, controller, points, Schedule(dwell=PROTOCOL.hold, keep_going=True))
+    holds = measure_holds(ARM, recording, points, PROTOCOL)
+    return 1e3 * holds.settled, 1e3 * holds.oscillation, holds.stay[int(np.argmin(PROTOCOL.within))]
+
+
+def tell(label, found, count):
+    """Print what came out, for each kind of arm."""
+    for place, kind in enumerate(KINDS):
+        rows = slice(place * count, (place + 1) * count)
+        settled, tremble, stay = (one[rows] for one in found)
+        far = f"{np.nanmean(settled):.3f} (p95 {np.nanpercentile(settled, 95):.2f})"
+        print(
+            f"{label:22s} {kind:6s} settled {far}, within 2 mm after {np.median(stay):.2f}, trembles by "
+            f"{np.nanmean(tremble):.3f}; {np.isnan(settled).sum()} cut short",
+            flush=True,
+        )
+
+
+def shelf():
+    names, points = arms(10, 100), targets(20, 4, 7)
+    for p in (32, 16):
+        for make in (DefaultController, IntegratorController, FeedforwardController, shelf_controller):
+            controller = make(ARM)
+            name = "shelf" if make is shelf_controller else controller.name
+            tell(f"P = {p}, {name}", held(robot(names, [{"p": p}] * len(names)), controller, points), 10)
+
+
+class Push:
+    """Adds to ``inner`` a share of each joint's friction, as lead, towards the target while the joint stands.
+
+    Dither comes on top; both fade with the measured speed.
+    """
+
+    name = "push"
+
+    def __init__(self, inner, push, dither):
+        self.inner, self.push, self.dither, self.sent, self.last = inner, push, dither, None, None
+
+    def reset(self, inputs, where):
+        """Pass a new target on."""
+        self.sent = inputs.sent.copy() if self.sent is None else self.sent
+        self.inner.reset(replace(inputs, sent=self.sent), where)
+
+    def command(self, inputs):
+        """Return the command of the inner controller, pushed."""
+        here, time = inputs.state.position, inputs.state.time[:, None]
+        before, then, speed = (here, time - 1.0, 0.0 * here) if self.last is None else self.last
+        speed = 0.5 * speed + 0.5 * (here - before) / np.maximum(time - then, 1e-3)
+        self.last = here.copy(), time.copy(), speed
+        self.sent = self.inner.command(replace(inputs, sent=self.sent))
+        seen = dls_step(ARM, here, inputs.target)
+        away = np.linalg.norm(seen.error, axis=-1, keepdims=True)
+        push = self.push * np.tanh(seen.step / (1.5 * ARM.encoder_step)) * away / (away + 3e-4)
+        wave = self.dither * np.sin(2 * np.pi * 8.0 * time + GOLDEN * np.arange(ARM.joints)) * (away > 3e-4)
+        return limit_position(ARM, self.sent + (push + wave) * np.exp(-((speed / 0.05) ** 2)))
+
+
+def searched(names):
+    """Return what the search for gains finds for each arm."""
+    points = draw_targets(ARM, sets=1, count=4, seed=0)[0]
+    return [search(robot([name], seed=11), points) for name in names]
+
+
+def push():
+    names, points = arms(4, 1), targets(8, 8, 100)
+    gains = [found.under for found in searched(names)]
+    wears = [load_wear(name, ARM) for name in names]
+    p = np.array([own["p"] for own in gains])
+    lead = np.array([wear.coulomb / wear.position_gain for wear in wears]) * 32 / p  # [rad]
+    for share, dither in ((0, 0), (0.3, 0), (0.5, 0), (1, 0), (0, 0.3), (0, 0.7), (0.3, 0.3)):
+        controller = Push(IntegratorController(ARM), share * lead, dither * lead)
+        tell(f"push {share}, dither {dither}", held(robot(names, gains), controller, points), 4)
+
+
+def loads():
+    heavier = replace(ARM, mass=1.15 * ARM.mass, inertia=1.15 * ARM.inertia)
+    names, layout = arms(3, 1), Layout(ARM.joints)
+    logs = [one.excitation for one in record(robot(names, seed=31, bodies=[heavier] * len(names)), seed=0)]
+    found = {}
+    for name, log in zip(names, logs, strict=True):
+        gain, kind = load_wear(name, ARM).position_gain, name.partition("?")[0]
+        truth = {"stiffness": gain, "torque_limit": 0.97 * gain / (0.163 * 32)}
+        for load in ("without", "with"):
+            twin = identify(ARM, [log if load == "with" else replace(log, servo_load=None)])
+            values, sigma = pack(twin.parameters), np.sqrt(np.diag(twin.covariance))
+            for what, true in truth.items():
+                place = layout.at(what)
+                found.setdefault((kind, what, load), []).append((values[place] - np.log(true), sigma[place]))
+    for (kind, what, load), rows in found.items():
+        error, sigma = np.concatenate([np.array(row) for row in rows], axis=1)
+        print(
+            f"{kind:6s} {what:12s} {load:7s} load: logarithm off by {np.median(np.abs(error)):.2f} (median), one sigma "
+            f"{np.median(sigma):.2f} (largest {sigma.max():.2f}), truth within 95 % in "
+            f"{(np.abs(error) < 1.96 * sigma).sum()} of {error.size}",
+            flush=True,
+        )
+
+
+def tuned():
+    names, points = arms(4, 1), targets(8, 6, 3)
+    rows = {}
+    for arm, (name, found) in enumerate(zip(names, searched(names), strict=True)):
+        twin = identify(ARM, [record(robot([name], seed=21), seed=0)[0].excitation])
+        for under, gains in (("before", found.found), ("tuned", found.under)):
+            known = twin_under(twin, found.found, gains)
+            stiffness = known.parameters.stiffness
+            for label, controller in {
+                "integrator": IntegratorController(ARM), "feedforward": FeedforwardController(ARM, stiffness),
+                "shelf": shelf_controller(ARM),
+                "predictive": PredictiveController.of(ARM, known, shelf_controller(ARM)),
+            }.items():  # fmt: skip
+                settled, _, stay = held(robot([name], [gains], seed=50 + arm), controller, points[arm : arm + 1])
+                rows.setdefault((label, under), []).append([np.nanmean(settled), np.median(stay)])
+    for (label, under), found in rows.items():
+        mean = np.mean(found, axis=0)
+        print(f"{label:12s} gains {under:7s} settled {mean[0]:.3f}, within 2 mm after {mean[1]:.2f}")
+
+
+if __name__ == "__main__":
+    {"shelf": shelf, "push": push, "loads": loads, "tuned": tuned}[sys.argv[1]]()

@@ -1,0 +1,124 @@
+"""The emulated SO-101 in virtual time: the servo law of the one behind its bus, with gains that can be set."""
+
+import numpy as np
+import pytest
+
+import rejoint
+from rejoint.arms import load_arm
+from rejoint.control.servogains import gains_in_force
+from rejoint.lab.emulator.feetech.arm import build_arm
+from rejoint.lab.plant.sts3215 import SETTING
+from rejoint.lab.plant.wear import load_wear
+from rejoint.robots import open_robot, place_of
+from rejoint.robots.emulated import EmulatedRobot
+from rejoint.robots.feetech.gains import for_all
+from rejoint.runs.run import Run
+from rejoint.runs.stages import gains as stage
+from rejoint.runs.stages.gains import keep_gains
+from rejoint.system.errors import AddressError, InputError, RobotError
+
+ARM = load_arm("so101")
+PROMPT = {"period": (0.02, 0.02), "command_latency": (0.0, 0.0), "readback_age": (0.0, 0.0)}
+REGISTERS = {"p": "P_Coefficient", "i": "I_Coefficient", "limit": "Integral_Limit"}
+ENDS = {"least", "most"}
+"""Settings that LeRobot's calibration leaves in the servos: the ends of the joints, which nothing here comes near"""
+
+
+def behind_its_bus(wear, gains):
+    """An arm whose registers hold ``gains``, at rest."""
+    arm = build_arm(ARM, wear, seed=5)
+    for index, servo in enumerate(arm.servos[: ARM.joints]):
+        for name, values in for_all(gains, ARM.joints).items():
+            servo[REGISTERS[name]] = values[index]
+        arm.settle(index)
+    arm.plant.reset(ARM.rest[None])
+    return arm
+
+
+@pytest.mark.parametrize("wear", ["so101", "worn?seed=2"])
+@pytest.mark.parametrize("gains", [{}, {"p": 48, "i": 4}])
+def test_the_arm_behind_its_bus_and_that_in_virtual_time_move_alike(wear, gains):
+    """To the bit, from goals in registers on one side and commands to the robot on the other."""
+    bus, robot = behind_its_bus(wear, gains), EmulatedRobot(ARM, [load_wear(wear, ARM)], seed=5, gains=gains, **PROMPT)
+    robot.plant.advance(0.01)  # as long as the other took to be compiled
+    robot.restart(ARM.rest)
+    for name in set(SETTING.names) - ENDS:
+        np.testing.assert_array_equal(robot.plant.settings[name], bus.plant.settings[name])
+    rest, seen = np.rint(ARM.rest / ARM.encoder_step), []
+    for k in range(60):
+        goal = rest + np.rint(200 * np.sin(0.15 * k + np.arange(ARM.joints)))
+        for index, count in enumerate(goal):
+            bus.servos[index]["Goal_Position"] = int(count) - bus._shift(index)
+            bus.go(index)
+        bus.advance(0.02)
+        seen.append(robot.step(goal[None] * ARM.encoder_step).position[0])
+        np.testing.assert_array_equal(seen[-1], bus.angles)
+    assert np.ptp(seen, axis=0).min() > 0.2
+
+
+def test_its_address_names_the_gains_and_they_decide_how_far_it_sags():
+    away = []
+    for address in ("emulated:so101?p=16", "emulated:so101", "emulated:so101?p=64&startup=24&dead=0"):
+        robot = open_robot(address, seed=1)
+        robot.restart(ARM.rest)
+        goal = ARM.rest[None] + np.radians([0, -20, 20, 0, 0])
+        for _ in range(80):
+            state = robot.step(goal)
+        away.append(abs(goal - state.position)[0, 1])
+    assert away[0] > 1.5 * away[1] > 2.0 * away[2]
+    assert robot.servo_gains()["startup"] == (24,) * 5
+    assert robot.servo_gains()["dead_cw"] == robot.servo_gains()["dead_ccw"] == (0,) * 5
+
+
+def test_gains_are_tuned_for_the_whole_batch_and_each_arm_moves_as_it_would_alone():
+    wears = [load_wear(f"so101?seed={i}", ARM) for i in range(3)]
+    both, alone = EmulatedRobot(ARM, wears, seed=3), EmulatedRobot(ARM, wears[2:], seed=3, first=2)
+    tuned = for_all({"p": 48, "i": 2}, 5)
+    for robot in (both, alone):
+        robot.tune(tuned)
+        assert {name: robot.servo_gains()[name] for name in tuned} == tuned
+        for _ in range(20):
+            state = robot.step(np.tile(ARM.rest + 0.2, (robot.count, 1)))
+        robot.last = state
+    np.testing.assert_array_equal(both.last.position[2], alone.last.position[0])
+    np.testing.assert_array_equal(both.last.load[2], alone.last.load[0])
+
+
+def test_gains_that_a_labouring_servo_does_not_bear_are_taken_back():
+    robot = open_robot("emulated:so101")
+    for _ in range(40):
+        robot.step(ARM.rest[None] + 0.5)
+    robot.plant.joints["lower"] = robot.plant.joints["upper"] = robot.plant.encoder()  # blocked between its stops
+    robot.plant.settings["overload"] = 2000  # its own protection would end the labour
+    for _ in range(40):
+        robot.step(ARM.rest[None] + 1.2)
+    before = robot.servo_gains()
+    with pytest.raises(RobotError, match=r"does not bear p=.*the gains are as before"):
+        robot.tune(for_all({"p": 64}, 5))
+    assert robot.servo_gains() == before
+
+
+def test_a_search_runs_in_virtual_time_and_its_gains_can_be_compared_but_not_kept(tmp_path, monkeypatch):
+    monkeypatch.setattr(stage, "TARGETS", 1)
+    address = "emulated:worn?seed=3"
+    run = Run.create(tmp_path / "run", address, ARM)
+    found = rejoint.gains(address, run)
+    assert found.with_alone.tool < found.before.tool
+    compared = rejoint.compare(address, ["servo-gains"], [[0.33, 0.05, 0.22]], run=run, repetitions=1)
+    assert compared.comparison.rows[0].hold.settled.mean.value < found.before.tool
+    with pytest.raises(InputError, match="forgets its gains"):
+        keep_gains(address, run, found.alone)
+
+
+def test_arms_with_other_servos_have_no_gains():
+    assert place_of("emulated:worn").tunable(ARM)
+    assert not place_of("emulated:worn").tunable(load_arm("mycobot280"))
+    other = open_robot("emulated:worn")
+    assert gains_in_force(other) is None
+    assert other.rungs() == ()
+    with pytest.raises(InputError, match="an SO-101 has"):
+        other.tune(for_all({"p": 32}, 6))
+    with pytest.raises(InputError, match="give --arm so101"):
+        open_robot("emulated:worn?p=32")
+    with pytest.raises(AddressError, match="p=N with N from 8 to 64"):
+        place_of("emulated:so101?p=3")
