@@ -4,7 +4,8 @@ Controllers are compared result by result on the same targets. The criteria coun
 targets reached, settled encoder error, time to come and stay within the narrowest distance. A
 difference whose 95 % interval contains zero is a tie, and a tie goes to the simpler controller. Where there are too
 few results for an interval, only what an owner would see counts: a target missed, or more than the narrowest
-distance. A controller that was driven no further is out, unless all are. A tie is called one, with what the others did
+distance. A controller that was driven no further is out, unless all are, and one that a race found hardly better than
+the one chosen ties with it. A tie is called one, with what the others did
 better and how many trials would decide.
 """
 
@@ -18,6 +19,7 @@ import numpy as np
 from rejoint.arms import Array
 from rejoint.control.catalogue import CONTROLLERS
 from rejoint.control.comparison.failure import failure
+from rejoint.control.comparison.racing import NO_BETTER
 from rejoint.control.comparison.result import Comparison, ControllerRow
 from rejoint.control.geared import inner_name
 from rejoint.system.statistics import FEWEST_CLUSTERS, Estimate, above_zero, cluster, paired_difference
@@ -57,15 +59,16 @@ def recommend(comparison: Comparison) -> Recommendation:
         ["Every controller was stopped; this one got farthest."] if len(decided) == len(comparison.rows) else []
     )
     for criterion in _criteria(comparison):
-        best = min(left, key=lambda row: (_mean(criterion, row), _complexity(row)))
+        best = min(left, key=lambda row: (_mean(criterion, row), _by_complexity(row)))
         tied = [row for row in left if _tie(criterion, best, row)]
         decided += [_beaten(criterion, best, row) for row in left if row not in tied]
         left = tied
-    chosen = min(left, key=_complexity)
+    chosen = min(left, key=_by_complexity)
     others = [row for row in left if row is not chosen]
     why = [*all_stopped, _achieves(chosen, comparison), *_tied(chosen, others, comparison)]
     why += (*reversed(decided), *comparison.left_out)
-    names = tuple(row.controller for row in others)
+    needless = [row for row in comparison.rows if row.out.startswith(f"{NO_BETTER}{chosen.controller} ")]
+    names = tuple(row.controller for row in (*others, *needless))
     return Recommendation(controller=chosen.controller, why=(*why, *_hidden(chosen), *_geared(chosen)), tied=names)
 
 
@@ -195,14 +198,18 @@ def _geared(row: ControllerRow) -> tuple[str, ...]:
     )
 
 
-def _complexity(row: ControllerRow) -> tuple[float, str]:
-    """Rank from the simplest controller on; unknown ones count as the most demanding.
+def complexity(controller: str) -> tuple[float, str]:
+    """Rank a name from the simplest controller on; unknown ones count as the most demanding.
 
     One under other gains of the servos comes right after the same one under those that are there.
     """
-    name = inner_name(row.controller)
+    name = inner_name(controller)
     known = CONTROLLERS.index(name) if name in CONTROLLERS else len(CONTROLLERS)
-    return known + 0.5 * (name != row.controller), row.controller
+    return known + 0.5 * (name != controller), controller
+
+
+def _by_complexity(row: ControllerRow) -> tuple[float, str]:
+    return complexity(row.controller)
 
 
 def _listed(names: list[str]) -> str:
