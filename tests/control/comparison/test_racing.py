@@ -210,6 +210,37 @@ def test_where_nothing_that_matters_is_between_two_the_simpler_is_recommended():
         assert sorted(turn) == ["integrator", "policy"], "the same targets for all, in turns"
 
 
+@pytest.fixture(scope="module")
+def undecided():
+    """Return a race of three alike, made as if nobody had been stopped: settled errors and times are filled in."""
+    found, _ = race(dict.fromkeys(("integrator", "policy", "predictive"), IntegratorController), TARGETS[:1])
+
+    def filled(stays):
+        rows = []
+        for row, stay in zip(found.rows, stays, strict=True):
+            same = {"crossed": (1.0,) * 10, "settled": (1e-3,) * 10, "stay": (tuple(stay),) * len(row.outcomes.within)}
+            rows.append(replace(row, out="", outcomes=replace(row.outcomes, **same)))
+        return replace(found, rows=tuple(rows))
+
+    return filled
+
+
+def test_of_those_left_undecided_the_simplest_is_recommended_that_nobody_leads_by_a_quarter(undecided):
+    slow, soon = [2.0] * 10, [1.0] * 10
+    advice = recommend(undecided([slow, soon, soon]))
+    assert (advice.controller, advice.tied) == ("policy", ("predictive",))
+    assert "integrator: likely not as good as policy (worse at 10 of 10 targets, better at 0)." in advice.why
+    even = [1.0] * 2 + [2.0] * 8
+    advice = recommend(undecided([slow, even, even]))
+    assert (advice.controller, advice.tied) == ("integrator", ("policy", "predictive")), "two of ten are no quarter"
+    three = [1.0] * 3 + [2.0] * 7
+    assert recommend(undecided([slow, slow, three])).controller == "predictive", "three are"
+    advice = recommend(undecided([slow, even, three]))
+    assert (advice.controller, advice.tied) == ("policy", ("predictive",)), "which nobody leads by as much"
+    round_ = undecided([[1, 2, 3] * 3 + [2], [2, 3, 1] * 3 + [2], [3, 1, 2] * 3 + [2]])
+    assert recommend(round_).controller == "integrator", "each leads another: a tie, by intervals"
+
+
 def test_a_race_reads_from_its_holds_when_targets_are_crossed():
     raced, _ = race(factories("integrator"), TARGETS[:1], protocol=SETTLING)
     whole = compare(
