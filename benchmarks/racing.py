@@ -1,10 +1,13 @@
 """Whether a race recommends what a comparison to the end does, and in how much of the arm's time.
 
-Emulated arms drawn about the worn one; one policy for all of them (a file, `--policy` of `python -m benchmarks.racing`;
-without one the classical ones race among themselves). What every controller does at every target is emulated side by
-side first, twice with other noise, holding for eight seconds. The first time is the long way, as on a real arm before
-there were races. Of the second time the race is told what it asks for, the first five seconds of each hold; its arm's
-time is that of the trials that it asked for.
+Emulated arms drawn about the worn one, each diagnosed and with its own twin; one policy for all of them (a file,
+`--policy` of `python -m benchmarks.racing`; without one that from the shelf takes part). What every controller does at
+every target is emulated side by side first, twice with other noise, holding for eight seconds. The first time is the
+long way, twenty targets judged by their intervals, as on a real arm before there were races. Of the second time the
+race is told what it asks for, the first five seconds of each hold; its arm's time is that of the trials that it asked
+for. What the recommended controller costs is told by all forty holds: how much farther off it settles than the best
+one, and how much later it stays within 2 mm. ``--sets 2`` races to twenty targets, ``--shelf`` with the policy from the
+shelf beside the other one.
 """
 
 from __future__ import annotations
@@ -17,23 +20,21 @@ from pathlib import Path
 
 import numpy as np
 
+import rejoint
 from rejoint.arms import mycobot280
 from rejoint.control.catalogue import contenders
 from rejoint.control.comparison.compare import Settings, Trial, compare
 from rejoint.control.comparison.driven import Driven, measure
-from rejoint.control.comparison.elimination import Elimination
 from rejoint.control.comparison.ledger import Ledger
 from rejoint.control.comparison.onearm import looks
 from rejoint.control.comparison.protocols import Crossings, Holds
-from rejoint.control.comparison.racing import Race, fewest
+from rejoint.control.comparison.racing import Race
 from rejoint.control.comparison.recommend import Recommendation, recommend
 from rejoint.control.comparison.result import Comparison
 from rejoint.control.comparison.targets import draw_targets
 from rejoint.control.default import DefaultController
-from rejoint.control.loop import Schedule, run
 from rejoint.control.robot import Robot
-from rejoint.control.start import begin
-from rejoint.diagnosis.open_loop import DWELL
+from rejoint.control.shelf import SHELF
 from rejoint.robots import open_robot
 from rejoint.runs.effort import Meter
 from rejoint.runs.openloop import DEFAULT, trials
@@ -43,6 +44,8 @@ from rejoint.runs.stages.driving import make_factories
 ARM = mycobot280()
 PERIOD = (0.045, 0.055)
 """[s] about what a myCobot needs over TCP (docs/results.md)"""
+SETS = 2
+"""Target sets of the long way"""
 WAY = 2.7
 """[s] from the end of a trial to the beginning of the next: to the rest posture, and a second there (chosen: what it
 takes over TCP in the mean)"""
@@ -61,7 +64,9 @@ class Outcome:
     held: int
     """targets at which the recommended controller was held"""
     worse: tuple[float, float]
-    """by how much the race's controller is worse in the long way: settled [m], time to stay within 2 mm [s]"""
+    """by how much the race's controller is worse than the best in all holds: settled [m], time to stay [s]"""
+    slow: tuple[float, float]
+    """the same of the long way's"""
 
     @property
     def verdict(self) -> str:
@@ -84,49 +89,42 @@ class _Asked(dict):  # type: ignore[type-arg]
         return found
 
 
-def try_arm(number: int, policy: Path | None) -> Outcome:
+def try_arm(number: int, policy: Path | None, sets: int, *, shelf: bool) -> Outcome:
     """Race on the worn arm drawn with the seed ``number``, and go the long way."""
-    names = [
-        name for name in contenders(real=True, shelf=False, policy=policy is not None, twin=False) if name != DEFAULT
-    ]
-    factories = make_factories({name: policy or name if name == "policy" else name for name in names}, ARM, PERIOD)
+    address = f"emulated:worn?seed={number}"
+    diagnosed = rejoint.diagnose(address, period=PERIOD, seed=number)
+    twin = rejoint.identify(diagnosed.excitation)
+    names = [*contenders(real=True, shelf=True, policy=policy is not None, twin=True)]
+    names = [name for name in dict.fromkeys((*names, *([SHELF] if shelf else ()))) if name != DEFAULT]
+    given = {name: policy or name if name == "policy" else name for name in names}
+    factories = make_factories(given, ARM, PERIOD, twin=twin)
 
     def connect(count: int, seed: int) -> Robot:
-        return open_robot(f"emulated:worn?seed={number}", count=count, seed=seed, period=PERIOD, threads=1)
+        return open_robot(address, count=count, seed=seed, period=PERIOD, threads=1)
 
-    targets = draw_targets(ARM, sets=RACE_SETS, seed=number)
-    short: list[Driven] = []
+    before = trials(ARM, diagnosed.targets, RACE_PROTOCOL)
+    assert before is not None
+    targets, short = draw_targets(ARM, sets=SETS, seed=number), []
+    targets[0] = before.targets
 
     def keep(trial: Trial) -> None:
-        if trial.repetition == 1:
+        if trial.repetition == 1 and trial.kind == "hold":
             short.append(_short(trial, targets))
 
     twice = compare(connect, factories, targets, Settings(seed=number, batched=True, repetitions=2), on_trial=keep)
-    before, meter = open_loop(connect(1, number), targets[:1]), Meter()
-    done = _Asked({part.key: part for driven in short for part in _parts(driven, [*short, *before])})
+    done, meter = _Asked({part.key: part for driven in short for part in _parts(driven)}), Meter()
     settings = Settings(seed=number, batched=False, protocol=RACE_PROTOCOL, race=Race())
     everyone = {DEFAULT: DefaultController, **factories}
     raced = compare(
-        lambda count, seed: meter.watch(connect(count, seed)), everyone, targets, settings, measured=before,
-        ledger=Ledger(None, done), source="open loop",
+        lambda count, seed: meter.watch(connect(count, seed)), everyone, targets[:sets], settings,
+        measured=(before.driven,), ledger=Ledger(None, done), source="open loop",
     )  # fmt: skip
-    whole = _once(twice, 0)
-    best, slow = recommend(raced), recommend(whole)
+    best, slow, again = recommend(raced), recommend(_once(twice, 0)), recommend(_once(twice, 1))
     return Outcome(
-        race=best, long=slow, again=recommend(_once(twice, 1)),
-        seconds=meter.moving + sum(map(_seconds, done["asked"])), held=raced.row(best.controller).held,
-        worse=_worse(whole, best.controller, slow.controller),
+        race=best, long=slow, again=again, seconds=meter.moving + sum(map(_seconds, done["asked"])),
+        held=raced.row(best.controller).held, worse=_worse(twice, best.controller),
+        slow=_worse(twice, again.controller),
     )  # fmt: skip
-
-
-def open_loop(robot: Robot, targets: np.ndarray) -> tuple[Driven, ...]:
-    """Send the first set once, as the diagnosis does."""
-    begin(robot)
-    log = run(robot, DefaultController(ARM), targets, Schedule(dwell=DWELL)).log(0, "diagnosis/targets")
-    found = trials(ARM, log, RACE_PROTOCOL)
-    if found is None:
-        raise RuntimeError("the open loop was cut short")
-    return found.driven
 
 
 def _short(trial: Trial, targets: np.ndarray) -> Driven:
@@ -139,7 +137,7 @@ def _short(trial: Trial, targets: np.ndarray) -> Driven:
         one = replace(one, active=one.active & (one.since_target < RACE_PROTOCOL.hold + PERIOD[1]))
     return measure(
         ARM, one, targets[trial.target_set][None], RACE_PROTOCOL, controller=trial.controller, kind=trial.kind,
-        places=((trial.target_set, 0),),
+        places=((trial.target_set, 0),), both=True,
     )  # fmt: skip
 
 
@@ -157,26 +155,21 @@ def _once(twice: Comparison, repetition: int) -> Comparison:
             values = getattr(row.outcomes, item.name)
             if item.name in ("stay", "stayed"):
                 found[item.name] = tuple(map(pick, values))
-            elif item.name not in ("shape", "within"):
+            elif item.name not in ("shape", "within", "modelled"):
                 found[item.name] = pick(values)
         rows.append(replace(row, outcomes=replace(row.outcomes, shape=(sets, 1, count), **found)))
     return replace(twice, rows=tuple(rows), repetitions=1)
 
 
-def _parts(driven: Driven, known: list[Driven]) -> list[Driven]:
-    """Cut a trial into those that a race asks for."""
-    results = driven.crossings or driven.holds
-    if results is None:
-        return []
-    found = []
-    stops = [0, *(_stops(known, driven.places[0][0]) if driven.holds is not None else ()), driven.targets]
-    for first, stop in pairwise(stops):
-        part = type(results)(**{item.name: _cut(getattr(results, item.name), item.name, slice(first, stop))
-                                for item in fields(results)})  # fmt: skip
-        found.append(replace(
-            driven, first=first, crossings=part if isinstance(part, Crossings) else None,
-            holds=part if isinstance(part, Holds) else None,
-        ))  # fmt: skip
+def _parts(driven: Driven) -> list[Driven]:
+    """Cut the holds of a set into those that a race asks for."""
+    assert driven.crossings is not None
+    assert driven.holds is not None
+    stops, found = looks(driven.targets, driven.targets * driven.places[0][0], Race()), []
+    for part in (slice(first, stop) for first, stop in pairwise(stops)):
+        crossings = Crossings(**{f.name: getattr(driven.crossings, f.name)[:, part] for f in fields(Crossings)})
+        holds = Holds(**{f.name: _cut(getattr(driven.holds, f.name), f.name, part) for f in fields(Holds)})
+        found.append(replace(driven, first=part.start, crossings=crossings, holds=holds))
     return found
 
 
@@ -184,55 +177,43 @@ def _cut(values: np.ndarray, name: str, part: slice) -> np.ndarray:
     return values[:, :, part] if name in ("stay", "modelled") else values[:, part]
 
 
-def _stops(known: list[Driven], target_set: int) -> list[int]:
-    """Return where a race looks within a set: by who is left after the first crossings, as in `OneArm.race`."""
-    if target_set:
-        return looks(10, 0)
-    rules = Elimination(RACE_PROTOCOL)
-    crossings = [driven for driven in known if driven.crossings is not None and driven.places[0][0] == 0]
-    for driven in crossings:
-        assert driven.crossings is not None
-        rules.note(driven.controller, "crossing", (0, 0), driven.crossings.crossed[0], failed=False)
-    left = sum(not rules.out(driven.controller) for driven in crossings)
-    return looks(10, fewest(max(left - 1, 1), Race()))
-
-
 def _seconds(driven: Driven | None) -> float:
     """[s] that a trial takes on one arm, with the way to its beginning."""
     if driven is None:  # of the default, where it is still in the race: driven, and counted by the meter
         return 0.0
-    if driven.crossings is not None:
-        return WAY + float(np.nansum(driven.crossings.time))
     return WAY + driven.targets * RACE_PROTOCOL.hold
 
 
-def _worse(whole: Comparison, ours: str, theirs: str) -> tuple[float, float]:
-    if ours not in whole.controllers:
+def _worse(twice: Comparison, ours: str) -> tuple[float, float]:
+    if ours not in twice.controllers:
         return np.inf, np.inf
-    a, b = whole.row(ours).outcomes, whole.row(theirs).outcomes
-    settled = np.nanmean(a.array("settled")) - np.nanmean(b.array("settled"))
-    return float(settled), float(np.nanmean(a.array("stay")[-1]) - np.nanmean(b.array("stay")[-1]))
+    each = {row.controller: row.outcomes for row in twice.rows}
+    settled = {name: float(np.nanmean(one.array("settled"))) for name, one in each.items()}
+    stay = {name: float(np.nanmean(one.array("stay")[-1])) for name, one in each.items()}
+    return settled[ours] - min(settled.values()), stay[ours] - min(stay.values())
 
 
-def bench(arms: int, policy: Path | None, first: int = 0) -> None:
+def bench(arms: int, policy: Path | None, first: int = 0, sets: int = RACE_SETS, *, shelf: bool = False) -> None:
     """Try so many arms, and count."""
     found = []
     for number in range(first, first + arms):
-        begun, one = time.perf_counter(), try_arm(number, policy)
+        begun, one = time.perf_counter(), try_arm(number, policy, sets, shelf=shelf)
         found.append(one)
         print(
             f"arm {number:3}: {one.verdict:5}  race: {one.race.controller} after {one.held} targets, "
             f"{one.seconds / 60:.1f} min; long way: {' or '.join((one.long.controller, *one.long.tied))}, "
-            f"again {' or '.join((one.again.controller, *one.again.tied))}; worse by "
-            f"{1e3 * one.worse[0]:+.2f} mm, {one.worse[1]:+.2f} s  ({time.perf_counter() - begun:.0f} s to emulate)",
+            f"again {' or '.join((one.again.controller, *one.again.tied))}; worse than the best by "
+            f"{1e3 * one.worse[0]:.2f} mm, {one.worse[1]:.2f} s  ({time.perf_counter() - begun:.0f} s to emulate)",
             flush=True,
         )
     again = [_verdict(one.again, one.long) for one in found]
     verdicts, minutes = [one.verdict for one in found], np.array([one.seconds for one in found]) / 60
+    worse, slow = np.mean([one.worse for one in found], axis=0), np.mean([one.slow for one in found], axis=0)
     print(
         f"{verdicts.count('same')} of {arms} the same, {verdicts.count('tied')} that the long way cannot tell from its "
-        f"own (the long way with other noise: {again.count('same')} and {again.count('tied')}); "
-        f"{np.median(minutes):.1f} min of the arm's time in the median, {minutes.max():.1f} at most"
+        f"own (the long way with other noise: {again.count('same')} and {again.count('tied')}); worse than the best by "
+        f"{1e3 * worse[0]:.2f} mm and {worse[1]:.2f} s in the mean (the long way: {1e3 * slow[0]:.2f} and "
+        f"{slow[1]:.2f}); {np.median(minutes):.1f} min of the arm's time in the median, {minutes.max():.1f} at most"
     )
 
 
@@ -246,5 +227,7 @@ if __name__ == "__main__":
     parser.add_argument("--arms", type=int, default=20)
     parser.add_argument("--first", type=int, default=0, help="seed of the first arm")
     parser.add_argument("--policy", type=Path)
+    parser.add_argument("--sets", type=int, default=RACE_SETS, help="target sets of a race at most")
+    parser.add_argument("--shelf", action="store_true", help="race with the policy from the shelf as well")
     options = parser.parse_args()
-    bench(options.arms, options.policy, options.first)
+    bench(options.arms, options.policy, options.first, options.sets, shelf=options.shelf)

@@ -131,7 +131,11 @@ def comparison(terminal: Terminal, result: Comparison, advice: Recommendation) -
     headers, rows = comparison_table(result)
     sets, count = len(result.targets), len(result.targets[0])
     trials = f"{plural(sets, 'set')} of {plural(count, 'target')}, {plural(result.repetitions, 'repetition')}"
-    most = "" if result.most is None else f", in a race of at most {plural(result.most[0] * result.most[1], 'set')}"
+    most = (
+        ""
+        if result.most is None
+        else f", in a race of at most {plural(result.most[0] * result.most[1] * count, 'target')}"
+    )
     title = f"{result.robot}: {trials}{most}"
     terminal.table(title, headers, rows, bold=result.controllers.index(advice.controller))
     for line in filter(None, map(failure, result.rows)):

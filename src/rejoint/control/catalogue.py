@@ -38,9 +38,10 @@ ON_REQUEST = ("pid-sum", "pid-literal")
 def contenders(*, real: bool, shelf: bool, policy: bool, twin: bool) -> tuple[str, ...]:
     """Return who takes part in a comparison where nobody is named, on a ``real`` arm or in virtual time.
 
-    ``shelf``, ``policy`` and ``twin`` tell whether there is one for this arm.
+    ``shelf``, ``policy`` and ``twin`` tell whether there is one for this arm. A real arm is driven with the policy from
+    the shelf until it has its own: to drive both takes a minute more, and buys nothing (`python -m benchmarks.racing`).
     """
-    missing = {SHELF: not shelf, POLICY: not policy, PREDICTIVE: not twin}
+    missing = {SHELF: not shelf or (real and policy), POLICY: not policy, PREDICTIVE: not twin}
     return tuple(name for name in CONTROLLERS if not missing.get(name) and not (real and name in ON_REQUEST))
 
 

@@ -1,8 +1,7 @@
 """What the diagnosis measured open loop, as trials of the default controller: it is not driven again for a comparison.
 
-An arm that is told once where to go does the same whoever tells it. The diagnosis holds each target for as long as a
-race does; a target that the arm does not cross in that time counts as missed, although a comparison waits longer (it
-has come to rest by then), and so the time for all targets stays unknown.
+An arm that is told once where to go does the same whoever tells it, and the diagnosis holds each target for as long as
+a race does.
 """
 
 from __future__ import annotations
@@ -32,10 +31,10 @@ class OpenLoopTrials:
 
     targets: Array
     """(K, 3) [m]"""
-    driven: tuple[Driven, ...]
-    """as under both protocols of a comparison, at its first set"""
+    driven: Driven
+    """as the holds of a race, at its first set"""
     holds: Holds
-    """the second of them"""
+    """of them"""
     log: RunLog
     """as that of a trial of the hold protocol"""
 
@@ -58,16 +57,15 @@ def open_loop(run: Run, robot: str, protocol: Protocol, model: ToolModel | None 
 def trials(arm: Arm, log: RunLog, protocol: Protocol, model: ToolModel | None = None) -> OpenLoopTrials | None:
     """Judge the log of an open-loop run as the comparison judges its own; None where its holds are too short."""
     recording, targets = _recording(log)
-    judged = replace(protocol, dwell=min(protocol.dwell, protocol.hold))
-    found = tuple(
-        measure(arm, recording, targets[None], judged, controller=DEFAULT, kind=kind, places=((0, 0),), model=model)
-        for kind in ("crossing", "hold")
-    )
-    crossings, holds = found[0].crossings, found[1].holds
-    if crossings is None or holds is None or not np.isfinite(holds.settled).all():
+    found = measure(
+        arm, recording, targets[None], protocol, controller=DEFAULT, kind="hold", places=((0, 0),), model=model,
+        both=True,
+    )  # fmt: skip
+    if found.holds is None or not np.isfinite(found.holds.settled).all():
         return None
-    crossings.time[crossings.crossed == 0.0] = np.nan
-    return OpenLoopTrials(targets=targets, driven=found, holds=holds, log=replace(log, label=f"hold/{DEFAULT}/0/0"))
+    return OpenLoopTrials(
+        targets=targets, driven=found, holds=found.holds, log=replace(log, label=f"hold/{DEFAULT}/0/0")
+    )
 
 
 def _recording(log: RunLog) -> tuple[Recording, Array]:

@@ -175,7 +175,7 @@ def repair(
     period
         as for `compare`
     sets, repetitions
-        as for `compare`; by default 3 and 2 for an emulated arm, at most 2 and 1 for a real one
+        as for `compare`; by default 3 and 2 for an emulated arm, at most 1 and 1 for a real one
     full
         as for `compare`
     seed

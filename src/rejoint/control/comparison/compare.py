@@ -127,11 +127,12 @@ def compare(
     if not controllers:
         raise InputError("comparison: no controllers given")
     shape = (targets.shape[0], settings.repetitions, targets.shape[1])
+    trips = len(KINDS) if settings.race is None else 1
     session = TrialRunner(
         open_robot=open_robot, controllers=dict(controllers), targets=targets, settings=settings, shape=shape,
-        tallies={name: Tally(shape, settings.protocol) for name in controllers},
+        tallies={name: Tally(shape, settings.protocol, raced=settings.race is not None) for name in controllers},
         ledger=ledger or Ledger.nowhere(), limits=limits, stance=stance, correction=correction, model=model,
-        progress=Targets(on_progress, len(controllers) * len(KINDS) * int(np.prod(shape))), on_trial=on_trial,
+        progress=Targets(on_progress, len(controllers) * trips * int(np.prod(shape))), on_trial=on_trial,
         measured=tuple(measured), source=source, turns=turns,
     )  # fmt: skip
     robot = session.run_batched() if settings.batched else session.run_interleaved()
@@ -213,9 +214,12 @@ class TrialRunner:
 
     def drive(
         self, robot: Robot, controller: Controller, name: str, kind: Kind, places: Places, sent: Array | None = None,
-        part: slice = slice(None),
+        part: slice = slice(None), *, both: bool = False,
     ) -> tuple[Driven, Recording]:  # fmt: skip
-        """Run one protocol for the trials (set, repetition) in ``places``, with a ``part`` of the targets of a set."""
+        """Run one protocol for the trials (set, repetition) in ``places``, with a ``part`` of the targets of a set.
+
+        With ``both``, holds tell as well when their targets were crossed.
+        """
         targets, first = self.targets[[s for s, _ in places]][:, part], part.start or 0
         turns = None if self.turns is None else self.turns[[s for s, _ in places]][:, part]
         plan = schedule(kind, self.settings.protocol, keep_going=self.settings.batched, sent=sent)
@@ -237,6 +241,6 @@ class TrialRunner:
                 self.on_trial(replace(trial, first=first))
         driven = measure(
             robot.arm, recording, targets, self.settings.protocol, controller=name, kind=kind, places=places,
-            failed=failed, model=self.model, first=first,
+            failed=failed, model=self.model, first=first, both=both,
         )  # fmt: skip
         return driven, recording

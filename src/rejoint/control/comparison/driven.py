@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -27,7 +27,7 @@ class Driven:
     kind: Kind
     places: Places
     crossings: Crossings | None
-    """results (B, K) under the crossing protocol"""
+    """results (B, K) under the crossing protocol; of a hold, where it was to tell them as well"""
     holds: Holds | None
     """results (B, K) under the hold protocol"""
     cycles: int
@@ -55,19 +55,26 @@ class Driven:
 
 def measure(
     arm: Arm, recording: Recording, targets: Array, protocol: Protocol, *, controller: str, kind: Kind, places: Places,
-    failed: bool = False, model: ToolModel | None = None, first: int = 0,
+    failed: bool = False, model: ToolModel | None = None, first: int = 0, both: bool = False,
 ) -> Driven:  # fmt: skip
     """Measure a recording of a protocol with ``targets`` (B, K, 3) [m], one arm per trial in ``places``.
 
-    ``first`` is the index of the first of them in its set.
+    ``first`` is the index of the first of them in its set. ``both``: a hold tells as well when its target was crossed.
+    A target that is not crossed while it is held counts as missed, although the other protocol waits longer.
     """
-    crossing = kind == "crossing"
+    crossings = holds = None
+    if kind == "crossing":
+        crossings = measure_crossings(arm, recording, targets, protocol)
+    else:
+        holds = measure_holds(arm, recording, targets, protocol, model)
+    if both and holds is not None:
+        judged = replace(protocol, dwell=min(protocol.dwell, protocol.hold))
+        crossings = measure_crossings(arm, recording, targets, judged)
+        crossings.time[crossings.crossed == 0.0] = np.nan
     counts = {reason: int(np.count_nonzero(recording.reasons & np.uint16(reason.value))) for reason in Reason}
     return Driven(
         controller=controller, kind=kind, places=places, failed=failed, first=first,
-        crossings=measure_crossings(arm, recording, targets, protocol) if crossing else None,
-        holds=None if crossing else measure_holds(arm, recording, targets, protocol, model),
-        cycles=int(recording.active.sum()), ended=_ended(recording, kind, places),
+        crossings=crossings, holds=holds, cycles=int(recording.active.sum()), ended=_ended(recording, kind, places),
         reasons={reason_names(reason)[0]: count for reason, count in counts.items() if count},
     )  # fmt: skip
 

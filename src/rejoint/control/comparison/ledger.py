@@ -91,20 +91,28 @@ def _lines(path: Path) -> Iterator[Any]:
 def _encode(driven: Driven) -> dict[str, Any]:
     names = ("controller", "kind", "places", "first", "cycles", "reasons", "failed")
     plain = {name: getattr(driven, name) for name in names}
-    results = driven.crossings or driven.holds
     return {
         **plain,
         "ended": [{field.name: getattr(one, field.name) for field in fields(one)} for one in driven.ended],
-        "results": {field.name: getattr(results, field.name).tolist() for field in fields(results)},  # type: ignore[arg-type]
+        "crossings": _columns(driven.crossings),
+        "holds": _columns(driven.holds),
     }
 
 
+def _columns(results: Crossings | Holds | None) -> dict[str, Any] | None:
+    return None if results is None else {item.name: getattr(results, item.name).tolist() for item in fields(results)}
+
+
 def _decode(entry: dict[str, Any]) -> Driven:
-    results = {name: np.array(values, dtype=float) for name, values in entry.pop("results").items()}
-    crossing = entry["kind"] == "crossing"
+    found: dict[str, Any] = {
+        kind: {name: np.array(values, dtype=float) for name, values in entry[kind].items()}
+        for kind in ("crossings", "holds")
+        if entry[kind] is not None
+    }
     return Driven(
         controller=entry["controller"], kind=entry["kind"], cycles=entry["cycles"], reasons=entry["reasons"],
         failed=entry["failed"], first=entry.get("first", 0), places=tuple((int(s), int(r)) for s, r in entry["places"]),
         ended=tuple(Ended(**one) for one in entry["ended"]),
-        crossings=Crossings(**results) if crossing else None, holds=None if crossing else Holds(**results),
+        crossings=Crossings(**found["crossings"]) if "crossings" in found else None,
+        holds=Holds(**found["holds"]) if "holds" in found else None,
     )  # fmt: skip

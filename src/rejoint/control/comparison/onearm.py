@@ -1,8 +1,8 @@
 """Trials on one arm, each from the rest posture: all of them in turns, or as many as a race takes.
 
-A race goes through the target sets one after the other. In each, every controller first drives the crossing protocol,
-which takes good ones seconds and shows bad ones; the holds, which take most of the time, come in blocks of a few
-targets, and after each block who is beaten is out (`rejoint.control.comparison.racing`). At most all sets are driven.
+A race goes through the target sets one after the other, in blocks of a few targets that all who are left hold in turns.
+After each block it is looked who is out (`rejoint.control.comparison.racing`); at most all sets are driven. A hold
+tells as well when its target was first crossed, so that nobody drives the other protocol.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from rejoint.control.comparison.driven import Driven
 from rejoint.control.comparison.elimination import Elimination
 from rejoint.control.comparison.protocols import KINDS, Kind
 from rejoint.control.comparison.racing import Race, Results
+from rejoint.control.comparison.recommend import complexity
 from rejoint.control.contract import check_controller_period
 from rejoint.control.loop import move
 from rejoint.control.robot import Robot
@@ -33,6 +34,9 @@ LONG_GAP = 2.0
 REPEATS = 2
 """Times that a trial is driven again at most; the last one counts, and the guard's column says that there were gaps"""
 
+PACE = 2
+"""Targets between two looks (chosen: each costs a way to the rest posture, half the time of a target)"""
+
 Place = tuple[int, int]
 
 
@@ -41,7 +45,8 @@ class OneArm:
 
     def __init__(self, session: TrialRunner, robot: Robot) -> None:
         self._session, self._robot = session, robot
-        self._left = Elimination(session.settings.protocol)
+        self._racing = session.settings.race is not None
+        self._left = Elimination(session.settings.protocol, "hold" if self._racing else "crossing")
         self._sent: Array | None = None
         self._rng = np.random.default_rng(session.settings.seed)
 
@@ -54,17 +59,15 @@ class OneArm:
 
     def race(self, race: Race) -> None:
         """Drive until the race is decided."""
-        count, rivals, targets = self._session.shape[2], 0, 0
+        targets = 0
         for driven in self._session.measured:
             self._note(driven)
+        field = sorted(self.left, key=complexity)
         for place in self._places():
-            self._drive_left("crossing", place)
-            rivals = rivals or max(len(self.left) - 1, 1)
-            stops = [0, *looks(count, racing.fewest(rivals, race) if not targets else 0), count]
-            for first, stop in pairwise(stops):
-                self._drive_left("hold", place, first, stop - first)
+            for first, stop in pairwise(looks(self._session.shape[2], targets, race)):
+                self._drive_left(place, first, stop - first)
                 targets += stop - first
-                self._drop_beaten(rivals, race)
+                self._drop(field, race)
                 if self._decided(targets, race):
                     break
             if self._decided(targets, race):
@@ -84,12 +87,12 @@ class OneArm:
         sets, repetitions, _ = self._session.shape
         return [(s, r) for r in range(repetitions) for s in range(sets)]
 
-    def _drive_left(self, kind: Kind, place: Place, first: int = 0, count: int | None = None) -> None:
+    def _drive_left(self, place: Place, first: int, count: int) -> None:
         for name in map(str, self._rng.permutation(self.left)):
-            self._drive(name, kind, place, first, count)
+            self._drive(name, "hold", place, first, count)
 
-    def _drop_beaten(self, rivals: int, race: Race) -> None:
-        """Put the most clearly beaten one out, and again, as long as others are left that beat one."""
+    def _drop(self, field: list[str], race: Race) -> None:
+        """Put the one out of whom it is clearest, and again, as long as there is one."""
         while len(self.left) > 1:
             narrow = int(np.argmin(self._session.settings.protocol.within))
             results = {}
@@ -98,11 +101,11 @@ class OneArm:
                 results[name] = Results(
                     crossed=tally.crossed.ravel(), settled=tally.settled.ravel(), stay=tally.stay[narrow].ravel()
                 )
-            found = racing.beaten(results, rivals, race)
-            if not found:
+            out = racing.next_out(results, field, race)
+            if out is None:
                 return
-            self._left.drop(found[0].controller, found[0].why)
-            self._session.tallies[found[0].controller].out = found[0].why
+            self._left.drop(out.controller, out.why)
+            self._session.tallies[out.controller].out = out.why
 
     def _drive(self, name: str, kind: Kind, place: Place, first: int = 0, count: int | None = None) -> None:
         """Drive a trial, or ``count`` targets of it, unless that is done or its controller out of the comparison."""
@@ -143,7 +146,7 @@ class OneArm:
         for repeat in range(REPEATS + 1):
             controller = self._left.watch(name, session.controllers[name](robot.arm), robot.arm, kind)
             driven, recording = session.drive(
-                robot, controller, name, kind, (place,), start, slice(first, first + count)
+                robot, controller, name, kind, (place,), start, slice(first, first + count), both=self._racing
             )
             self._sent = recording.command[-1]
             if recording.gaps().max(initial=0.0) < LONG_GAP or repeat == REPEATS:
@@ -175,10 +178,10 @@ class OneArm:
                 del session.controllers[name]
 
 
-def looks(count: int, fewest: int) -> list[int]:
-    """Targets of a set of ``count`` after which the race is looked at: once before its end.
+def looks(count: int, driven: int, race: Race) -> list[int]:
+    """Targets of a set of ``count`` from 0 to its end at which a race is looked at, ``driven`` before the set.
 
-    That is when somebody can be beaten for the first time, ``fewest``; 0, where that was already, takes the middle.
+    First when anybody can be out, then after every two.
     """
-    look = fewest or count // 2
-    return [look] if 0 < look < count else []
+    first = min(max(racing.fewest(race) - driven, PACE), count)
+    return [0, *range(first, count, PACE), count]

@@ -4,8 +4,9 @@ Controllers are compared result by result on the same targets. The criteria coun
 targets reached, settled encoder error, time to come and stay within the narrowest distance. A
 difference whose 95 % interval contains zero is a tie, and a tie goes to the simpler controller. Where there are too
 few results for an interval, only what an owner would see counts: a target missed, or more than the narrowest
-distance. A controller that was driven no further is out, unless all are. A tie is called one, with what the others did
-better and how many trials would decide.
+distance. Those that a race leaves undecided count by its leads instead: intervals of ten targets leave ties that
+matter. A controller that was driven no further is out, unless all are, and one that a race found hardly better than the
+one chosen ties with it. A tie is called one, with what the others did better and how many trials would decide.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ import numpy as np
 from rejoint.arms import Array
 from rejoint.control.catalogue import CONTROLLERS
 from rejoint.control.comparison.failure import failure
+from rejoint.control.comparison.racing import NO_BETTER, Results, leads
 from rejoint.control.comparison.result import Comparison, ControllerRow
 from rejoint.control.geared import inner_name
 from rejoint.system.statistics import FEWEST_CLUSTERS, Estimate, above_zero, cluster, paired_difference
@@ -56,17 +58,54 @@ def recommend(comparison: Comparison) -> Recommendation:
     all_stopped = (
         ["Every controller was stopped; this one got farthest."] if len(decided) == len(comparison.rows) else []
     )
-    for criterion in _criteria(comparison):
-        best = min(left, key=lambda row: (_mean(criterion, row), _complexity(row)))
+    led = _led(left, comparison)
+    if led is not None:
+        left, said = led
+        decided += said
+    for criterion in _criteria(comparison) if led is None else ():
+        best = min(left, key=lambda row: (_mean(criterion, row), _by_complexity(row)))
         tied = [row for row in left if _tie(criterion, best, row)]
         decided += [_beaten(criterion, best, row) for row in left if row not in tied]
         left = tied
-    chosen = min(left, key=_complexity)
+    chosen = min(left, key=_by_complexity)
     others = [row for row in left if row is not chosen]
     why = [*all_stopped, _achieves(chosen, comparison), *_tied(chosen, others, comparison)]
     why += (*reversed(decided), *comparison.left_out)
-    names = tuple(row.controller for row in others)
+    needless = [row for row in comparison.rows if row.out.startswith(f"{NO_BETTER}{chosen.controller} ")]
+    names = tuple(row.controller for row in (*others, *needless))
     return Recommendation(controller=chosen.controller, why=(*why, *_hidden(chosen), *_geared(chosen)), tied=names)
+
+
+def _led(left: list[ControllerRow], comparison: Comparison) -> tuple[list[ControllerRow], list[str]] | None:
+    """Return who stays of those a race left undecided, and what is said of the others; None where that is no question.
+
+    The simplest one stays whom nobody leads, with the less simple ones that it does not lead.
+    """
+    if comparison.race is None or len(left) < 2:
+        return None
+    narrow = int(np.argmin(comparison.protocol.within))
+    results = {}
+    for row in left:
+        crossed, settled, stay = (row.outcomes.array(name) for name in ("crossed", "settled", "stay"))
+        results[row.controller] = Results(crossed=crossed.ravel(), settled=settled.ravel(), stay=stay[narrow].ravel())
+    found = leads(results, comparison.race)
+    ranked = sorted(left, key=_by_complexity)
+    free = [row for row in ranked if all(row.controller != other for _, other in found)]
+    if not free:
+        return None
+    chosen = free[0]
+    tied = [row for row in ranked[ranked.index(chosen) :] if (chosen.controller, row.controller) not in found]
+    said = []
+    for row in (row for row in ranked if row not in tied):
+        (by, _), (better, even, worse) = max(
+            (item for item in found.items() if item[0][1] == row.controller),
+            key=lambda item: (item[0][0] == chosen.controller, item[1][0] - item[1][2]),
+        )
+        said.append(
+            f"{row.controller}: likely not as good as {by} (worse at {better} of {better + even + worse} targets, "
+            f"better at {worse})."
+        )
+    return tied, said
 
 
 def difference(comparison: Comparison, first: str, second: str, name: str = "settled") -> Estimate | None:
@@ -153,6 +192,8 @@ def _tied(chosen: ControllerRow, others: list[ControllerRow], comparison: Compar
         return []
     name, names = chosen.controller, _listed([chosen.controller, *(row.controller for row in others)])
     few = "too few trials to tell them apart" if _uncertain(chosen, comparison) else "no measurable difference"
+    if comparison.race is not None:
+        few = "none leads a simpler one by as much as matters"
     lines, better = [f"A tie of {names}: {few}. {name} is recommended because it is simpler."], []
     for criterion in _criteria(comparison):
         best = min(others, key=lambda row: _mean(criterion, row))
@@ -216,14 +257,18 @@ def _geared(row: ControllerRow) -> tuple[str, ...]:
     )
 
 
-def _complexity(row: ControllerRow) -> tuple[float, str]:
-    """Rank from the simplest controller on; unknown ones count as the most demanding.
+def complexity(controller: str) -> tuple[float, str]:
+    """Rank a name from the simplest controller on; unknown ones count as the most demanding.
 
     One under other gains of the servos comes right after the same one under those that are there.
     """
-    name = inner_name(row.controller)
+    name = inner_name(controller)
     known = CONTROLLERS.index(name) if name in CONTROLLERS else len(CONTROLLERS)
-    return known + 0.5 * (name != row.controller), row.controller
+    return known + 0.5 * (name != controller), controller
+
+
+def _by_complexity(row: ControllerRow) -> tuple[float, str]:
+    return complexity(row.controller)
 
 
 def _listed(names: list[str]) -> str:

@@ -12,7 +12,7 @@ import numpy as np
 
 from rejoint.arms import Array
 from rejoint.control.accuracy import NOT_KNOWN, TrueError
-from rejoint.control.comparison.racing import WAS_BEATEN, Race
+from rejoint.control.comparison.racing import NO_BETTER, WAS_BEATEN, Race
 from rejoint.system.errors import InputError
 from rejoint.system.statistics import Estimate, Spread
 
@@ -43,7 +43,7 @@ class CrossingRow:
     true_error: Spread | None
     """[m] true error at the same moments"""
     cycle_time: Spread | None
-    """[s] for a whole set of targets"""
+    """[s] for a whole set of targets; in a race from the mean of those that were driven, each come to from rest"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -169,8 +169,13 @@ class ControllerRow:
 
     @property
     def beaten(self) -> bool:
-        """Whether it is ``out`` because another one was better, and not because it failed."""
-        return self.out.startswith(WAS_BEATEN)
+        """Whether it is ``out`` because another one was better or as good, and not because it failed."""
+        return self.out.startswith((WAS_BEATEN, NO_BETTER))
+
+    @property
+    def needless(self) -> bool:
+        """Whether it is ``out`` because it is no better by what matters than a simpler one."""
+        return self.out.startswith(NO_BETTER)
 
     @property
     def held(self) -> int:

@@ -30,8 +30,8 @@ from rejoint.system.statistics import Labels, cluster, clustered_share, spread
 class Tally:
     """Collects the results of one controller, trial by trial."""
 
-    def __init__(self, shape: tuple[int, int, int], protocol: Protocol) -> None:
-        self.shape, self.protocol = shape, protocol
+    def __init__(self, shape: tuple[int, int, int], protocol: Protocol, *, raced: bool = False) -> None:
+        self.shape, self.protocol, self._raced = shape, protocol, raced
         self.crossed, self.crossing_error, self.crossing_true, self.crossing_time = _unknown(4, shape)
         self.settled, self.settled_true, self.oscillation, self.turned = _unknown(4, shape)
         self.stay = _unknown(len(protocol.within), shape)
@@ -91,6 +91,10 @@ class Tally:
 
     def _crossing_row(self, labels: Labels) -> CrossingRow:
         whole = self.crossing_time.sum(axis=-1)  # NaN where a trip ended the trial
+        if self._raced:  # until it was decided, which may have been within a set
+            driven = np.isfinite(self.crossed)
+            time = np.where(driven, self.crossing_time, 0.0).sum(axis=-1)
+            whole = self.shape[2] * time / np.where(driven.any(axis=-1), driven.sum(axis=-1), np.nan)
         return CrossingRow(
             success=clustered_share(self.crossed.ravel(), labels),
             error=spread(self.crossing_error.ravel(), labels),

@@ -32,7 +32,7 @@ def inline_svg(figure: Figure, key: str, alt: str) -> Markup:
     """
     buffer = io.StringIO()
     figure.draw_without_rendering()
-    figure.set_layout_engine("none")  # the layout is found now and would only be found again for every file
+    figure.set_layout_engine(None)  # the layout is found now; any engine has every file drawn twice
     with mpl.rc_context({"svg.fonttype": "none", "svg.hashsalt": key}):
         figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
     text = _NOISE.sub("", _METADATA.sub("", _HEAD.sub("", buffer.getvalue())))

@@ -182,9 +182,7 @@ def _notes(comparison: Comparison) -> tuple[str, ...]:
         f"{plural(sets, 'set')} of {plural(_count(comparison), 'target')}, "
         f"{plural(comparison.repetitions, 'repetition')}, {how}. Small print: 95 % intervals, resampled over "
         f"{comparison.clusters}{_without(comparison)}.",
-        "Success, error at the crossing and time for the targets: the protocol of Park et al. 2024. The next target is "
-        f"set at the first crossing of {protocol.threshold * MM:g} mm or after {protocol.dwell:g} s; the error is the "
-        "one at that moment, mean ± standard deviation.",
+        _crossings(comparison),
         f"Settled error: mean over the last {protocol.window:g} s of {protocol.hold:g} s at each target. Time to stay "
         f"within a distance: median over the holds, and the share that does; “{NEVER}” where fewer than half do. "
         "Oscillation: root mean square around the settled position. Guard: share of all control cycles, by reason.",
@@ -214,14 +212,31 @@ def _notes(comparison: Comparison) -> tuple[str, ...]:
     return tuple(notes)
 
 
+def _crossings(comparison: Comparison) -> str:
+    """Say what it means to reach a target, and how long that takes."""
+    protocol, count = comparison.protocol, plural(_count(comparison), "target")
+    what = "Success, error at the crossing and time for the targets"
+    if comparison.race is not None:
+        return (
+            f"{what}: read from the holds, where {protocol.threshold * MM:g} mm are first crossed, each target come to "
+            f"from rest. The time is that for {count} at the mean of those driven to; none where one was missed."
+        )
+    return (
+        f"{what}: the protocol of Park et al. 2024. The next target is set at the first crossing of "
+        f"{protocol.threshold * MM:g} mm or after {protocol.dwell:g} s; the error is the one at that moment, mean ± "
+        "standard deviation."
+    )
+
+
 def _race(race: Race) -> str:
     """Say when a controller was stopped, and how sure that is."""
     return (
         "Race: a controller is better at a target if it alone reaches it, or else settles nearer by more than "
         f"{race.nearer * MM:g} mm, or else stays within the narrowest distance sooner by more than {race.sooner:g} s. "
-        "Who is the worse one too often for chance is beaten, and driven no further; in "
-        f"{race.error * PERCENT:g} % of such races at most that befalls the best one, however often one looks. The "
-        "numbers of a beaten one are of few targets, and of those at which it lost."
+        "Who is the worse one too often for chance is beaten, and driven no further; neither is who does not lead all "
+        f"simpler ones by {race.lead * PERCENT:g} % of the targets or more. In {race.error * PERCENT:g} % of such "
+        "races at most the best one is called beaten, and in as many one with such a lead is passed over, however "
+        "often one looks. The numbers of one that was stopped are of few targets, and of those that spoke against it."
     )
 
 

@@ -42,8 +42,9 @@ from rejoint.system.progress import Progress, no_progress, paced
 SETS, REPETITIONS = 10, 6
 """Target sets and repetitions where arms are emulated or all is driven (Park et al. 2024: six repetitions)"""
 
-RACE_SETS = 2
-"""Target sets of a race at most (chosen: those of the diagnosis, and as many again where it is close)"""
+RACE_SETS = 1
+"""Target sets of a race at most (chosen: those of the diagnosis. Twenty targets instead of ten decide hardly more, as
+`python -m benchmarks.racing --sets 2` shows)"""
 
 RACE_PROTOCOL = Protocol(hold=DWELL)
 """A race holds each target as long as the diagnosis does, so that both measure the same"""
@@ -74,7 +75,8 @@ def compare(
     """Try controllers on the same arm, with the same targets, from the same start, and recommend one.
 
     Emulated arms are tried side by side; on a real one the controllers race: the trials take turns, who misses three
-    targets in a row or is beaten beyond doubt is driven no further, and it ends when one is left, or after all sets.
+    targets in a row, is beaten beyond doubt, or is no better by what matters than a simpler one is driven no further,
+    and it ends when one is left, or after all sets.
     What the diagnosis of the run measured open loop is not driven again: it is what ``default`` does. While an arm
     moves, Ctrl-C and SIGTERM first bring it to a hold; then `Interrupted` is raised, which is a KeyboardInterrupt. In a
     run, the same call then goes on after the last finished trial.
@@ -87,7 +89,8 @@ def compare(
         names of baselines (``default``, ``pid-sum``, ``pid-literal``, ``integrator``, ``feedforward``), ``shelf``,
         ``predictive``, policies, their files, or controllers of your own; a mapping names them. None given: all
         baselines, on a real arm without the paper's PIDs (``pid-sum``, ``pid-literal``), the policy that comes with the
-        package (``shelf``) where it suits, the policy of the run, and predictive control where there is a twin
+        package (``shelf``) where it suits, on a real arm only where the run has no policy, the policy of the run, and
+        predictive control where there is a twin
     targets
         (K, 3) or (S, K, 3) [m], or `Pose` objects, or a CSV file in mm with the header ``x,y,z`` and perhaps columns
         of an orientation, which only baselines heed; by default drawn, ten in a set; in a race the first ten are those
@@ -107,7 +110,7 @@ def compare(
     tool
         (3,) [m] from the tool centre point of the arm's description to the tip of a tool, in the frame of the former
     sets
-        number of target sets that are drawn; by default 10, in a race at most 2
+        number of target sets that are drawn; by default 10, in a race at most 1
     repetitions
         number of times that each set is driven to by each controller; by default 6, in a race 1
     protocol

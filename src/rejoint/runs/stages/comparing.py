@@ -130,7 +130,7 @@ class ComparisonJob:
                 watched, self.factories, self.targets, self.settings, on_progress=on_progress, on_trial=keep,
                 ledger=ledger, limits=guard_limits(self.run, self.arm, address_of(self.robot)),
                 stance=stance_of(self.twin), correction=self.correct, model=self.model,
-                measured=() if before is None else before.driven, source=SOURCE, turns=self.turns,
+                measured=() if before is None else (before.driven,), source=SOURCE, turns=self.turns,
             )  # fmt: skip
             result = self._beside(result, before, self._open if self.settings.batched else watched)
         if before is not None and self.run is not None:

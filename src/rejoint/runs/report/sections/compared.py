@@ -111,10 +111,11 @@ def _cycles(comparison: Comparison, gallery: Gallery) -> Picture:
         rows.append(Series(label=short(row.controller), look=look_of(row.controller), value=value, low=low, high=high))
     words = "; ".join(f"{one.label}: {number(one.value[0], 3, 's')}" for one in rows)
     count = plural(len(comparison.targets[0]), "target")
+    how = "sent on at the first crossing" if comparison.race is None else "each until its first crossing"
     return gallery.show(
         "cycle-time", intervals(rows, f"time for {count} [s]", log=True),
         alt=f"Time for {count} with each controller. {words}.",
-        caption=f"Time for {count}, sent on at the first crossing"
+        caption=f"Time for {count}, {how}"
         f"{_bars_of([row.crossing.cycle_time for row in comparison.rows])}.",
     )  # fmt: skip
 

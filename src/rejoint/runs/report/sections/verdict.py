@@ -99,6 +99,8 @@ def _policy(advice: Recommendation, comparison: Comparison) -> tuple[str, ...]:
     if own is None or own == name:
         return ()
     row = comparison.row(own)
+    if row.needless:
+        return (f"The learned policy was tried and gains too little here. {sentence(failure(row))}",)
     if row.beaten:
         return (f"The learned policy was tried and is not the best here. {sentence(failure(row))}",)
     if row.out or row.failures:
@@ -211,11 +213,13 @@ def _done(contents: Contents) -> tuple[str, ...]:
     if contents.comparison is not None:
         comparison = contents.comparison
         trials = len(comparison.targets) * comparison.repetitions
+        each = (
+            "each, twice over: sent on at the first crossing, and held" if comparison.race is None else "at most, held"
+        )
         way = "drove the arm" if comparison.race is None else "raced on the arm, until it was decided,"
         lines.append(
             f"{plural(len(comparison.rows), 'controller')} {way} to the same targets, "
-            f"{plural(trials, 'trial')} of {plural(len(comparison.targets[0]), 'target')} each, twice over: sent on at "
-            f"the first crossing, and held.{_stopped(comparison)}"
+            f"{plural(trials, 'trial')} of {plural(len(comparison.targets[0]), 'target')} {each}.{_stopped(comparison)}"
         )
     return tuple(lines)
 
