@@ -18,7 +18,7 @@ from rejoint.control.controller import ControlInput, Controller
 from rejoint.control.correction import Correction
 from rejoint.control.following import Following
 from rejoint.control.guard import TRIPS, Guarded, GuardLimits, Reason, Reasons, guard, warm_up
-from rejoint.control.recording import Cycle, OnCycle, Recorder, Recording, attach
+from rejoint.control.recording import Cycle, Look, OnCycle, Recorder, Recording, attach, look_of
 from rejoint.control.robot import JointState, Mask, Robot
 from rejoint.control.route import Route
 from rejoint.control.runstate import RunState, own, reported_load
@@ -80,7 +80,7 @@ def run(
     recorder = Recorder(robot=robot, controller=controller.name)
     loop = _Loop(
         robot=robot, controller=controller, schedule=schedule, limits=limits, recorder=recorder, on_cycle=on_cycle,
-        correction=correction,
+        correction=correction, look=look_of(robot, controller.name, limits),
     )  # fmt: skip
     _warm_up(limits)
     with noted():
@@ -106,7 +106,7 @@ def follow(
     recorder = Recorder(robot=robot, controller=controller.name)
     loop = _Loop(
         robot=robot, controller=controller, schedule=schedule, limits=limits, recorder=recorder, on_cycle=on_cycle,
-        correction=None, route=route,
+        correction=None, route=route, look=look_of(robot, controller.name, limits),
     )  # fmt: skip
     _warm_up(limits)
     with noted():
@@ -229,6 +229,7 @@ class _Loop:
     recorder: Recorder
     on_cycle: OnCycle | None
     correction: Correction | None
+    look: Look | None
     route: Route | None = None
 
     def cycle(self, run_state: RunState) -> bool:
@@ -245,6 +246,8 @@ class _Loop:
             true_tcp=self.robot.true_tcp().copy(), active=fresh, reasons=reasons, load=reported_load(before.state),
         )  # fmt: skip
         self.recorder.cycles.append(cycle)
+        if self.look is not None:
+            self.look(cycle, before.state, run_state.wanted)
         if self.on_cycle is not None:
             self.on_cycle(cycle)
         self._stop_tripped(run_state, reasons)
@@ -274,6 +277,7 @@ class _Loop:
         aimed = np.isfinite(inputs.target[:, 0])
         run_state.unbelieved = run_state.following.check(run_state.state, run_state.sent, aimed)
         wanted = run_state.following.bound(self.controller.command(inputs), run_state.state.position, aimed)
+        run_state.wanted = wanted
         ease = run_state.ease  # slower time for the guard is a slower arm
         guarded = guard(
             self.limits,

@@ -53,6 +53,8 @@ class RunState:
     """where the only target of each arm goes, None where targets stand still"""
     unbelieved: Mask | None = None
     """(B, n) joints whose readings are not believed in this cycle, None where all are"""
+    wanted: Array = field(init=False)
+    """(B, n) [rad] what the controller wanted in the newest cycle, before the guard"""
     last_time: Array = field(init=False)
     usual: Array = field(init=False)
     """(B,) [s] running mean of the periods; NaN before one has been measured"""
@@ -64,7 +66,7 @@ class RunState:
     """(B, 3) [m] where the controllers are sent: the targets, or what a correction makes of them"""
 
     def __post_init__(self) -> None:
-        self.last_time = self.state.time
+        self.last_time, self.wanted = self.state.time, self.sent
         count = len(self.sent)
         self.usual, self.eased_until = np.full(count, np.nan), np.full(count, -np.inf)
         self.gap = np.zeros(count, dtype=bool)

@@ -19,6 +19,7 @@ from rejoint.runs.given import (
     NO_GAUGE,
     ArmLike,
     GaugeLike,
+    Live,
     Period,
     RobotLike,
     RunLike,
@@ -143,6 +144,7 @@ def repair(
     gauge: GaugeLike | None = None,
     on_progress: Progress = no_progress,
     on_stage: OnStage | None = None,
+    live: Live | None = None,
 ) -> Repaired:
     """Diagnose an arm, fit its twin, train a policy, compare every controller on the arm, and write the report.
 
@@ -180,6 +182,8 @@ def repair(
         called with the share that is done, each of the stages counting the same, and what is being done
     on_stage
         called when a stage starts and when it is done, with its result
+    live
+        shows the arm meanwhile: a `LiveView`
 
     Returns
     -------
@@ -216,18 +220,23 @@ def repair(
     tunable = isinstance(robot, str) and place_of(robot).tunable and (rivals or any_geared(controllers))
     chain = _Chain(about.begin(), on_stage, on_progress, measured=measured, tunable=tunable)
     found = chain.run
-    chain.do("diagnose", lambda update: diagnose(robot, run=found, period=period, quick=quick, on_progress=update))
-    chain.do("calibrate", lambda update: calibrate(robot, run=found, gauge=meter, period=period, on_progress=update))
+    chain.do("diagnose", lambda update: diagnose(
+        robot, run=found, period=period, quick=quick, on_progress=update,
+        live=live,
+    ))  # fmt: skip
+    chain.do("calibrate", lambda update: calibrate(
+        robot, run=found, gauge=meter, period=period, on_progress=update, live=live,
+    ))  # fmt: skip
     chain.do("identify", lambda update: identify(run=found, quick=quick, on_progress=update))
     chain.do("train", lambda update: train(run=found, preset=preset, quick=quick, on_progress=update))
-    chain.do("gains", lambda update: gains(robot, found, period=period, on_progress=update))
+    chain.do("gains", lambda update: gains(robot, found, period=period, on_progress=update, live=live))
     few = (1, 1) if quick else (3, 2) if emulated else (None, None)
     if quick and targets is None:
         targets = draw_targets(found.arm, sets=1, count=QUICK_TARGETS, seed=found.seed)
     chain.do("compare", lambda update: compare(
         robot, controllers, targets, run=found, sets=sets or few[0], repetitions=repetitions or few[1], full=full,
         period=period, calibration=NO_GAUGE if gauge == NO_GAUGE else None, directions=emulated and not quick,
-        on_progress=update,
+        on_progress=update, live=live,
     ))  # fmt: skip
     chain.do("report", lambda _: report(found))
     finish(found)

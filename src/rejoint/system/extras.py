@@ -17,6 +17,7 @@ EXTRAS: dict[str, tuple[str, ...]] = {
     "camera": ("cv2", "scipy"),
     "feetech": ("scservo_sdk",),
     "history": ("duckdb",),
+    "live": ("viser",),
 }
 """Modules that this package imports, by the extra that installs them"""
 

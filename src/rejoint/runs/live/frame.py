@@ -1,0 +1,117 @@
+"""One arm on the page, frame by frame: what came from the ring, turned into what is drawn and said."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from rejoint.arms import Arm, Array
+from rejoint.arms.workspace import reach
+from rejoint.control.guard import GuardLimits
+from rejoint.runs.live import panel
+from rejoint.runs.live.drawing import GHOST, LINKS, TARGET, TRAIL, TRUE, Drawing, cell_of, css
+from rejoint.runs.live.ring import Records, Ring
+from rejoint.runs.live.trace import Trace
+from rejoint.runs.live.words import KEPT, guard_words
+
+if TYPE_CHECKING:
+    from rejoint.runs.live.ghost import Ghost
+    from rejoint.runs.live.page import Page
+
+SLOWER = 5
+"""frames for each time that texts and the curve are written (chosen: nobody reads faster than four times a second)"""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Subject:
+    """An arm that is shown."""
+
+    arm: Arm
+    address: str
+    count: int
+    """of arms side by side, of which one is shown"""
+    ring: Ring
+    ghost: Ghost | None
+    within: float
+    """[m] error that is accepted"""
+    paced: bool
+    """whether it is slowed down to the pace of the page"""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Begun:
+    """The run of the control loop that began last."""
+
+    number: int = 0
+    controller: str = ""
+    limits: GuardLimits | None = None
+
+
+class Frame:
+    """Draws one arm; it begins with what comes from now on."""
+
+    def __init__(self, page: Page, subject: Subject, before: Frame | None) -> None:
+        self._page, self.subject = page, subject
+        self._drawing = Drawing.of(subject.arm)
+        same = before is not None and before.subject.arm is subject.arm
+        self._trace: Trace = before._trace if same and before is not None else Trace(subject.arm)
+        self._recent, self._read = subject.ring.since(max(subject.ring.count - 1, 0))
+        self._count = 0
+        if not same or before is None or before.subject.within != subject.within:
+            page.show(subject.arm, within=subject.within, paced=subject.paced)
+
+    def draw(self, begun: Begun, doing: panel.Doing, stopped: str) -> None:
+        """Read what came, and draw it."""
+        fresh, self._read = self.subject.ring.since(self._read)
+        ghost = self._ghost(fresh)
+        self._trace.follow(fresh)
+        self._recent = self._recent.then(fresh).lately(KEPT)
+        with self._page.atomic():
+            if len(fresh):
+                self._page.pose(self._drawing.turns(fresh.position[-1]), self._drawing.turns(ghost[-1]))
+                self._page.aim(fresh.target[-1], fresh.true_tcp[-1], self._label(fresh))
+            if self._count % SLOWER == 0:
+                self._write(begun, doing, stopped)
+        self._count += 1
+
+    def _ghost(self, records: Records) -> Array:
+        """Joint positions (K, n) [rad] of what is drawn beside the arm: its twin, or where it is sent."""
+        return records.command if self.subject.ghost is None else self.subject.ghost.follow(records)
+
+    def _label(self, records: Records) -> str:
+        return f"target {int(records.index[-1]) + 1}"
+
+    def _write(self, begun: Begun, doing: panel.Doing, stopped: str) -> None:
+        subject, recent, trace = self.subject, self._recent, self._trace
+        words = () if begun.limits is None else guard_words(recent, begun.limits)
+        robot = subject.address
+        if subject.count > 1 and len(recent):
+            robot += f", arm {int(recent.arm[-1]) + 1} of {subject.count} side by side"
+        self._page.trail(trace.tool, trace.target)
+        self._page.plot(*_curve(trace), 1e3 * subject.within)
+        self._page.tell(
+            head=panel.head(robot, begun.controller, doing), share=doing.share,
+            error=panel.error(trace.errors, subject.within), guard=panel.guard(words, stopped),
+            joints=panel.joints(subject.arm.joint_names, recent),
+            legend=panel.legend(_legend(subject, told=bool(np.isfinite(trace.errors[1])))),
+        )  # fmt: skip
+
+
+def _curve(trace: Trace) -> tuple[Array, Array, Array]:
+    """Return times (M,) [s] and errors (M,) [mm], those that are shown."""
+    t, error, true = trace.curve
+    known = np.isfinite(error)
+    return t[known], 1e3 * error[known], 1e3 * true[known]
+
+
+def _legend(subject: Subject, *, told: bool) -> tuple[tuple[str, str], ...]:
+    ghost = "where it is sent" if subject.ghost is None else "its twin's prediction"
+    entries = [
+        (css(LINKS[1]), "the arm"), (css(GHOST), ghost), (css(TRAIL), "its tool and its error, by its encoders"),
+        (css(TARGET), "target, and what is accepted"),
+    ]  # fmt: skip
+    if told:
+        entries.append((css(TRUE), "the same as it really is"))
+    return *entries, (panel.GREY, f"squares of {1e3 * cell_of(reach(subject.arm)):.0f} mm")
