@@ -24,11 +24,10 @@ _PLACE = re.compile(r"(?P<host>[A-Za-z0-9_.-]+):(?P<port>\d{1,5})")
 
 def with_place(words: Sequence[str]) -> list[str]:
     """Give a bare ``--live`` its place: what follows belongs to it only where it reads HOST:PORT."""
-    given = []
-    for word, after in zip(words, [*words[1:], ""], strict=True):
-        bare = word == OPTION and not _PLACE.fullmatch(after)
-        given.append(f"{OPTION}={HERE}" if bare else word)
-    return given
+    return [
+        f"{OPTION}={HERE}" if word == OPTION and not _PLACE.fullmatch("".join(words[k + 1 : k + 2])) else word
+        for k, word in enumerate(words)
+    ]
 
 
 @contextmanager

@@ -10,6 +10,7 @@ import numpy as np
 from rejoint.arms import Arm, Array
 from rejoint.arms.workspace import reach
 from rejoint.control.guard import GuardLimits
+from rejoint.control.loop import Playback
 from rejoint.runs.live import panel
 from rejoint.runs.live.drawing import GHOST, LINKS, TARGET, TRAIL, TRUE, Drawing, cell_of, css
 from rejoint.runs.live.ring import Records, Ring
@@ -61,6 +62,8 @@ class Frame:
         self._count = 0
         if not same or before is None or before.subject.within != subject.within:
             page.show(subject.arm, within=subject.within, paced=subject.paced)
+            now = self._drawing.turns(self._recent.position[-1] if len(self._recent) else subject.arm.rest)
+            page.pose(now, now)
 
     def draw(self, begun: Begun, doing: panel.Doing, stopped: str) -> None:
         """Read what came, and draw it."""
@@ -71,7 +74,7 @@ class Frame:
         with self._page.atomic():
             if len(fresh):
                 self._page.pose(self._drawing.turns(fresh.position[-1]), self._drawing.turns(ghost[-1]))
-                self._page.aim(fresh.target[-1], fresh.true_tcp[-1], self._label(fresh))
+                self._page.aim(fresh.aim[-1], _miss(fresh), self._label(fresh))
             if self._count % SLOWER == 0:
                 self._write(begun, doing, stopped)
         self._count += 1
@@ -81,37 +84,47 @@ class Frame:
         return records.command if self.subject.ghost is None else self.subject.ghost.follow(records)
 
     def _label(self, records: Records) -> str:
-        return f"target {int(records.index[-1]) + 1}"
+        return "target" if self._trace.moves else f"target {int(records.index[-1]) + 1}"
 
     def _write(self, begun: Begun, doing: panel.Doing, stopped: str) -> None:
         subject, recent, trace = self.subject, self._recent, self._trace
         words = () if begun.limits is None else guard_words(recent, begun.limits)
+        controller = "" if begun.controller == Playback.name else begun.controller
         robot = subject.address
         if subject.count > 1 and len(recent):
             robot += f", arm {int(recent.arm[-1]) + 1} of {subject.count} side by side"
-        self._page.trail(trace.tool, trace.target)
+        self._page.trail(trace.tool, trace.target if trace.moves else trace.target[:0])
         self._page.plot(*_curve(trace), 1e3 * subject.within)
         self._page.tell(
-            head=panel.head(robot, begun.controller, doing), share=doing.share,
+            head=panel.head(robot, controller, doing), share=doing.share,
             error=panel.error(trace.errors, subject.within), guard=panel.guard(words, stopped),
             joints=panel.joints(subject.arm.joint_names, recent),
             legend=panel.legend(_legend(subject, told=bool(np.isfinite(trace.errors[1])))),
         )  # fmt: skip
 
 
+def _miss(records: Records) -> Array:
+    """Where the tool itself is (3,) [m], as far from the drawn target as it is from the real one.
+
+    All is drawn as the encoders see it, and so is the target: where they are to see the tool. NaN where nobody knows.
+    """
+    target, aim, true = records.target[-1], records.aim[-1], records.true_tcp[-1]
+    return aim + true - target if np.isfinite(target).all() else true
+
+
 def _curve(trace: Trace) -> tuple[Array, Array, Array]:
-    """Return times (M,) [s] and errors (M,) [mm], those that are shown."""
+    """Return times (M,) [s] and errors (M,) [mm], those that are shown: none where there is no target now."""
     t, error, true = trace.curve
-    known = np.isfinite(error)
+    known = np.isfinite(error) & np.isfinite(trace.errors[0])
     return t[known], 1e3 * error[known], 1e3 * true[known]
 
 
 def _legend(subject: Subject, *, told: bool) -> tuple[tuple[str, str], ...]:
     ghost = "where it is sent" if subject.ghost is None else "its twin's prediction"
     entries = [
-        (css(LINKS[1]), "the arm"), (css(GHOST), ghost), (css(TRAIL), "its tool and its error, by its encoders"),
+        (css(LINKS[1]), "the arm"), (css(GHOST), ghost), (css(TRAIL), "its tool, by its encoders"),
         (css(TARGET), "target, and what is accepted"),
     ]  # fmt: skip
     if told:
-        entries.append((css(TRUE), "the same as it really is"))
+        entries.append((css(TRUE), "the tool itself"))
     return *entries, (panel.GREY, f"squares of {1e3 * cell_of(reach(subject.arm)):.0f} mm")

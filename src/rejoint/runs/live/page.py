@@ -73,6 +73,7 @@ class Page:
             axes=(uplot.Axis(), uplot.Axis(label="error in mm")),
             legend=uplot.Legend(show=False),
             aspect=2.2,
+            padding=(12, 12, 0, 0),
             visible=False,
         )
         self._guard = gui.add_html("")
@@ -120,7 +121,7 @@ class Page:
         self._target = scene.add_icosphere("/target", 0.0025 * max(size, 0.3) / 0.3, TARGET, visible=False)
         self._near = scene.add_icosphere("/target/within", within, TARGET, opacity=0.25, cast_shadow=False)
         self._label = scene.add_label("/target/label", "", position=(0.0, 0.0, within + 0.015), anchor="bottom-center")
-        self._true = scene.add_icosphere("/true", 0.004 * max(size, 0.3) / 0.3, TRUE, visible=False)
+        self._true = scene.add_icosphere("/true", 0.003 * max(size, 0.3) / 0.3, TRUE, visible=False)
         nowhere = np.zeros((1, 2, 3), dtype=np.float32)
         self._trail = scene.add_line_segments("/trail", nowhere, TRAIL, thickness=3.0, thickness_units="screen")
         self._way = scene.add_line_segments("/way", nowhere, TARGET, thickness=2.0, thickness_units="screen")
@@ -156,7 +157,7 @@ class Page:
                 frame.wxyz = turn
 
     def aim(self, target: Array, true: Array, text: str) -> None:
-        """Show ``target`` (3,) [m] with a ``text``, and where the tool really is (3,) [m]; NaN hides either."""
+        """Show ``target`` (3,) [m] with a ``text``, and the ``true`` place of the tool (3,) [m]; NaN hides either."""
         for handle, point in ((self._target, target), (self._true, true)):
             known = bool(np.isfinite(point).all())
             if handle.visible != known:
@@ -175,12 +176,12 @@ class Page:
 
     def plot(self, time: Array, error: Array, true: Array, within: float) -> None:
         """Draw errors (M,) [mm] over time (M,) [s], with the line of acceptance [mm]; true ones may be NaN."""
-        if len(time) < 2:  # a chart that once had no points never finds its scales again
-            return
-        true = np.where(np.isfinite(true), true, error)
-        self._plot.data = time, error, true, np.full(len(time), within)
-        if not self._plot.visible:
-            self._plot.visible = True
+        known = len(time) > 1  # a chart that once had no points never finds its scales again
+        if known:
+            true = np.where(np.isfinite(true), true, error)
+            self._plot.data = time, error, true, np.full(len(time), within)
+        if self._plot.visible != known:
+            self._plot.visible = known
 
     def tell(self, *, head: str, share: float, error: str, guard: str, joints: str, legend: str) -> None:
         """Write into the panel: HTML, and the ``share`` that is done."""

@@ -30,7 +30,7 @@ class Doing:
     @property
     def left(self) -> float | None:
         """[s] that it will still take; None before there is enough to say."""
-        return self.since * (1.0 - self.share) / self.share if self.share > 0.02 and self.since > 2.0 else None
+        return self.since * (1.0 - self.share) / self.share if 0.02 < self.share < 1.0 and self.since > 2.0 else None
 
 
 def head(robot: str, controller: str, doing: Doing) -> str:
@@ -90,8 +90,8 @@ def joints(names: tuple[str, ...], records: Records) -> str:
         f"<th style='{align};font-weight:normal;color:{GREY}'>{title}</th>"
         for title, align in (
             ("joint", "text-align:left"),
-            ("deg", _RIGHT),
-            ("sent ahead", _RIGHT),
+            ("at deg", _RIGHT),
+            ("lead deg", _RIGHT),
             ("load", "text-align:center"),
             ("°C", _RIGHT),
         )

@@ -13,6 +13,8 @@ TRAIL = 400
 """Points of a trail (chosen: at `APART` that is 0.8 m, more than one sees at a time)"""
 APART = 2e-3
 """[m] between points of a trail (chosen: the eye does not see the corners)"""
+MOVES = 5
+"""Points of its way from which a target is one that moves: others are aimed at anew by a little (chosen)"""
 SPAN, EVERY = 30.0, 0.1
 """[s] length of the curve, and between its points (chosen: seven targets; a window of a browser has no more pixels)"""
 
@@ -39,7 +41,7 @@ class Trace:
         for k in range(len(records)):
             now = self._clock(float(records.run[k]), float(records.time[k]))
             _extend(self._tool, tool[k])
-            _extend(self._target, records.target[k])
+            _extend(self._target, records.aim[k])
             if now >= self._next:
                 self._curve.append((now, error[k], true[k]))
                 self._next = now + EVERY
@@ -52,8 +54,13 @@ class Trace:
 
     @property
     def target(self) -> Array:
-        """(P, 3) [m] way of a target that moves; one that jumps leaves none."""
+        """(P, 3) [m] way of an aim that moves; one that jumps leaves none."""
         return np.array(self._target).reshape(-1, 3)
+
+    @property
+    def moves(self) -> bool:
+        """Whether the target moves."""
+        return len(self._target) > MOVES
 
     @property
     def curve(self) -> tuple[Array, Array, Array]:

@@ -62,6 +62,8 @@ class LiveView:
         self._doing, self._since = panel.Doing(), time.monotonic()
         self._stopped = ""
         self._pace = 1.0
+        self.frames = 0
+        """that were drawn so far"""
         self.failure = ""
         """why the page was drawn no further, if it was not"""
 
@@ -163,6 +165,7 @@ class LiveView:
                 frame = Frame(page, subject, frame)
             began = time.monotonic()
             frame.draw(self._begun, self._now(), self._stopped)
+            self.frames += 1
             self._over.wait(max(1.0 / RATE - (time.monotonic() - began), 0.0))
 
     def _now(self) -> panel.Doing:

@@ -32,6 +32,7 @@ class Tab:
         self._socket, self._numbers = socket, count(1)
 
     def call(self, method: str, **given):
+        """Answer of the browser to one of its methods."""
         number = next(self._numbers)
         self._socket.send(json.dumps({"id": number, "method": method, "params": given}))
         while True:
@@ -53,10 +54,11 @@ class Tab:
         return value
 
     def text(self) -> str:
+        """All that one can read."""
         return self.ask("document.body.innerText")
 
     def picture(self) -> bytes:
-        """What the tab shows, as PNG."""
+        """Take what the tab shows, as PNG."""
         return base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"])
 
 
