@@ -19,10 +19,10 @@ from rejoint.control.recording import Cycle
 from rejoint.control.robot import JointState
 from rejoint.robots import open_robot, wallclock
 from rejoint.runs.live import panel
-from rejoint.runs.live.drawing import Drawing, capsule
 from rejoint.runs.live.ghost import Ghost
 from rejoint.runs.live.ring import Ring
-from rejoint.runs.live.trace import Trace
+from rejoint.runs.live.skeleton import Skeleton, capsule
+from rejoint.runs.live.trails import Trails
 from rejoint.runs.live.view import LiveView
 from rejoint.runs.live.words import guard_words
 from rejoint.system.errors import InputError
@@ -104,7 +104,7 @@ def test_looking_on_changes_nothing_and_sees_what_is_recorded():
 @pytest.mark.parametrize("name", ["mycobot280", "so101"])
 def test_frames_that_are_nested_as_drawn_are_those_of_the_kinematics(name):
     arm = load_arm(name)
-    drawing = Drawing.of(arm)
+    drawing = Skeleton.of(arm)
     for q in np.random.default_rng(1).uniform(arm.lower, arm.upper, (20, arm.joints)):
         expected, turn, origin = frames(arm, q), np.eye(3), np.zeros(3)
         assert np.allclose(drawing.end[0], expected.position[0], atol=1e-12)
@@ -217,7 +217,7 @@ def test_every_reason_of_the_guard_has_words():
 
 
 def test_the_trace_keeps_ways_and_errors_over_runs_with_clocks_of_their_own():
-    ring, trace = Ring(N), Trace(ARM)
+    ring, trace = Ring(N), Trails(ARM)
     for number in range(3):
         for k in range(40):
             q = ARM.rest + 0.01 * k
@@ -288,3 +288,16 @@ def test_a_bare_live_has_its_place_and_takes_no_argument_for_one():
     for wrong in ("emulated:worn", "8080", "host:99999", ":80", ""):
         with pytest.raises(InputError, match="expected HOST:PORT, such as 127"):
             host_and_port(wrong)
+
+
+def test_a_view_that_fails_or_was_never_opened_does_not_end_what_is_driven(monkeypatch):
+    view = LiveView()
+    view._page = SimpleNamespace(watched=True, show=lambda *_, **__: 1 / 0)
+    robot = view.watch(open_robot("emulated:worn", seed=4), paced=False)
+    view._thread.start()
+    done = run(
+        robot, IntegratorController(ARM), ARM.targets.sample(np.random.default_rng(0), (1, 1)), Schedule(dwell=0.3)
+    )
+    view._thread.join()
+    assert len(done.time) > 10
+    assert view.failure == "ZeroDivisionError: division by zero"

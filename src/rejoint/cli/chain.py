@@ -13,7 +13,7 @@ import rejoint
 from rejoint.cli import options as opt
 from rejoint.cli import show
 from rejoint.cli.console import Terminal
-from rejoint.cli.live import live_view, told
+from rejoint.cli.live import live_view, shared
 from rejoint.cli.measuring import gauge_by_word
 from rejoint.diagnosis.calibration.gauges import TouchGauge
 from rejoint.runs.effort import read_effort
@@ -127,7 +127,7 @@ class _Narrator:
         if stage.state == "started":
             asking = self._asking and stage.name == "calibrate"  # a bar would write over the questions
             bar = nullcontext(no_progress) if asking else self._terminal.progress(doing)
-            self._stage, self._update = stage, told(self._bar.enter_context(bar), self._view)
+            self._stage, self._update = stage, shared(self._bar.enter_context(bar), self._view)
         else:
             show.stage(self._terminal, stage.name, stage.result)
 

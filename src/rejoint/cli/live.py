@@ -54,7 +54,7 @@ def live_view(terminal: Terminal, place: str | None, title: str) -> Iterator[Liv
         terminal.say(f"The live view ended early ({view.failure}); the arm was driven all the same.")
 
 
-def told(update: Progress, view: LiveView | None) -> Progress:
+def shared(update: Progress, view: LiveView | None) -> Progress:
     """Return a progress that tells the terminal and the page."""
     if view is None:
         return update

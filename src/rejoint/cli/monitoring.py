@@ -11,7 +11,7 @@ import typer
 import rejoint
 from rejoint.cli import options as opt
 from rejoint.cli.console import Terminal
-from rejoint.cli.live import live_view, told
+from rejoint.cli.live import live_view, shared
 from rejoint.runs.run import RUNS
 from rejoint.system.errors import FileError
 
@@ -66,7 +66,7 @@ def check(
         found = rejoint.check(
             robot, history=history, name=name, arm=chosen, tolerance_mm=tolerance, used_h=used, when=date, moved=moved,
             repeat=repeat, period=opt.period_seconds(period), seed=seed,
-            on_progress=told(update, view), live=view,
+            on_progress=shared(update, view), live=view,
         )  # fmt: skip
     for problem in found.unread:
         terminal.say(f"left out: {problem}")

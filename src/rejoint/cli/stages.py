@@ -13,7 +13,7 @@ from rejoint.arms import load_arm
 from rejoint.cli import offline, show
 from rejoint.cli import options as opt
 from rejoint.cli.console import Terminal, results_of
-from rejoint.cli.live import live_view, told
+from rejoint.cli.live import live_view, shared
 from rejoint.control.deployment import REACHED
 from rejoint.runs.effort import read_effort
 from rejoint.runs.folder import LOGS, RunFolder, locked
@@ -252,7 +252,7 @@ def deploy(
             robot, controller, targets, run=run, arm=arm, dwell=dwell, within=1e-3 * within,
             payload=opt.payload_of(payload), tool=opt.tool_of(tool), say=terminal.say,
             calibration=calibration, eye=camera, period=opt.period_seconds(period), seed=seed,
-            on_progress=told(update, view), on_end=tell, live=view,
+            on_progress=shared(update, view), on_end=tell, live=view,
         )  # fmt: skip
     tell(done)
     errors = [None if visit.error is None else 1e3 * visit.error for visit in done.visits]
@@ -302,7 +302,7 @@ def follow(
             robot, path, run=run, controller=controller, repeat=repeat, rate=rate, within=1e-3 * within,
             payload=opt.payload_of(payload), tool=opt.tool_of(tool), say=terminal.say,
             calibration=calibration, period=opt.period_seconds(period), seed=seed,
-            on_progress=told(update, view), live=view,
+            on_progress=shared(update, view), live=view,
         )  # fmt: skip
     show.followed(terminal, done)
     if all(map(installed, EXTRAS["report"])):

@@ -80,7 +80,7 @@ def check() -> None:
     """Raise `Interrupted` if an end was asked for, unless inside `shielded`."""
     if _note.signum and not _note.shielded:
         _note.raised = Interrupted(_note.signum, _note.by)
-        _forget()
+        _drop()
         raise _note.raised
 
 
@@ -97,7 +97,7 @@ def ask(by: str) -> None:
         os.kill(os.getpid(), heard[0])
 
 
-def _forget() -> None:
+def _drop() -> None:
     _note.signum, _note.by = 0, ""
 
 
@@ -127,7 +127,7 @@ def noted() -> Iterator[None]:
         yield
     except BaseException:
         if _note.noted == 1:
-            _forget()  # the end has come for another reason
+            _drop()  # the end has come for another reason
         raise
     finally:
         _note.noted -= 1

@@ -16,7 +16,7 @@ from viser import uplot
 
 from rejoint.arms import Arm, Array
 from rejoint.arms.workspace import reach
-from rejoint.runs.live.drawing import GHOST, LINKS, TARGET, TRAIL, TRUE, Colour, Drawing, capsule, cell_of, css
+from rejoint.runs.live.skeleton import GHOST, LINKS, TARGET, TRAIL, TRUE, Colour, Skeleton, capsule, cell_of, css
 from rejoint.system.errors import InputError
 
 GHOST_OPACITY = 0.4
@@ -26,7 +26,7 @@ PACES = {"real time": 1.0, "3 times as fast": 3.0, "10 times as fast": 10.0, "as
 """at which an arm of virtual time can be watched"""
 
 
-class Page:
+class WebPage:
     """One page that any number of browsers may look at."""
 
     def __init__(self, host: str, port: int, on_hold: Callable[[], object], on_pace: Callable[[float], object]) -> None:
@@ -99,7 +99,7 @@ class Page:
 
     def show(self, arm: Arm, *, within: float, paced: bool) -> None:
         """Draw an arm in place of what is drawn; it is the same with a ``within`` [m] at which targets count."""
-        scene, size, drawing = self._server.scene, reach(arm), Drawing.of(arm)
+        scene, size, skeleton = self._server.scene, reach(arm), Skeleton.of(arm)
         for part in self._parts:
             part.remove()
         middle = 0.5 * (arm.targets.lower + arm.targets.upper)
@@ -116,8 +116,8 @@ class Page:
             cell_size=cell, section_size=2 * cell, cell_color=(225, 228, 232), section_color=(200, 205, 212),
             shadow_opacity=0.2,
         )  # fmt: skip
-        self._arm, one = self._limbs("/arm", drawing, LINKS, 1.0, None)
-        self._ghost, two = self._limbs("/ghost", drawing, (GHOST, GHOST), GHOST_SHARE, GHOST_OPACITY)
+        self._arm, one = self._limbs("/arm", skeleton, LINKS, 1.0, None)
+        self._ghost, two = self._limbs("/ghost", skeleton, (GHOST, GHOST), GHOST_SHARE, GHOST_OPACITY)
         self._target = scene.add_icosphere("/target", 0.0025 * max(size, 0.3) / 0.3, TARGET, visible=False)
         self._near = scene.add_icosphere("/target/within", within, TARGET, opacity=0.25, cast_shadow=False)
         self._label = scene.add_label("/target/label", "", position=(0.0, 0.0, within + 0.015), anchor="bottom-center")
@@ -129,21 +129,21 @@ class Page:
         self._pace.visible = paced
 
     def _limbs(
-        self, root: str, drawing: Drawing, colours: tuple[Colour, Colour], share: float, opacity: float | None
+        self, root: str, skeleton: Skeleton, colours: tuple[Colour, Colour], share: float, opacity: float | None
     ) -> tuple[list[viser.FrameHandle], list[viser.SceneNodeHandle]]:
         """Nest the joint frames in one another, a capsule in each; return the frames of the joints, and the root."""
         scene, path, frames = self._server.scene, root, []
         base = scene.add_frame(root, show_axes=False)
         if opacity is None:
-            height = 0.25 * drawing.radius
+            height = 0.25 * skeleton.radius
             scene.add_cylinder(
-                f"{root}/foot", 1.7 * drawing.radius, height, colours[1], position=(0.0, 0.0, 0.5 * height)
+                f"{root}/foot", 1.7 * skeleton.radius, height, colours[1], position=(0.0, 0.0, 0.5 * height)
             )
-        for link in range(len(drawing.end)):
+        for link in range(len(skeleton.end)):
             if link:
                 path = f"{path}/{link}"
-                frames.append(scene.add_frame(path, show_axes=False, position=drawing.place[link - 1]))
-            vertices, faces = capsule(*drawing.shape(link), share)
+                frames.append(scene.add_frame(path, show_axes=False, position=skeleton.place[link - 1]))
+            vertices, faces = capsule(*skeleton.shape(link), share)
             scene.add_mesh_simple(
                 f"{path}/link", vertices.astype(np.float32), faces.astype(np.uint32), color=colours[link % 2],
                 opacity=opacity, cast_shadow=opacity is None, receive_shadow=opacity is None,
@@ -151,7 +151,7 @@ class Page:
         return frames, [base]
 
     def pose(self, turns: Array, ghost: Array) -> None:
-        """Turn the joints of arm and ghost; both (n, 4), as `Drawing.turns`."""
+        """Turn the joints of arm and ghost; both (n, 4), as `Skeleton.turns`."""
         for frames, each in ((self._arm, turns), (self._ghost, ghost)):
             for frame, turn in zip(frames, each, strict=True):
                 frame.wxyz = turn

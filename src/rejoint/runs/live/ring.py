@@ -17,7 +17,7 @@ from rejoint.control.recording import Cycle
 from rejoint.control.robot import JointState
 
 SLOTS = 512
-"""Records in a ring (chosen: ten seconds at the shortest usual period; readers come twenty times a second)"""
+"""Records in a ring (chosen: ten seconds at the shortest usual period; readers come 25 times a second)"""
 _HEAD, _POINTS = 5, 9
 _Slot = tuple[int, int, Cycle, JointState, Array]
 

@@ -15,7 +15,7 @@ from rejoint.control.robot import JointState, Robot
 from rejoint.robots import place_of
 from rejoint.robots.wallclock import WallClock
 from rejoint.runs.live import panel
-from rejoint.runs.live.frame import Begun, Frame, Subject
+from rejoint.runs.live.animation import Animation, Begun, Subject
 from rejoint.runs.live.ring import Ring
 from rejoint.system.errors import AddressError, first_line
 from rejoint.system.extras import require
@@ -24,12 +24,12 @@ from rejoint.system.stopping import ask
 if TYPE_CHECKING:
     from types import TracebackType
 
-    from rejoint.runs.live.page import Page
+    from rejoint.runs.live.page import WebPage
     from rejoint.twin.twin import Twin
 
 HOST, PORT = "127.0.0.1", 8080
-RATE = 20.0
-"""[Hz] of the frames (chosen: motion looks even, and costs half of 30)"""
+RATE = 25.0
+"""[Hz] of the frames at most (chosen: motion looks even, also where a frame comes late)"""
 ASLEEP = 0.2
 """[s] between two looks whether somebody opened the page (chosen)"""
 SEEN = 0.7
@@ -54,7 +54,7 @@ class LiveView:
     def __init__(self, host: str = HOST, port: int = PORT) -> None:
         """Say where the page will be; port 0 is any free one. Nobody there is asked who they are."""
         self._host, self._port = host, port
-        self._page: Page | None = None
+        self._page: WebPage | None = None
         self._thread = threading.Thread(target=self._run, name="live view", daemon=True)
         self._over = threading.Event()
         self._subject: Subject | None = None
@@ -70,9 +70,9 @@ class LiveView:
     def __enter__(self) -> Self:
         """Serve the page; MissingExtraError without the extra ``live``, InputError where the port is taken."""
         require("a live view", "live")
-        from rejoint.runs.live.page import Page
+        from rejoint.runs.live.page import WebPage
 
-        self._page = Page(self._host, self._port, self._hold, self._set_pace)
+        self._page = WebPage(self._host, self._port, self._hold, self._set_pace)
         self._thread.start()
         return self
 
@@ -117,7 +117,7 @@ class LiveView:
         )  # fmt: skip
         self._subject = subject
         shown = cast(Robot, WallClock(robot, lambda: self._pace)) if slowed else robot
-        return cast(Robot, _Shown(shown, self, subject))
+        return cast(Robot, _LiveRobot(shown, self, subject))
 
     def begin(self, title: str) -> None:
         """Say what begins now: a command, or a stage of a repair."""
@@ -149,22 +149,22 @@ class LiveView:
     def _run(self) -> None:
         """Draw frames while somebody looks, until the end; what fails here ends the page and nothing else."""
         try:
-            self._draw(cast("Page", self._page))
+            self._draw(cast("WebPage", self._page))
         except Exception as error:  # noqa: BLE001 - whatever it is, the arm goes on
             self.failure = f"{type(error).__name__}: {first_line(error)}"
 
-    def _draw(self, page: Page) -> None:
-        frame: Frame | None = None
+    def _draw(self, page: WebPage) -> None:
+        animation: Animation | None = None
         while not self._over.is_set():
             subject = self._subject
             if not page.watched or subject is None:
-                frame = None
+                animation = None
                 self._over.wait(ASLEEP)
                 continue
-            if frame is None or frame.subject is not subject:
-                frame = Frame(page, subject, frame)
+            if animation is None or animation.subject is not subject:
+                animation = Animation(page, subject, animation)
             began = time.monotonic()
-            frame.draw(self._begun, self._now(), self._stopped)
+            animation.draw(self._begun, self._now(), self._stopped)
             self.frames += 1
             self._over.wait(max(1.0 / RATE - (time.monotonic() - began), 0.0))
 
@@ -172,7 +172,7 @@ class LiveView:
         return replace(self._doing, since=time.monotonic() - self._since)
 
 
-class _Shown:
+class _LiveRobot:
     """A robot that is shown: the control loop finds who looks on, everything else is the robot's."""
 
     def __init__(self, robot: Robot, view: LiveView, subject: Subject) -> None:

@@ -19,7 +19,7 @@ SPAN, EVERY = 30.0, 0.1
 """[s] length of the curve, and between its points (chosen: seven targets; a window of a browser has no more pixels)"""
 
 
-class Trace:
+class Trails:
     """Keeps what a page draws of one arm besides its posture."""
 
     def __init__(self, arm: Arm) -> None:

@@ -40,7 +40,7 @@ def css(colour: Colour) -> str:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Drawing:
+class Skeleton:
     """The parts of an arm of n joints; link 0 is its base, link i + 1 moves with joint i."""
 
     end: Array
@@ -66,10 +66,10 @@ class Drawing:
         return self.end[link] * max(1.0 - thin / length, 0.0) if length > thin else self.end[link], thin
 
     @staticmethod
-    def of(arm: Arm) -> Drawing:
+    def of(arm: Arm) -> Skeleton:
         """Derive it from the arm's description."""
         place = arm.offset[:, :3, 3]
-        return Drawing(
+        return Skeleton(
             end=np.vstack([place, arm.tip[:3, 3]]), place=place, axis=arm.axis,
             zero=np.array([quaternion_of(offset[:3, :3]) for offset in arm.offset]), radius=collision_shape(arm).radius,
         )  # fmt: skip
