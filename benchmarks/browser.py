@@ -63,11 +63,12 @@ class Tab:
 
 
 @contextmanager
-def chromium(width: int = 1200, height: int = 800) -> Iterator[Tab]:
+def chromium(width: int = 1200, height: int = 800, *, modest: bool = False) -> Iterator[Tab]:
+    """Yield a tab of a browser of its own; a ``modest`` one gets what processor others leave."""
     from websockets.sync.client import connect
 
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
-        command = (CHROMIUM, *FLAGS, "--remote-debugging-port=0", f"--user-data-dir={folder}",
+        command = (*(("nice", "-n", "19") if modest else ()), CHROMIUM, *FLAGS, "--remote-debugging-port=0", f"--user-data-dir={folder}",
                    f"--window-size={width},{height}", "about:blank")  # fmt: skip
         process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=dict(os.environ))
         try:

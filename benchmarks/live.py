@@ -1,7 +1,7 @@
 """What the live view costs: the control loop, cycle by cycle, and the process, while a browser looks on.
 
-The browser is a headless Chromium, which draws with this computer's processors: its own time is not counted, but its
-load is that of the worst neighbour. The control loop waits for nobody, so what it can lose is the interpreter, for as
+The browser is a headless Chromium, which draws with this computer's processors and so gets what others leave of them:
+its own time is not counted. The control loop waits for nobody, so what it can lose is the interpreter, for as
 long as the thread of the view holds it: the lateness of its cycles, beside that of the same drive without a view.
 """
 
@@ -89,13 +89,14 @@ def of_the_process() -> None:
         if CHROMIUM is None:
             print("no chromium here: what a browser that looks on costs is not measured")
             return
-        with chromium() as tab:
+        with chromium(modest=True) as tab:
             tab.call("Page.navigate", url=view.address)
             tab.wait_for("document.querySelector('canvas') && document.body.innerText.includes('Hold the arm')")
             before, began = view.frames, time.monotonic()
             share, late = paced(view, Nominal)
             rate = (view.frames - before) / (time.monotonic() - began)
             tell(f"a browser looks on, {rate:.1f} frames a second", share, late, plain)
+            print(f"  a frame takes {1e3 * (share - plain) / rate:.1f} ms of processor")
 
 
 def tell(what: str, share: float, late: np.ndarray, plain: float = 0.0) -> None:
