@@ -68,8 +68,8 @@ def chromium(width: int = 1200, height: int = 800, *, modest: bool = False) -> I
     from websockets.sync.client import connect
 
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
-        command = (*(("nice", "-n", "19") if modest else ()), CHROMIUM, *FLAGS, "--remote-debugging-port=0", f"--user-data-dir={folder}",
-                   f"--window-size={width},{height}", "about:blank")  # fmt: skip
+        command = [*(("nice", "-n", "19") if modest else ()), CHROMIUM, *FLAGS, f"--window-size={width},{height}",
+                   "--remote-debugging-port=0", f"--user-data-dir={folder}", "about:blank"]  # fmt: skip
         process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=dict(os.environ))
         try:
             port = _port(Path(folder) / "DevToolsActivePort")

@@ -32,8 +32,11 @@ class WebPage:
     def __init__(self, host: str, port: int, on_hold: Callable[[], object], on_pace: Callable[[float], object]) -> None:
         """Serve it; InputError where the port is taken or the host is none of this computer."""
         port = _free(host, port)
-        for name in ("viser", "websockets"):  # it tells of every client that comes and goes
-            logging.getLogger(name).setLevel(logging.ERROR)
+        for name in (
+            "viser",
+            "websockets",
+        ):  # a browser that opens a connection ahead and drops it is worth no traceback
+            logging.getLogger(name).setLevel(logging.CRITICAL)
         with redirect_stdout(None):  # where results go
             self._server = viser.ViserServer(host=host, port=port, label="rejoint", verbose=False)
         if self._server.get_port() != port:  # somebody was quicker

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import sys
 import threading
 import time
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Self, cast
 
-from rejoint.arms import Array
 from rejoint.control.comparison.result import Protocol
 from rejoint.control.guard import GuardLimits
-from rejoint.control.recording import Cycle, Look
-from rejoint.control.robot import JointState, Robot
+from rejoint.control.recording import Look
+from rejoint.control.robot import Robot
 from rejoint.robots import place_of
 from rejoint.robots.wallclock import WallClock
 from rejoint.runs.live import panel
@@ -34,6 +35,9 @@ ASLEEP = 0.2
 """[s] between two looks whether somebody opened the page (chosen)"""
 SEEN = 0.7
 """[s] for which the page stays after the end, so that a browser has the last of it (chosen)"""
+HAND_OVER = 0.2e-3
+"""[s] after which Python hands its lock over while the page is served, instead of 5 ms (chosen: a hundredth of the
+shortest control period; what waits for it is the control loop)"""
 BUTTON = "the button of the live view"
 """Who asks for the end where it was pressed"""
 
@@ -61,6 +65,7 @@ class LiveView:
         self._begun = Begun()
         self._doing, self._since = panel.Doing(), time.monotonic()
         self._stopped = ""
+        self._interval = sys.getswitchinterval()
         self._pace = 1.0
         self.frames = 0
         """that were drawn so far"""
@@ -73,6 +78,8 @@ class LiveView:
         from rejoint.runs.live.page import WebPage
 
         self._page = WebPage(self._host, self._port, self._hold, self._set_pace)
+        self._interval = sys.getswitchinterval()
+        sys.setswitchinterval(min(HAND_OVER, self._interval))
         self._thread.start()
         return self
 
@@ -91,6 +98,7 @@ class LiveView:
         self._thread.join()
         if self._page is not None:
             self._page.close()
+        sys.setswitchinterval(self._interval)
 
     @property
     def address(self) -> str:
@@ -129,13 +137,9 @@ class LiveView:
 
     def look(self, subject: Subject, controller: str, limits: GuardLimits) -> Look:
         """Return what writes the cycles of a run that begins now."""
-        number, ring = self._begun.number + 1, subject.ring
+        number = self._begun.number + 1
         self._begun, self._subject = Begun(number=number, controller=controller, limits=limits), subject
-
-        def write(cycle: Cycle, state: JointState, wanted: Array) -> None:
-            ring.write(number, cycle, state, wanted)
-
-        return write
+        return partial(subject.ring.write, number)
 
     def _hold(self) -> None:
         """Ask for the end; called by a thread of the page."""
@@ -177,6 +181,7 @@ class _LiveRobot:
 
     def __init__(self, robot: Robot, view: LiveView, subject: Subject) -> None:
         self._robot, self._view, self._subject = robot, view, subject
+        self.arm, self.step, self.true_tcp = robot.arm, robot.step, robot.true_tcp  # asked for in every cycle
 
     def __getattr__(self, name: str) -> object:
         return getattr(self._robot, name)
