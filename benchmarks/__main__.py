@@ -13,7 +13,7 @@ from pathlib import Path
 BENCHMARKS = (
     "plant", "step", "gpu", "control", "guard", "following", "training", "rivals", "agents", "policy", "diagnosis",
     "identification", "truth", "emulator", "serve", "hostile", "journal", "kills", "family", "seeing", "feetech",
-    "moving", "shelf", "racing", "payload", "posing", "years", "again", "history", "fleet",
+    "moving", "shelf", "racing", "payload", "posing", "years", "again", "history", "fleet", "live",
 )  # fmt: skip
 """Modules beside this one; each has a `main`, that of `identification` takes a folder of logs."""
 

@@ -62,7 +62,9 @@ def test_a_policy_runs_without_a_simulator() -> None:
 
 
 def test_help_does_not_wait_for_what_is_slow_to_import() -> None:
-    code = "import sys, rejoint.cli\nprint(sorted({'torch', 'mujoco', 'numba', 'matplotlib'} & set(sys.modules)))"
+    code = (
+        "import sys, rejoint.cli\nprint(sorted({'torch', 'mujoco', 'numba', 'matplotlib', 'viser'} & set(sys.modules)))"
+    )
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert result.stdout.strip() == "[]", result.stdout + result.stderr
 

@@ -15,6 +15,7 @@ import typer.main
 
 from rejoint.arms import load_arm
 from rejoint.cli import app
+from rejoint.cli.live import with_place
 from rejoint.control.contract import DIGEST_KEY, METADATA_KEY
 from rejoint.runs.folder import RunFolder
 from rejoint.twin.parameters import PARAMETERS
@@ -70,7 +71,7 @@ def check_command(words: list[str], *, whole: bool) -> None:
     used = {word.partition("=")[0] for word in words[1:] if word.startswith("--")} - {"--help"}
     assert used <= options, f"rejoint {words[0]} has no {', '.join(sorted(used - options))}"
     if whole and "--help" not in words:
-        command.make_context(words[0], words[1:])
+        command.make_context(words[0], with_place(words[1:]))
 
 
 @each_page

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from rejoint.diagnosis.calibration.measurements import Measurements
     from rejoint.diagnosis.diagnosis import Diagnosis
     from rejoint.logs.runlog import RunLog
+    from rejoint.runs.live.view import LiveView
     from rejoint.runs.repair import Repaired, Stage, repair
     from rejoint.runs.run import Run
     from rejoint.runs.stages.calibrate import Calibrated, calibrate
@@ -88,6 +89,7 @@ _HOMES = {
     "control.comparison.recommend": ("Recommendation",),
     "control.comparison.result": ("Comparison",),
     "control.deployment": ("Deployed",),
+    "runs.live.view": ("LiveView",),
     "runs.repair": ("Repaired", "Stage", "repair"),
     "runs.run": ("Run",),
     "runs.stages.calibrate": ("Calibrated", "calibrate"),
@@ -125,9 +127,9 @@ __all__ = [
     "AddressError", "Arm", "ArmState", "Calibrated", "Calibration", "Checked", "Compared", "Comparison",
     "ConnectionLostError", "ContractError", "Controller", "Deployed", "Diagnosed", "Diagnosis", "DrivenArm",
     "FileError", "Followed", "GuardTripError", "ImpossibleReplyError", "InputError", "Interrupted", "Judgement",
-    "Loaded", "Measurements", "MissingExtraError", "NoReplyError", "NotReachedError", "NotReadyError", "Path",
-    "Policy", "Pose", "PowerLostError", "ProfileError", "Progress", "Recommendation", "RejointError", "Repaired",
-    "Replayed", "Robot", "RobotError", "Run", "RunLog", "Serving", "Stage", "StaleReplyError", "Stream",
+    "LiveView", "Loaded", "Measurements", "MissingExtraError", "NoReplyError", "NotReachedError", "NotReadyError",
+    "Path", "Policy", "Pose", "PowerLostError", "ProfileError", "Progress", "Recommendation", "RejointError",
+    "Repaired", "Replayed", "Robot", "RobotError", "Run", "RunLog", "Serving", "Stage", "StaleReplyError", "Stream",
     "TrainedPolicy", "Twin", "UnsavedError", "__version__", "calibrate", "check", "compare", "connect", "deploy",
     "diagnose", "follow", "gains", "identify", "load_arm", "read_arm", "repair", "replay", "report", "serve", "train",
 ]  # fmt: skip

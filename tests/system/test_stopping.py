@@ -69,3 +69,29 @@ def test_other_exceptions_that_nobody_sees_are_shown_as_before():
     ended = run("stopping.install()\n@ctypes.CFUNCTYPE(None)\ndef broken():\n    raise ValueError('seen')\nbroken()\n")
     assert ended.returncode == 0
     assert "ValueError: seen" in ended.stderr
+
+
+def test_what_asks_from_another_thread_ends_a_drive_where_it_looks_and_says_who_it_was():
+    ended = run(
+        "import threading\nstopping.install()\n"
+        "with stopping.noted():\n"
+        "    asking = threading.Thread(target=stopping.ask, args=('a button',))\n"
+        "    asking.start()\n    asking.join()\n    time.sleep(0.1)\n    print('still here', flush=True)\n"
+        "    try:\n        stopping.check()\n"
+        "    except stopping.Interrupted as error: print(error, error.exit_code, flush=True)\n"
+        "try:\n    stopping.check()\n    os.kill(os.getpid(), signal.SIGTERM)\n    time.sleep(30)\n"
+        "except stopping.Interrupted as error: print(error, flush=True)\n"
+    )
+    assert ended.stdout.splitlines() == ["still here", "interrupted by a button 130", "interrupted by SIGTERM"]
+
+
+@pytest.mark.parametrize("background", [False, True])
+def test_what_asks_ends_other_work_as_well_also_where_ctrl_c_is_ignored(background):
+    ignored = "signal.signal(signal.SIGINT, signal.SIG_IGN)\n" if background else ""
+    ended = run(
+        f"import threading\n{ignored}stopping.install()\n"
+        "threading.Timer(0.2, stopping.ask, args=('a button',)).start()\n"
+        "try:\n    time.sleep(30)\n"
+        "except stopping.Interrupted as error: print(error, error.exit_code, flush=True)\n"
+    )
+    assert ended.stdout.splitlines() == ["interrupted by a button 130"], ended.stderr

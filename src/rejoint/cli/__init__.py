@@ -33,6 +33,7 @@ from rejoint.cli import (
     serving,
     stages,
 )  # fmt: skip
+from rejoint.cli.live import with_place
 from rejoint.system.errors import RejointError, first_line
 from rejoint.system.extras import explain
 from rejoint.system.stopping import Interrupted, close, install, interruption
@@ -63,7 +64,9 @@ def main() -> None:
     json = "--json" in sys.argv
     install()
     try:
-        result = app(standalone_mode=False)  # makes an exit code of every interruption, whichever signal it was
+        result = app(
+            args=with_place(sys.argv[1:]), standalone_mode=False
+        )  # makes an exit code of every interruption, whichever signal it was
         code = result if isinstance(result, int) else 0
         if code == 128 + signal.SIGINT:
             code = _interrupted(interruption() or Interrupted(signal.SIGINT), json=json)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from contextlib import ExitStack, nullcontext
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -13,6 +13,7 @@ import rejoint
 from rejoint.cli import options as opt
 from rejoint.cli import show
 from rejoint.cli.console import Terminal
+from rejoint.cli.live import live_view, shared
 from rejoint.cli.measuring import gauge_by_word
 from rejoint.diagnosis.calibration.gauges import TouchGauge
 from rejoint.runs.effort import read_effort
@@ -20,6 +21,9 @@ from rejoint.runs.run import Run, newest_or_new
 from rejoint.system.errors import UnsavedError
 from rejoint.system.extras import require
 from rejoint.system.progress import Progress, no_progress
+
+if TYPE_CHECKING:
+    from rejoint.runs.live.view import LiveView
 
 TITLES = {
     "diagnose": ("Diagnosis: ten targets open loop, then an excitation of every joint", "diagnosing"),
@@ -51,6 +55,7 @@ def repair(
     full: opt.Full = False,
     period: opt.Period = None,
     seed: opt.Seed = 0,
+    live: opt.Live = None,
     quick: opt.Quick = False,
     afresh: Annotated[
         bool,
@@ -71,12 +76,14 @@ def repair(
     job = Run.plan(path, robot, chosen, seed)
     terminal.say(f"{'Going on with' if resumed else 'Starting'} the repair of {robot} in {path}")
     gauge = gauge_by_word(terminal, robot, calibrate, seed)
-    with _Narrator(terminal, asking=isinstance(gauge, TouchGauge)) as narrator:
+    with (
+        live_view(terminal, live, "repair") as view,
+        _Narrator(terminal, view, asking=isinstance(gauge, TouchGauge)) as narrator,
+    ):
         found = rejoint.repair(
             robot, run=job, preset=preset, controllers=opt.controller_names(controllers), targets=targets, sets=sets,
             repetitions=repetitions, full=full, period=opt.period_seconds(period), quick=quick, gauge=gauge,
-            afresh=afresh or None,
-            on_stage=narrator.tell, on_progress=narrator.progress,
+            afresh=afresh or None, on_stage=narrator.tell, on_progress=narrator.progress, live=view,
         )  # fmt: skip
     page = Path(os.path.relpath(found.page))
     if quick:
@@ -98,8 +105,8 @@ def repair(
 class _Narrator:
     """Shows the stages of a repair as they come: a heading, a bar while one lasts, and its result."""
 
-    def __init__(self, terminal: Terminal, *, asking: bool) -> None:
-        self._terminal, self._bar, self._asking = terminal, ExitStack(), asking
+    def __init__(self, terminal: Terminal, view: LiveView | None, *, asking: bool) -> None:
+        self._terminal, self._view, self._bar, self._asking = terminal, view, ExitStack(), asking
         self._stage: rejoint.Stage | None = None
         self._update: Progress = no_progress
 
@@ -117,12 +124,14 @@ class _Narrator:
         heading, doing = TITLES[stage.name]
         if stage.state != "done":
             self._terminal.stage(f"{stage.number}/{stage.total}  {heading}")
+            if self._view is not None:
+                self._view.begin(f"{stage.number}/{stage.total}  {heading}")
         if stage.state == "kept":
             self._terminal.say(stage.why or f"already done, as it was asked for then: {stage.file}")
         if stage.state == "started":
             asking = self._asking and stage.name == "calibrate"  # a bar would write over the questions
             bar = nullcontext(no_progress) if asking else self._terminal.progress(doing)
-            self._stage, self._update = stage, self._bar.enter_context(bar)
+            self._stage, self._update = stage, shared(self._bar.enter_context(bar), self._view)
         else:
             show.stage(self._terminal, stage.name, stage.result)
 

@@ -11,6 +11,7 @@ import typer
 import rejoint
 from rejoint.cli import options as opt
 from rejoint.cli.console import Terminal
+from rejoint.cli.live import live_view, shared
 from rejoint.runs.run import RUNS
 from rejoint.system.errors import FileError
 
@@ -46,6 +47,7 @@ def check(
     hold: opt.Hold = None,
     period: opt.Period = None,
     seed: opt.RunSeed = None,
+    live: opt.Live = None,
     json: opt.Json = False,
 ) -> None:
     """See in two and a half minutes whether an arm has become worse, and how long it will still do.
@@ -58,11 +60,13 @@ def check(
     chosen = opt.choose_arm(terminal, arm, base, tip, robot, hold)
     with (
         terminal.unsaved(lambda found: terminal.result(found.line)),
+        live_view(terminal, live, "check") as view,
         terminal.progress("checking") as update,
     ):
         found = rejoint.check(
             robot, history=history, name=name, arm=chosen, tolerance_mm=tolerance, used_h=used, when=date, moved=moved,
-            repeat=repeat, period=opt.period_seconds(period), seed=seed, on_progress=update,
+            repeat=repeat, period=opt.period_seconds(period), seed=seed,
+            on_progress=shared(update, view), live=view,
         )  # fmt: skip
     for problem in found.unread:
         terminal.say(f"left out: {problem}")

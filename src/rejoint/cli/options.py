@@ -86,6 +86,14 @@ Camera = Annotated[
 ]
 Targets = Annotated[Path | None, typer.Option(help="CSV file of targets in mm: x,y,z, and perhaps an orientation.")]
 Controllers = Annotated[str, typer.Option(help="Comma-separated controllers, or 'all': those of docs/commands.md.")]
+Live = Annotated[
+    str | None,
+    typer.Option(
+        "--live",
+        metavar="[HOST:PORT]",
+        help="Show the arm on a page while it moves, by default at 127.0.0.1:8080, with a button that holds it.",
+    ),
+]
 Full = Annotated[
     bool,
     typer.Option("--full", help="On a real arm, drive every controller to all targets instead of letting them race."),

@@ -11,6 +11,7 @@ import rejoint
 from rejoint.arms import load_arm
 from rejoint.cli import options as opt
 from rejoint.cli.console import Terminal
+from rejoint.cli.live import live_view
 from rejoint.cli.options import Json, Seed
 from rejoint.robots import SIMULATOR
 from rejoint.system.errors import InputError
@@ -92,6 +93,7 @@ def serve(
     payload: opt.Payload = None,
     tool: opt.Tool = None,
     period: opt.Period = None,
+    live: opt.Live = None,
     json: Json = False,
 ) -> None:
     """Let programs written for the vendor's client drive a worn arm as if it were a new one, until Ctrl-C.
@@ -102,7 +104,7 @@ def serve(
     Example: `rejoint serve tcp://192.168.1.20:9000 runs/mine --listen 127.0.0.1:9001`
     """
     if stdio:
-        if pty or json or any(given is not None for given in (calibration, payload, tool)):
+        if pty or json or any(given is not None for given in (calibration, payload, tool, live)):
             raise InputError("--stdio goes with --period alone")
         from rejoint.cli.lines import serve_lines
 
@@ -115,10 +117,11 @@ def serve(
         if address.startswith("tcp://") and not address.startswith("tcp://127."):
             terminal.say("Other machines can drive it too, without a password.")
 
-    done = rejoint.serve(
-        robot, run, listen=listen, pty=pty, payload=opt.payload_of(payload), tool=opt.tool_of(tool),
-            calibration=calibration, period=opt.period_seconds(period),
-        say=terminal.say, on_address=announce,
-    )  # fmt: skip
+    with live_view(terminal, live, "serve") as view:
+        done = rejoint.serve(
+            robot, run, listen=listen, pty=pty, payload=opt.payload_of(payload), tool=opt.tool_of(tool),
+            calibration=calibration, period=opt.period_seconds(period), say=terminal.say, on_address=announce,
+            live=view,
+        )  # fmt: skip
     terminal.say(f"Serving ended after {done.orders} orders; they are in {done.log}")
     terminal.finish(done)

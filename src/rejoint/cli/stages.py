@@ -14,6 +14,7 @@ from rejoint.arms import load_arm
 from rejoint.cli import offline, show
 from rejoint.cli import options as opt
 from rejoint.cli.console import Terminal, results_of
+from rejoint.cli.live import live_view, shared
 from rejoint.control.deployment import REACHED
 from rejoint.runs.effort import read_effort
 from rejoint.runs.folder import LOGS, RunFolder, locked
@@ -238,6 +239,7 @@ def deploy(
     camera: opt.Camera = None,
     period: opt.Period = None,
     seed: opt.RunSeed = None,
+    live: opt.Live = None,
     json: opt.Json = False,
 ) -> None:
     """Drive an arm to targets with the trained policy (or another controller); ten random ones by default.
@@ -251,12 +253,16 @@ def deploy(
         raise InputError("deploy takes the arm from RUN; leave out --arm")
     terminal = Terminal(json=json)
     tell = partial(show.deployment, terminal, 1e-3 * within)
-    with terminal.unsaved(tell), terminal.progress("deploying") as update:
+    with (
+        terminal.unsaved(tell),
+        live_view(terminal, live, "deploy") as view,
+        terminal.progress("deploying") as update,
+    ):
         done = rejoint.deploy(
             robot, controller, targets, run=run, arm=arm, dwell=dwell, within=1e-3 * within,
             payload=opt.payload_of(payload), tool=opt.tool_of(tool), say=terminal.say,
             calibration=calibration, eye=camera, period=opt.period_seconds(period), seed=seed,
-            on_progress=update, on_end=tell,
+            on_progress=shared(update, view), on_end=tell, live=view,
         )  # fmt: skip
     tell(done)
     errors = [None if visit.error is None else 1e3 * visit.error for visit in done.visits]
@@ -292,6 +298,7 @@ def follow(
     tool: opt.Tool = None,
     period: opt.Period = None,
     seed: opt.RunSeed = None,
+    live: opt.Live = None,
     json: opt.Json = False,
 ) -> None:
     """Drive an arm along a path, and say how well it followed.
@@ -302,11 +309,12 @@ def follow(
     `rejoint follow emulated:worn runs/mine circle-8s --repeat 5`
     """
     terminal = Terminal(json=json)
-    with terminal.progress("following") as update:
+    with live_view(terminal, live, "follow") as view, terminal.progress("following") as update:
         done = rejoint.follow(
             robot, path, run=run, controller=controller, repeat=repeat, rate=rate, within=1e-3 * within,
             payload=opt.payload_of(payload), tool=opt.tool_of(tool), say=terminal.say,
-            calibration=calibration, period=opt.period_seconds(period), seed=seed, on_progress=update,
+            calibration=calibration, period=opt.period_seconds(period), seed=seed,
+            on_progress=shared(update, view), live=view,
         )  # fmt: skip
     show.followed(terminal, done)
     if all(map(installed, EXTRAS["report"])):

@@ -19,7 +19,7 @@ from rejoint.control.controller import ControlInput, Controller, turned_off
 from rejoint.control.correction import Correction
 from rejoint.control.following import Following
 from rejoint.control.guard import TRIPS, Guarded, GuardLimits, Reason, Reasons, guard, warm_up
-from rejoint.control.recording import Cycle, OnCycle, Recorder, Recording, attach
+from rejoint.control.recording import Cycle, Look, OnCycle, Recorder, Recording, attach, look_of
 from rejoint.control.robot import JointState, Mask, Robot
 from rejoint.control.route import Route
 from rejoint.control.runstate import RunState, own, reported_load
@@ -84,7 +84,7 @@ def run(
     recorder = Recorder(robot=robot, controller=controller.name)
     loop = _Loop(
         robot=robot, controller=controller, schedule=schedule, limits=limits, recorder=recorder, on_cycle=on_cycle,
-        correction=correction, turns=turns,
+        correction=correction, turns=turns, look=look_of(robot, controller.name, limits),
     )  # fmt: skip
     _warm_up(limits)
     with noted():
@@ -110,7 +110,7 @@ def follow(
     recorder = Recorder(robot=robot, controller=controller.name)
     loop = _Loop(
         robot=robot, controller=controller, schedule=schedule, limits=limits, recorder=recorder, on_cycle=on_cycle,
-        correction=None, route=route,
+        correction=None, route=route, look=look_of(robot, controller.name, limits),
     )  # fmt: skip
     _warm_up(limits)
     with noted():
@@ -233,6 +233,7 @@ class _Loop:
     recorder: Recorder
     on_cycle: OnCycle | None
     correction: Correction | None
+    look: Look | None
     route: Route | None = None
     turns: Orientation | None = None
 
@@ -251,6 +252,8 @@ class _Loop:
             turned=turned_off(self.robot.arm, before),
         )  # fmt: skip
         self.recorder.cycles.append(cycle)
+        if self.look is not None:
+            self.look(cycle, before.state, run_state.wanted)
         if self.on_cycle is not None:
             self.on_cycle(cycle)
         self._stop_tripped(run_state, reasons)
@@ -281,6 +284,7 @@ class _Loop:
         aimed = np.isfinite(inputs.target[:, 0])
         run_state.unbelieved = run_state.following.check(run_state.state, run_state.sent, aimed)
         wanted = run_state.following.bound(self.controller.command(inputs), run_state.state.position, aimed)
+        run_state.wanted = wanted
         ease = run_state.ease  # slower time for the guard is a slower arm
         guarded = guard(
             self.limits,

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Array
-from rejoint.control.guard import Reason, Reasons
-from rejoint.control.robot import Mask, Robot
+from rejoint.control.guard import GuardLimits, Reason, Reasons
+from rejoint.control.robot import JointState, Mask, Robot
 from rejoint.logs.runlog import RunLog
 
 
@@ -46,6 +46,21 @@ class Cycle(NamedTuple):
 
 OnCycle = Callable[[Cycle], object]
 """Called after every cycle with its row; what it raises ends the run."""
+
+
+Look = Callable[[Cycle, JointState, Array], object]
+"""Called after every cycle with its row, the state that was read and the joint positions (B, n) [rad] that the
+controller wanted; it must return at once, and is not expected to raise"""
+
+Onlooker = Callable[[str, GuardLimits], Look]
+"""Called at the beginning of a run with the name of the controller and the limits of the guard; a robot that is shown
+to somebody has it as its ``onlooker``"""
+
+
+def look_of(robot: Robot, controller: str, limits: GuardLimits) -> Look | None:
+    """Return what looks on while ``robot`` is driven; None where nobody does."""
+    onlooker: Onlooker | None = getattr(robot, "onlooker", None)
+    return None if onlooker is None else onlooker(controller, limits)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -56,6 +56,8 @@ class RunState:
     """(B, K) how the tools are to be turned at the targets, None where that does not matter"""
     unbelieved: Mask | None = None
     """(B, n) joints whose readings are not believed in this cycle, None where all are"""
+    wanted: Array = field(init=False)
+    """(B, n) [rad] what the controller wanted in the newest cycle, before the guard"""
     last_time: Array = field(init=False)
     usual: Array = field(init=False)
     """(B,) [s] running mean of the periods; NaN before one has been measured"""
@@ -69,7 +71,7 @@ class RunState:
     """(B,) how the tools are to be turned there by the encoders, None where that does not matter"""
 
     def __post_init__(self) -> None:
-        self.last_time = self.state.time
+        self.last_time, self.wanted = self.state.time, self.sent
         count = len(self.sent)
         self.usual, self.eased_until = np.full(count, np.nan), np.full(count, -np.inf)
         self.gap = np.zeros(count, dtype=bool)

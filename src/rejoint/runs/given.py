@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, TypeAlias, cast
+from typing import TYPE_CHECKING, Literal, Protocol, TypeAlias, cast
 
 import numpy as np
 
@@ -58,6 +58,19 @@ Targets: TypeAlias = "Array | Sequence[Pose] | Path | str"
 Period: TypeAlias = "tuple[float, float]"
 """[s] interval from which the length of every control cycle is drawn"""
 
+
+class Live(Protocol):
+    """Somebody who looks on while an arm is driven, as a `LiveView` does."""
+
+    def watch(
+        self, robot: Robot, *, twin: Twin | None = None, within: float | None = None, paced: bool | None = None
+    ) -> Robot:
+        """Return the robot as one that is shown: with its ``twin``, and the error [m] that is accepted.
+
+        ``paced`` says whether its time is virtual and may be slowed down; None: look at its address.
+        """
+
+
 FIRST_ROBOT = "emulated:worn"
 """The robot where none is named: a worn arm in this process"""
 
@@ -92,6 +105,14 @@ def opened(robot: RobotLike, arm: Arm, seed: int, period: Period | None) -> Iter
         return
     with closing(open_robot(robot, arm=arm, seed=seed, period=period)) as connection:
         yield connection
+
+
+def shown(
+    live: Live | None, robot: Robot, *, twin: Twin | None = None, within: float | None = None,
+    paced: bool | None = None,
+) -> Robot:  # fmt: skip
+    """Return the robot as one that is shown to ``live``; as it is where nobody looks on."""
+    return robot if live is None else live.watch(robot, twin=twin, within=within, paced=paced)
 
 
 class Borrowed:

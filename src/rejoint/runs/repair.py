@@ -20,6 +20,7 @@ from rejoint.runs.given import (
     NO_GAUGE,
     ArmLike,
     GaugeLike,
+    Live,
     Period,
     RobotLike,
     RunLike,
@@ -152,6 +153,7 @@ def repair(
     on_progress: Progress = no_progress,
     on_stage: OnStage | None = None,
     only: StageName | None = None,
+    live: Live | None = None,
 ) -> Repaired:
     """Diagnose an arm, fit its twin, train a policy, compare every controller on the arm, and write the report.
 
@@ -195,6 +197,8 @@ def repair(
         called when a stage starts and when it is done, with its result
     only
         do this one stage and no other: for who has the stages done by several computers, in their order
+    live
+        shows the arm meanwhile: a `LiveView`
 
     Returns
     -------
@@ -230,12 +234,16 @@ def repair(
     files = stages_of(robot, chosen, about.folder, controllers=controllers, gauge=gauge, quick=quick)
     chain = _Chain(about.begin(), files, on_stage, on_progress, only=only)
     found = chain.run
-    chain.do("diagnose", lambda update: diagnose(robot, run=found, period=period, quick=quick, on_progress=update))
-    chain.do("calibrate", lambda update: calibrate(robot, run=found, gauge=meter, period=period, on_progress=update))
+    chain.do("diagnose", lambda update: diagnose(
+        robot, run=found, period=period, quick=quick, on_progress=update, live=live,
+    ))  # fmt: skip
+    chain.do("calibrate", lambda update: calibrate(
+        robot, run=found, gauge=meter, period=period, on_progress=update, live=live,
+    ))  # fmt: skip
     if not (quick or (emulated if afresh is None else afresh)) and isinstance(preset, str):
         chain.why = str(keep_what_holds(found, preset) or "")
     chain.do("identify", lambda update: identify(run=found, quick=quick, on_progress=update))
-    chain.do("gains", lambda update: gains(robot, found, period=period, on_progress=update))
+    chain.do("gains", lambda update: gains(robot, found, period=period, on_progress=update, live=live))
     chain.do("train", lambda update: train(run=found, preset=preset, quick=quick, on_progress=update))
     few = (1, 1) if quick else (3, 2) if emulated else (None, None)
     if quick and targets is None:
@@ -243,7 +251,7 @@ def repair(
     chain.do("compare", lambda update: compare(
         robot, controllers, targets, run=found, sets=sets or few[0], repetitions=repetitions or few[1], full=full,
         period=period, calibration=NO_GAUGE if gauge == NO_GAUGE else None, directions=emulated and not quick,
-        on_progress=update,
+        on_progress=update, live=live,
     ))  # fmt: skip
     chain.do("report", lambda _: report(found))
     if only in (None, "report"):

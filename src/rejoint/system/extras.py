@@ -19,6 +19,7 @@ EXTRAS: dict[str, tuple[str, ...]] = {
     "history": ("duckdb",),
     "gpu": ("warp",),
     "fleet": ("ray",),
+    "live": ("viser",),
 }
 """Modules that this package imports, by the extra that installs them"""
 

@@ -28,11 +28,11 @@ _SLICE = 0.005
 
 
 class Interrupted(KeyboardInterrupt):
-    """Somebody asked for the end: Ctrl-C, or a signal such as SIGTERM."""
+    """Somebody asked for the end: Ctrl-C, a signal such as SIGTERM, or what called `ask`."""
 
-    def __init__(self, signum: int) -> None:
+    def __init__(self, signum: int, by: str = "") -> None:
         self.signum = signum
-        super().__init__(f"interrupted by {signal.Signals(signum).name}")
+        super().__init__(f"interrupted by {by or signal.Signals(signum).name}")
 
     @property
     def exit_code(self) -> int:
@@ -41,9 +41,10 @@ class Interrupted(KeyboardInterrupt):
 
 
 class _Note:
-    """What was asked for, and by how many contexts exceptions are kept back."""
+    """What was asked for, by whom, and by how many contexts exceptions are kept back."""
 
     signum = 0
+    by = ""
     raised: Interrupted | None = None
     noted = 0
     shielded = 0
@@ -78,8 +79,26 @@ def ending() -> bool:
 def check() -> None:
     """Raise `Interrupted` if an end was asked for, unless inside `shielded`."""
     if _note.signum and not _note.shielded:
-        _note.raised, _note.signum = Interrupted(_note.signum), 0
+        _note.raised = Interrupted(_note.signum, _note.by)
+        _drop()
         raise _note.raised
+
+
+def ask(by: str) -> None:
+    """Ask for the end as Ctrl-C does, from any thread; ``by`` says in a few words who asks.
+
+    Where an arm is driven, the wish is noted; elsewhere the main thread is interrupted as by a signal, unless the
+    process hears none: then the next motion ends before it begins.
+    """
+    if not _note.signum:
+        _note.by, _note.signum = by, signal.SIGINT
+    heard = [signum for signum in SIGNALS if signal.getsignal(signum) is _handle]
+    if not _note.noted and heard:
+        os.kill(os.getpid(), heard[0])
+
+
+def _drop() -> None:
+    _note.signum, _note.by = 0, ""
 
 
 def interruption() -> Interrupted | None:
@@ -108,7 +127,7 @@ def noted() -> Iterator[None]:
         yield
     except BaseException:
         if _note.noted == 1:
-            _note.signum = 0  # the end has come for another reason
+            _drop()  # the end has come for another reason
         raise
     finally:
         _note.noted -= 1

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -17,7 +16,6 @@ from rejoint.control.recording import Cycle, Recording, recording_of
 from rejoint.control.robot import JointState, Mask, Robot
 from rejoint.robots.serving.relay import Relay
 from rejoint.robots.serving.served import ServedArm
-from rejoint.system.stopping import pause
 
 PIECE, LONGEST_PIECE = 600.0, 1800.0
 """[s] after which a piece of the motion is written as a run log: as soon as the arm rests, and at the latest (chosen:
@@ -88,29 +86,6 @@ class ServedDrive:
         nowhere = np.full((1, 1, 3), np.nan)  # postures are followed, and no target
         schedule = Schedule(dwell=LONGEST_PIECE, sent=sent, give_up=give_up)
         return run(self.robot, self.controller, nowhere, schedule, limits=self.limits, on_cycle=watch)
-
-
-class WallClock:
-    """A robot of virtual time slowed down to the wall clock, or to ``pace`` times its speed."""
-
-    def __init__(self, robot: Robot, pace: float = 1.0) -> None:
-        self._robot, self._pace = robot, pace
-        self._began: tuple[float, float] | None = None
-
-    def __getattr__(self, name: str) -> object:
-        return getattr(self._robot, name)
-
-    def step(self, command: Array, active: Mask | None = None) -> JointState:
-        """Step, and wait until as much time has passed."""
-        state = self._robot.step(command, active)
-        if self._began is None:
-            self._began = time.monotonic(), float(state.time[0])
-        wall, virtual = self._began
-        late = time.monotonic() - wall - (float(state.time[0]) - virtual) / self._pace
-        if late > 1.0:  # this machine cannot keep up, or was suspended
-            self._began = None
-        pause(-late)
-        return state
 
 
 def _with_places(recording: Recording, places: list[Array]) -> Recording:

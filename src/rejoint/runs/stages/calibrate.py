@@ -24,6 +24,7 @@ from rejoint.runs.effort import metered
 from rejoint.runs.given import (
     ArmLike,
     CalibrationLike,
+    Live,
     Period,
     RobotLike,
     RunLike,
@@ -33,6 +34,7 @@ from rejoint.runs.given import (
     as_run,
     as_twin,
     opened,
+    shown,
 )
 from rejoint.runs.run import Run, exclusive
 from rejoint.runs.stages.driving import guard_limits, stance_of
@@ -89,6 +91,7 @@ def calibrate(
     period: Period | None = None,
     seed: int | None = None,
     on_progress: Progress = no_progress,
+    live: Live | None = None,
 ) -> Calibrated:
     """Measure where the tool of an arm really is, fit what lies behind its encoders, and keep it if correcting helps.
 
@@ -124,6 +127,8 @@ def calibrate(
         of an emulated arm's noise; by default that of the run, else 0
     on_progress
         called with the share that is done and what is being measured
+    live
+        shows the arm meanwhile: a `LiveView`
 
     Returns
     -------
@@ -165,7 +170,7 @@ def calibrate(
                 metered(about.folder if about else None, "calibrate") as meter,
                 opened(robot, chosen, seed, period) as opening,
             ):
-                connection = meter.watch(opening)
+                connection = shown(live, meter.watch(opening), twin=known)
                 about = about and about.begin()
                 share = part(on_progress, 0.0, 0.95)
                 if isinstance(gauge, CameraGauge):

@@ -15,7 +15,17 @@ from rejoint.logs.history.index import CHECKS, find_rows
 from rejoint.logs.history.rows import SUMMARY, HistoryRow, utc_now, write_rows
 from rejoint.logs.journal import Journal
 from rejoint.logs.runlog import RunLog
-from rejoint.runs.given import FIRST_ROBOT, ArmLike, Period, RobotLike, address_of, arm_of, opened
+from rejoint.runs.given import (
+    FIRST_ROBOT,
+    ArmLike,
+    Live,
+    Period,
+    RobotLike,
+    address_of,
+    arm_of,
+    opened,
+    shown,
+)
 from rejoint.runs.history.checks import rows_of, visits_of, with_outlook
 from rejoint.runs.run import RUNS
 from rejoint.system.errors import InputError
@@ -66,6 +76,7 @@ def check(
     period: Period | None = None,
     seed: int | None = None,
     on_progress: Progress = no_progress,
+    live: Live | None = None,
 ) -> Checked:
     """Move an arm through a fixed routine of two and a half minutes, and compare it with its own earlier checks.
 
@@ -99,6 +110,8 @@ def check(
         of an emulated arm's noise; by default another one at each check
     on_progress
         called with the share that is done and what is being done
+    live
+        shows the arm meanwhile: a `LiveView`
 
     Returns
     -------
@@ -138,13 +151,13 @@ def check(
             head = replace(head, time=utc_now() if when is None else head.time + BETWEEN, tolerance_mm=tolerance_mm)
         progress = part(on_progress, number / repeat, (number + 1) / repeat)
         found = _once(robot, chosen, head, key, home, moved=moved and not number, period=period, seed=seed,
-                      on_progress=progress)  # fmt: skip
+                      on_progress=progress, live=live)  # fmt: skip
     return found
 
 
 def _once(
     robot: RobotLike, arm: Arm, head: HistoryRow, key: str, home: Path, *, moved: bool, period: Period | None,
-    seed: int | None, on_progress: Progress,
+    seed: int | None, on_progress: Progress, live: Live | None,
 ) -> Checked:  # fmt: skip
     """Make one check, and leave its log and its rows."""
     from rejoint.diagnosis.monitoring.judge import PastCheck, outlook
@@ -164,7 +177,7 @@ def _once(
     tolerance = head.tolerance_mm if head.tolerance_mm is not None or not mine else mine[-1].tolerance_mm
     folder = home / CHECKS / head.arm / f"{head.time:%Y%m%dT%H%M%S}-{os.urandom(2).hex()}"
     with noted(), opened(robot, arm, len(mine) if seed is None else seed, period) as connection:
-        log, warm = _drive(connection, folder, on_progress)
+        log, warm = _drive(shown(live, connection), folder, on_progress)
     measures = measure_check(arm, log, warm)
     found = outlook([*past, PastCheck(time=head.time, measures=measures, used_h=head.used_h)], tolerance)
     line = say(found, head.robot)

@@ -14,6 +14,7 @@ from rejoint.diagnosis.open_loop import DWELL
 from rejoint.runs.given import (
     ArmLike,
     CalibrationLike,
+    Live,
     Period,
     RobotLike,
     RunLike,
@@ -71,6 +72,7 @@ def compare(
     full: bool = False,
     on_progress: Progress = no_progress,
     say: Say = silent,
+    live: Live | None = None,
 ) -> Compared:
     """Try controllers on the same arm, with the same targets, from the same start, and recommend one.
 
@@ -129,6 +131,8 @@ def compare(
         called with the share that is done and what is being tried
     say
         told, in lines, which targets are too heavy, before an arm moves
+    live
+        shows the arm meanwhile: a `LiveView`
 
     Returns
     -------
@@ -176,7 +180,7 @@ def compare(
             robot=robot, arm=chosen, run=about, factories=factories, targets=points, settings=settings, period=period,
             twin=known, correct=correction_of(calibration, about, chosen, address_of(robot)),
             model=model,
-            file=str(targets) if isinstance(targets, Path | str) else "", directions=directions,
-            turns=turns, before=before if before is not None and np.array_equal(points[0], before.targets) else None,
+            live=live, file=str(targets) if isinstance(targets, Path | str) else "", directions=directions, turns=turns,
+            before=before if before is not None and np.array_equal(points[0], before.targets) else None,
         )  # fmt: skip
         return job.drive(on_progress)

@@ -19,10 +19,12 @@ from rejoint.logs.runlog import RunLog, write_log
 from rejoint.robots import open_robot
 from rejoint.runs.effort import metered
 from rejoint.runs.given import (
+    Live,
     Period,
     RobotLike,
     address_of,
     borrowed,
+    shown,
 )
 from rejoint.runs.history.summary import summarise
 from rejoint.runs.openloop import DEFAULT, OpenLoopTrials
@@ -84,6 +86,7 @@ class ComparisonJob:
     directions: bool
     turns: Orientation | None = None
     """(S, K) how the tools are to be turned at the targets; None where that does not matter"""
+    live: Live | None = None
 
     def drive(self, on_progress: Progress) -> Compared:
         """Compare; in a run, go on after the trials that are done there, and write what comes out."""
@@ -165,8 +168,10 @@ class ComparisonJob:
 
     def _open(self, count: int, seed: int) -> Robot:
         if not isinstance(self.robot, str):
-            return borrowed(self.robot)
-        return open_robot(self.robot, arm=self.arm, seed=seed, count=count, period=self.period, threads=THREADS)
+            robot = borrowed(self.robot)
+        else:
+            robot = open_robot(self.robot, arm=self.arm, seed=seed, count=count, period=self.period, threads=THREADS)
+        return shown(self.live, robot, twin=self.twin, within=self.settings.protocol.threshold)
 
     def _digest(self, run: Run) -> str:
         """Digest of all that decides what a comparison finds."""

@@ -18,6 +18,7 @@ from rejoint.control.servogains import limits_under, under_gains
 from rejoint.runs.given import (
     ArmLike,
     CalibrationLike,
+    Live,
     Period,
     RobotLike,
     RunLike,
@@ -30,6 +31,7 @@ from rejoint.runs.given import (
     as_twin,
     opened,
     period_of,
+    shown,
 )
 from rejoint.runs.run import Run, exclusive
 from rejoint.runs.stages.driving import (
@@ -76,6 +78,7 @@ def deploy(
     on_progress: Progress = no_progress,
     on_end: Callable[[Deployed], object] | None = None,
     say: Say = silent,
+    live: Live | None = None,
 ) -> Deployed:
     """Drive an arm to targets with a policy or another controller, under the guard.
 
@@ -124,6 +127,8 @@ def deploy(
         called with what was done until then where an error ends the deployment early
     say
         told, in lines, which targets are too heavy, before the arm moves, and of a load that was not given, at the end
+    live
+        shows the arm meanwhile: a `LiveView`
 
     Returns
     -------
@@ -176,7 +181,7 @@ def deploy(
             opened_eye(eye, connection, about, seed) as sees,
         ):
             drive = _Drive(
-                robot=connection,
+                robot=shown(live, connection, twin=known, within=within),
                 controller=make(chosen),
                 job=job,
                 run=about,

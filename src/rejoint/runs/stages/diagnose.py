@@ -15,6 +15,7 @@ from rejoint.runs.folder import RunFolder
 from rejoint.runs.given import (
     FIRST_ROBOT,
     ArmLike,
+    Live,
     LogsLike,
     Period,
     RobotLike,
@@ -26,6 +27,7 @@ from rejoint.runs.given import (
     opened,
     run_about,
     run_of_logs,
+    shown,
     source_of,
 )
 from rejoint.runs.history.summary import summarise
@@ -76,6 +78,7 @@ def diagnose(
     seed: int | None = None,
     quick: bool = False,
     on_progress: Progress = no_progress,
+    live: Live | None = None,
 ) -> Diagnosed:
     """Find out what is wrong with an arm: by driving it, or from logs of any motion.
 
@@ -100,6 +103,8 @@ def diagnose(
         excite for 90 s instead of 140 s, for a first try: wear shows less surely
     on_progress
         called with the share that is done and what is being done
+    live
+        shows the arm meanwhile: a `LiveView`
 
     Returns
     -------
@@ -141,7 +146,8 @@ def diagnose(
                 metered(about.folder if about else None, "diagnose") as meter,
                 opened(robot, chosen, seed, period) as connection,
             ):
-                return _drive(meter.watch(connection), about, reference, seed, quick=quick, on_progress=on_progress)
+                connection = shown(live, meter.watch(connection))
+                return _drive(connection, about, reference, seed, quick=quick, on_progress=on_progress)
         except BaseException:
             if about is not None:  # a robot that does not answer, or is not ready, leaves no folder behind
                 remove_if_empty(about)

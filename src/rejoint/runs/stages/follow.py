@@ -20,6 +20,7 @@ from rejoint.control.start import begin
 from rejoint.runs.given import (
     ArmLike,
     CalibrationLike,
+    Live,
     Period,
     RobotLike,
     RunLike,
@@ -30,6 +31,7 @@ from rejoint.runs.given import (
     as_twin,
     opened,
     period_of,
+    shown,
 )
 from rejoint.runs.run import Run, exclusive
 from rejoint.runs.stages.driving import (
@@ -79,6 +81,7 @@ def follow(
     seed: int | None = None,
     on_progress: Progress = no_progress,
     say: Say = silent,
+    live: Live | None = None,
 ) -> Followed:
     """Drive an arm along a path, under the guard, and say how well it followed.
 
@@ -124,6 +127,8 @@ def follow(
         called with the share that is done
     say
         told, in lines, which places are too heavy, before the arm moves, and of a load that was not given, at the end
+    live
+        shows the arm meanwhile: a `LiveView`
 
     Returns
     -------
@@ -162,6 +167,7 @@ def follow(
         with noted(), opened(robot, chosen, seed, period) as connection:
             limits = limits_under(guard_limits(about, chosen, connection.address), connection, None)
             known = twin_in_force(about, connection) if about is not None and twin is None else known
+            connection = shown(live, connection, twin=known, within=within)
             name, make = follower(controller, chosen, usual, about, known)
             start = begin(connection, limits, stance_of(known))
             carrier = _Logged(

@@ -9,7 +9,16 @@ from rejoint.control.gainsearch import GainsFound, search
 from rejoint.control.geared import GEARED, RIVALS
 from rejoint.control.servogains import ServoGains, Tunable, gains_in_force
 from rejoint.runs.effort import metered
-from rejoint.runs.given import Period, RobotLike, RunLike, address_of, as_run, opened
+from rejoint.runs.given import (
+    Live,
+    Period,
+    RobotLike,
+    RunLike,
+    address_of,
+    as_run,
+    opened,
+    shown,
+)
 from rejoint.runs.run import Run, exclusive
 from rejoint.runs.stages.driving import guard_limits, recommended
 from rejoint.system.errors import FileError, InputError
@@ -23,8 +32,9 @@ TARGETS = 4
 
 @paced
 def gains(
-    robot: RobotLike, run: RunLike, *, period: Period | None = None, on_progress: Progress = no_progress
-) -> GainsFound:
+    robot: RobotLike, run: RunLike, *, period: Period | None = None, on_progress: Progress = no_progress,
+    live: Live | None = None,
+) -> GainsFound:  # fmt: skip
     """Search for better gains of the servos' own position loops, on the arm itself (about three minutes).
 
     The arm goes to four targets again and again, with one value more of P, dead zone, startup force and I each time;
@@ -41,6 +51,8 @@ def gains(
         [s] interval of the control periods; by default what the robot suits
     on_progress
         called with the share that is done and what is being tried
+    live
+        shows the arm meanwhile: a `LiveView`
 
     Returns
     -------
@@ -71,7 +83,9 @@ def gains(
         require_space(about.path)
         points = draw_targets(about.arm, sets=1, count=TARGETS, seed=about.seed)[0]
         limits = guard_limits(about, about.arm, address_of(robot))
-        found = search(cast(Tunable, meter.watch(connection)), points, limits=limits, on_progress=on_progress)
+        found = search(
+            cast(Tunable, shown(live, meter.watch(connection))), points, limits=limits, on_progress=on_progress
+        )
         with saving(found):
             set_aside(about.folder.gains)
             write_json(about.folder.gains, found)

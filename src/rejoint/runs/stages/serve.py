@@ -20,12 +20,24 @@ from rejoint.control.start import begin
 from rejoint.robots import place_of
 from rejoint.robots.serving.answering import Answering
 from rejoint.robots.serving.apparent import Apparent, Shift
-from rejoint.robots.serving.drive import ServedDrive, ServedWay, WallClock
+from rejoint.robots.serving.drive import ServedDrive, ServedWay
 from rejoint.robots.serving.orderlog import OrderLog
 from rejoint.robots.serving.relay import Relay
 from rejoint.robots.serving.served import ServedArm
 from rejoint.robots.serving.server import WireServer, pty_wire, tcp_wire
-from rejoint.runs.given import CalibrationLike, Period, RobotLike, RunLike, TwinLike, as_run, as_twin, opened
+from rejoint.robots.wallclock import WallClock
+from rejoint.runs.given import (
+    CalibrationLike,
+    Live,
+    Period,
+    RobotLike,
+    RunLike,
+    TwinLike,
+    as_run,
+    as_twin,
+    opened,
+    shown,
+)
 from rejoint.runs.run import exclusive
 from rejoint.runs.stages.driving import correction_of, guard_limits, stance_of, start_journal
 from rejoint.runs.stages.loads import PayloadLike, with_load
@@ -73,6 +85,7 @@ def serve(
     stop: threading.Event | None = None,
     say: Callable[[str], object] = lambda _: None,
     on_address: Callable[[str], object] = lambda _: None,
+    live: Live | None = None,
 ) -> Serving:
     """Speak the myCobot's own wire to programs and drive the arm behind it, until interrupted.
 
@@ -108,6 +121,8 @@ def serve(
         told, in lines, what a person should know: clients that come and go, refused orders
     on_address
         told where a client finds the arm, once it can be reached
+    live
+        shows the arm meanwhile: a `LiveView`
 
     Returns
     -------
@@ -144,7 +159,7 @@ def serve(
         stack.callback(log.close)
         stack.enter_context(noted())
         connection = stack.enter_context(opened(robot, arm, about.seed, period))
-        connection = _in_wall_time(connection, robot, pace)
+        connection = shown(live, _in_wall_time(connection, robot, pace), twin=known, paced=False)
         limits = guard_limits(about, arm, connection.address)
         start = begin(connection, limits, stance_of(known))
         make = correction_of(calibration, about, arm, connection.address)
@@ -200,7 +215,7 @@ def _host_and_port(text: str) -> tuple[str, int]:
 def _in_wall_time(robot: Robot, given: RobotLike, pace: float) -> Robot:
     """Return a robot whose time is that of the clients."""
     virtual = isinstance(given, str) and place_of(given).virtual
-    return cast(Robot, WallClock(robot, pace)) if virtual else robot
+    return cast(Robot, WallClock(robot, lambda: pace)) if virtual else robot
 
 
 def _journal(run: Run, robot: Robot) -> tuple[Callable[[Cycle], object], Callable[[Recording], object]]:
