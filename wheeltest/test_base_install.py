@@ -126,6 +126,7 @@ def test_it_judges_and_converts_logs(base: Base, complete: RunFolder) -> None:
         ("diagnose {arm} --arm arm.urdf", "train"),
         ("export {run}/logs/excitation.parquet log.mcap", "logs"),
         ("import log.mcap new", "logs"),
+        ("deploy {arm} {run} --live", "live"),
     ],
 )
 def test_what_needs_more_says_so_in_a_line(

@@ -32,10 +32,7 @@ class WebPage:
     def __init__(self, host: str, port: int, on_hold: Callable[[], object], on_pace: Callable[[float], object]) -> None:
         """Serve it; InputError where the port is taken or the host is none of this computer."""
         port = _free(host, port)
-        for name in (
-            "viser",
-            "websockets",
-        ):  # a browser that opens a connection ahead and drops it is worth no traceback
+        for name in ("viser", "websockets"):  # browsers drop connections that they opened ahead: worth no traceback
             logging.getLogger(name).setLevel(logging.CRITICAL)
         with redirect_stdout(None):  # where results go
             self._server = viser.ViserServer(host=host, port=port, label="rejoint", verbose=False)
