@@ -265,6 +265,20 @@ def test_checks_go_on_and_begin_anew(tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert len(executor.begun) == 2
 
 
+def test_some_arms_alone_are_a_call_of_their_own(tmp_path: Path) -> None:
+    arms = [emulated("a"), emulated("b")]
+    for _ in range(2):  # a norm is made of checks that follow one another
+        found = call(tmp_path, arms, executor := PlayedExecutor(), only=("a",))
+        assert executor.begun == [("a", "check")]
+        assert found.finished
+    with pytest.raises(KilledError):
+        call(tmp_path, arms, PlayedExecutor({("b", "check"): [KilledError()]}))
+    assert not call(tmp_path, arms, executor := PlayedExecutor(), only=("a",)).finished  # b is still to be checked
+    assert executor.begun == []
+    assert call(tmp_path, arms, executor := PlayedExecutor(), only=("b",)).finished
+    assert executor.begun == [("b", "check")]
+
+
 def test_an_interruption_brings_arms_to_a_hold_first(tmp_path: Path) -> None:
     held = WorkOutcome(seconds=1.0, problem="held, as it was asked to stop", code=130)
     executor = PlayedExecutor({("a", "check"): [Interrupted(2), held], ("e", "check"): [None] * 100})

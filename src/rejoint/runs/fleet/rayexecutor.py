@@ -289,8 +289,8 @@ def _started(address: str | None, cpus: int | None, resources: dict[str, float])
         try:
             if address is None:
                 ray.init(
-                    num_cpus=cpus, resources=resources, include_dashboard=False, object_store_memory=STORE,
-                    log_to_driver=False, logging_level=logging.ERROR, namespace=NAMESPACE,
+                    address="local", num_cpus=cpus, resources=resources, include_dashboard=False,
+                    object_store_memory=STORE, log_to_driver=False, logging_level=logging.ERROR, namespace=NAMESPACE,
                 )  # fmt: skip
             else:
                 ray.init(address=address, log_to_driver=False, logging_level=logging.ERROR, namespace=NAMESPACE)

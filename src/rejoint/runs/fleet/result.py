@@ -9,7 +9,6 @@ from pathlib import Path
 from rejoint.logs.history.index import CHECKS
 from rejoint.runs.fleet.campaign import Campaign, Verb, error_of, is_over, needs_repair
 from rejoint.runs.fleet.drive import End, Standing
-from rejoint.runs.fleet.file import FleetArm
 from rejoint.runs.folder import RunFolder
 from rejoint.runs.history.table import what_to_do
 from rejoint.runs.run import Run
@@ -149,10 +148,3 @@ def _badness(code: int) -> int:
     """Rank exit codes: bugs and failures first, then alarms, then what was left."""
     order = (1, ROBOT, 3, 2, ALARM, DRIFTS, PARTLY, 0)
     return order.index(code) if code in order else 0
-
-
-def permitted(arms: Sequence[FleetArm], standings: Sequence[Standing], verb: Verb) -> bool:
-    """Tell whether all arms are through that the file allows to be moved."""
-    ends = {one.arm.name: one.end for one in standings}
-    meant = [arm for arm in arms if arm.may_move and (verb == "check" or arm.may_repair)]
-    return all(ends.get(arm.name) == "done" for arm in meant)
