@@ -22,7 +22,7 @@ from rejoint.system.version import __version__
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Cell:
+class TrialCell:
     """One contestant on one variant; it can be tried in any process, and leaves its outcome as a file."""
 
     arm: Arm
@@ -59,7 +59,7 @@ def evaluate(
     settings: TrialSettings,
     folder: Path,
     on_progress: Progress,
-    elsewhere: Callable[[Sequence[Cell]], object] | None = None,
+    elsewhere: Callable[[Sequence[TrialCell]], object] | None = None,
 ) -> Evaluation:
     """Evaluate and write ``evaluation.json`` and ``.html`` into ``folder``, outcomes as Parquet below ``outcomes/``.
 
@@ -69,7 +69,7 @@ def evaluate(
     check_names(contestants)
     family = settings.family
     cells = [
-        Cell(arm=arm, variant=variant, contestant=one, settings=settings, folder=folder)
+        TrialCell(arm=arm, variant=variant, contestant=one, settings=settings, folder=folder)
         for variant in variants for one in contestants
     ]  # fmt: skip
     if elsewhere is not None:
