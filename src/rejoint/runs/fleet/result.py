@@ -17,6 +17,8 @@ from rejoint.system.errors import RejointError
 DRIFTS, ALARM, PARTLY, ROBOT = 6, 7, 5, 4
 """Exit codes, as the command line has them: watch it, repair it, not all was done, the robot failed"""
 
+_ORDER = (1, ROBOT, 3, 2, ALARM, DRIFTS, PARTLY, 0)
+"""Exit codes, the worst first: bugs and failures, then alarms, then what was left"""
 HEADERS = ("arm", "state", "error [mm]", "done", "what to do")
 
 
@@ -129,6 +131,7 @@ def _undone(campaign: Campaign, one: Standing, folder: Path) -> FleetRow:
     """Tell of an arm that is not through."""
     again = f"rejoint fleet {campaign.verb} {campaign.fleet.path}"
     code = PARTLY if one.end != "failed" else ROBOT if one.outcome is None else one.outcome.code
+    code = code if code in _ORDER else ROBOT  # held, since nobody led any more
     todo = f"{again} goes on" if one.end == "failed" else f"once that is so: {again}"
     return _row(
         one, state=one.end or "left", error_mm=None, found=one.why, todo=todo, folder=folder, code=code
@@ -145,6 +148,4 @@ def _row(
 
 
 def _badness(code: int) -> int:
-    """Rank exit codes: bugs and failures first, then alarms, then what was left."""
-    order = (1, ROBOT, 3, 2, ALARM, DRIFTS, PARTLY, 0)
-    return order.index(code) if code in order else 0
+    return _ORDER.index(code)
