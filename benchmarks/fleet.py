@@ -2,6 +2,7 @@
 
     python -m benchmarks fleet
     python -m benchmarks.fleet --checks 300 --repairs 30 --kills 2
+    python -m benchmarks.fleet --checks 0 --repairs 0 --memory 12,300
 
 Every check and every repair must end as one by one, to the bit, with nothing left and nothing done twice. Training is
 cut down (`--quick` of `rejoint repair`), so that what Ray adds counts for more than it does in a real repair.
@@ -26,6 +27,8 @@ from rejoint.logs.runlog import RunLog
 
 CHECKS, REPAIRS, KILLS = 12, 3, 2
 PROCESSES = 2
+LOOK = 75.0
+"""[s] for which a call is looked at that is not waited for"""
 REJOINT = [sys.executable, "-m", "rejoint"]
 FEW = ["--quick", "--sets", "1", "--repetitions", "1", "--controllers", "integrator,policy"]
 FILES = ("diagnosis.json", "twin.toml", "policy.onnx", "logs/excitation.parquet", "logs/targets.parquet")
@@ -191,13 +194,24 @@ def bench(verb: str, count: int, kills: int, work: Path, rng: np.random.Generato
     )
 
 
-def main(checks: int = CHECKS, repairs: int = REPAIRS, kills: int = KILLS, seed: int = 0) -> None:
+def look(count: int, work: Path) -> None:
+    """Print what memory a call for so many arms takes while it checks the first of them."""
+    _, watch, text = call(["fleet", "check", str(write_fleet(work / f"look-{count}", count))], [], killed_after=LOOK)
+    done = len(re.findall(r"^arm-\d+: check done", text, re.MULTILINE))
+    print(f"a call for {count} arms: {watch.most:.0f} MB in all in its first {LOOK:.0f} s, in which it checked {done}")
+
+
+def main(
+    checks: int = CHECKS, repairs: int = REPAIRS, kills: int = KILLS, seed: int = 0, memory_of: tuple[int, ...] = ()
+) -> None:
     rng = np.random.default_rng(seed)
     with tempfile.TemporaryDirectory() as name:
         if checks:
             bench("check", checks, kills, Path(name), rng)
         if repairs:
             bench("repair", repairs, kills, Path(name), rng)
+        for count in memory_of:
+            look(count, Path(name))
 
 
 if __name__ == "__main__":
@@ -205,6 +219,8 @@ if __name__ == "__main__":
     parser.add_argument("--checks", type=int, default=CHECKS)
     parser.add_argument("--repairs", type=int, default=REPAIRS)
     parser.add_argument("--kills", type=int, default=KILLS)
+    parser.add_argument("--memory", default="", help="numbers of arms whose calls are only looked at: 12,300")
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
-    main(options.checks, options.repairs, options.kills, options.seed)
+    sizes = tuple(int(one) for one in options.memory.split(",") if one)
+    main(options.checks, options.repairs, options.kills, options.seed, sizes)

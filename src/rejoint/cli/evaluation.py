@@ -19,7 +19,7 @@ from rejoint.system.progress import Progress
 
 if TYPE_CHECKING:
     from rejoint.arms import Arm
-    from rejoint.research.evaluation.evaluate import Entry
+    from rejoint.research.evaluation.evaluate import TrialCell
     from rejoint.research.evaluation.family import ArmFamily
     from rejoint.research.evaluation.result import Evaluation
 
@@ -123,16 +123,16 @@ def evaluate(
     _show(terminal, result, out)
 
 
-def _on_ray(update: Progress, address: str | None, threads: int) -> Callable[[Sequence[Entry]], None]:
-    """Return what has entries tried by Ray."""
-    from rejoint.research.evaluation.evaluate import Entry
+def _on_ray(update: Progress, address: str | None, threads: int) -> Callable[[Sequence[TrialCell]], None]:
+    """Return what has cells tried by Ray."""
+    from rejoint.research.evaluation.evaluate import TrialCell
     from rejoint.runs.fleet.rayexecutor import each_on_ray
 
-    def tried(entries: Sequence[Entry]) -> None:
+    def tried(cells: Sequence[TrialCell]) -> None:
         def done(count: int) -> None:
-            update(count / len(entries), f"{count} of {len(entries)} tried")
+            update(count / len(cells), f"{count} of {len(cells)} tried")
 
-        each_on_ray(Entry.try_it, entries, done, address=address, cpus_each=threads)
+        each_on_ray(TrialCell.try_it, cells, done, address=address, cpus_each=threads)
 
     return tried
 

@@ -124,7 +124,7 @@ class _FleetView:
         before = f", begun {campaign.info.begun:%Y-%m-%d %H:%M} UTC" if campaign.resumed else ""
         start = "Going on with the" if campaign.resumed else "Starting the"
         fleet = campaign.fleet
-        self._terminal.say(f"{start} {campaign.verb} of {len(fleet.arms)} arms in {fleet.folder}{before}")
+        self._terminal.say(f"{start} {campaign.verb} of {len(campaign.info.runs)} arms in {fleet.folder}{before}")
 
     def tell(self, event: Event) -> None:
         """Show something that happened."""

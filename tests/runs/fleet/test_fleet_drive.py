@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from rejoint.cli import main
 from rejoint.logs.history.rows import SUMMARY, HistoryRow, utc_now, write_rows
 from rejoint.runs.fleet import campaign as campaigns
 from rejoint.runs.fleet.call import run_fleet
@@ -265,6 +266,20 @@ def test_checks_go_on_and_begin_anew(tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert len(executor.begun) == 2
 
 
+def test_some_arms_alone_are_a_call_of_their_own(tmp_path: Path) -> None:
+    arms = [emulated("a"), emulated("b")]
+    for _ in range(2):  # a norm is made of checks that follow one another
+        found = call(tmp_path, arms, executor := PlayedExecutor(), only=("a",))
+        assert executor.begun == [("a", "check")]
+        assert found.finished
+    with pytest.raises(KilledError):
+        call(tmp_path, arms, PlayedExecutor({("b", "check"): [KilledError()]}))
+    assert not call(tmp_path, arms, executor := PlayedExecutor(), only=("a",)).finished  # b is still to be checked
+    assert executor.begun == []
+    assert call(tmp_path, arms, executor := PlayedExecutor(), only=("b",)).finished
+    assert executor.begun == [("b", "check")]
+
+
 def test_an_interruption_brings_arms_to_a_hold_first(tmp_path: Path) -> None:
     held = WorkOutcome(seconds=1.0, problem="held, as it was asked to stop", code=130)
     executor = PlayedExecutor({("a", "check"): [Interrupted(2), held], ("e", "check"): [None] * 100})
@@ -346,6 +361,40 @@ def test_waits_for_hours_that_come(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     found = call(tmp_path, [here], executor, rules=Rules(stay=True, now=lambda: clock["now"]))
     assert found.rows[0].end == "done"
     assert clock["now"] == datetime(2026, 11, 24, 8)
+
+
+def test_the_command_ends_with_the_worst_and_in_json(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    given: list[dict[str, object]] = []
+
+    class Stub(PlayedExecutor):
+        def __init__(self, _: Sequence[FleetArm], **options: object) -> None:
+            given.append(options)
+            super().__init__({("real", "check"): [WorkOutcome(seconds=1.0, problem="no robot answers", code=2)]})
+
+        def watch(self, show: object) -> None: ...
+
+        def close(self) -> None:
+            given.append({"closed": True})
+
+    monkeypatch.setattr("rejoint.runs.fleet.rayexecutor.RayExecutor", Stub)
+    text = 'may_move = true\nneeds_somebody = false\n[[arm]]\nname = "virtual"\naddress = "emulated:worn"\n'
+    text += '[[arm]]\nname = "real"\naddress = "tcp://10.0.0.1"\n[[arm]]\nname = "left"\naddress = "tcp://10.0.0.2"\n'
+    (tmp_path / "FLEET.toml").write_text(f"{text}needs_somebody = true\n")
+    monkeypatch.setattr(
+        "sys.argv", ["rejoint", "fleet", "check", str(tmp_path / "FLEET.toml"), "--json", "--cpus", "2"]
+    )
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 2
+    shown, said = capsys.readouterr()
+    rows = json.loads(shown.splitlines()[-1])["rows"]
+    assert [(row["name"], row["end"], row["code"]) for row in rows] == [
+        ("real", "failed", 2), ("left", "left", 5), ("virtual", "done", 0),
+    ]  # fmt: skip
+    assert "real: check failed: check: no robot answers" in said
+    assert given == [{"address": None, "cpus": 2, "training_cpus": 1.0}, {"closed": True}]
 
 
 def test_the_state_is_a_plain_file(tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 """FLEET.toml: what is read from it, and what is said of a file that cannot be used."""
 
+import re
 from datetime import date, datetime, timedelta
 from pathlib import Path
 
@@ -7,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rejoint.runs.fleet.file import read_fleet
+from rejoint.runs.fleet.file import FleetArm, read_fleet
 from rejoint.runs.fleet.hours import DAYS, Hours, read_hours
 from rejoint.system.errors import FileError
 
@@ -53,6 +54,20 @@ def test_arms_take_what_they_do_not_say_from_the_top(tmp_path: Path) -> None:
     assert first.hours == read_hours(["Mon-Fri 08:00-18:00"])
     assert second.hours == read_hours(["Fri 22:00-06:00"], ["2026-12-24 to 2027-01-06"])
     assert fleet.only(("desk",)) == (second,)
+
+
+def test_the_file_in_the_docs_says_what_holds_where_nothing_is_said(tmp_path: Path) -> None:
+    page = (Path(__file__).parents[3] / "docs" / "fleet.md").read_text(encoding="utf-8")
+    (text,) = re.findall(r"^```toml\n(.*?)^```", page, re.MULTILINE | re.DOTALL)
+    (tmp_path / "FLEET.toml").write_text(text)
+    first, second, virtual = read_fleet(tmp_path / "FLEET.toml").arms
+    assert (first.may_move, first.needs_somebody, first.may_repair) == (True, True, True)
+    assert (second.may_repair, virtual.needs_somebody) == (False, False)
+    (tmp_path / "FLEET.toml").write_text('[[arm]]\nname = "a"\naddress = "tcp://10.0.0.1"\n')
+    fleet = read_fleet(tmp_path / "FLEET.toml")
+    assert fleet.folder == tmp_path / "runs"
+    assert fleet.arms == (FleetArm(name="a", address="tcp://10.0.0.1"),)
+    assert not fleet.arms[0].may_move
 
 
 @pytest.mark.parametrize(

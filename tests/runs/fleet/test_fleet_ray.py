@@ -27,6 +27,8 @@ from rejoint.system.extras import installed
 
 pytestmark = pytest.mark.skipif(not installed("ray"), reason="needs the extra fleet")
 
+VIRTUAL = f"virtual-{os.getpid()}"
+"""Name of the emulated arm; of all arms on this machine, its processes alone are killed"""
 MONDAY = datetime(2026, 11, 23, 8)
 MOVING = 1.0
 """[s] for which the real arm moves before its hours end"""
@@ -68,7 +70,7 @@ class World:
     def now(self) -> datetime:
         """Kill what works on the emulated arm, once; it becomes evening when the real arm has moved."""
         if not any(event.kind == "lost" for event in self.events):
-            for process in working_on("virtual"):
+            for process in working_on(VIRTUAL):
                 os.kill(process, signal.SIGKILL)
         late = self.since is not None and time.monotonic() - self.since > MOVING
         return MONDAY + timedelta(hours=12) if late else MONDAY
@@ -88,7 +90,7 @@ def working_on(name: str) -> list[int]:
 
 @pytest.fixture(scope="module")
 def called(address: str, tmp_path_factory: pytest.TempPathFactory) -> tuple[FleetResult, World]:
-    allowed = FleetArm(name="virtual", address="emulated:worn?seed=3", may_move=True, needs_somebody=False)
+    allowed = FleetArm(name=VIRTUAL, address="emulated:worn?seed=3", may_move=True, needs_somebody=False)
     real = replace(allowed, name="real", address=address, hours=read_hours(["Mon-Fri 08:00-18:00"]))
     home = tmp_path_factory.mktemp("fleet")
     fleet, world = Fleet(path=home / "FLEET.toml", folder=home / "lab", arms=(real, allowed)), World(home / "lab")
@@ -104,10 +106,10 @@ def test_work_whose_process_was_killed_is_done_again_to_the_same_bits(
     called: tuple[FleetResult, World], tmp_path: Path
 ) -> None:
     found, world = called
-    row = next(row for row in found.rows if row.name == "virtual")
+    row = next(row for row in found.rows if row.name == VIRTUAL)
     assert (row.end, row.lost) == ("done", 1)
     (log,) = row.folder.glob("*/check.parquet")
-    alone = check("emulated:worn?seed=3", history=tmp_path, name="virtual")
+    alone = check("emulated:worn?seed=3", history=tmp_path, name=VIRTUAL)
     np.testing.assert_array_equal(RunLog.load(log).position, RunLog.load(alone.folder / "check.parquet").position)
     assert row.error_mm == alone.measures.true_error_mm
     assert world.folder.joinpath("fleet", "check.html").exists()

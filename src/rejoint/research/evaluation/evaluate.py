@@ -22,7 +22,7 @@ from rejoint.system.version import __version__
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Entry:
+class TrialCell:
     """One contestant on one variant; it can be tried in any process, and leaves its outcome as a file."""
 
     arm: Arm
@@ -59,31 +59,31 @@ def evaluate(
     settings: TrialSettings,
     folder: Path,
     on_progress: Progress,
-    elsewhere: Callable[[Sequence[Entry]], object] | None = None,
+    elsewhere: Callable[[Sequence[TrialCell]], object] | None = None,
 ) -> Evaluation:
     """Evaluate and write ``evaluation.json`` and ``.html`` into ``folder``, outcomes as Parquet below ``outcomes/``.
 
     An outcome that is there already, of the very same contestant, arms and settings, is taken over. ``elsewhere`` is
-    given the entries that are not there, and has them tried by other processes; what it leaves out is tried here.
+    given the cells that are not there, and has them tried by other processes; what it leaves out is tried here.
     """
     check_names(contestants)
     family = settings.family
-    entries = [
-        Entry(arm=arm, variant=variant, contestant=one, settings=settings, folder=folder)
+    cells = [
+        TrialCell(arm=arm, variant=variant, contestant=one, settings=settings, folder=folder)
         for variant in variants for one in contestants
     ]  # fmt: skip
     if elsewhere is not None:
-        elsewhere([entry for entry in entries if entry.kept() is None])
+        elsewhere([cell for cell in cells if cell.kept() is None])
     each = family.arms * (family.targets + (family.crossings if settings.crossing else 0))
     outcomes: dict[tuple[str, str], Outcome] = {}
-    for entry in entries:
-        before, text = len(outcomes) * each, ": ".join(entry.key)
-        on_progress(before / (len(entries) * each), text)
+    for cell in cells:
+        before, text = len(outcomes) * each, ": ".join(cell.key)
+        on_progress(before / (len(cells) * each), text)
 
         def report(done: int, before: int = before, text: str = text) -> None:
-            on_progress((before + done) / (len(entries) * each), text)
+            on_progress((before + done) / (len(cells) * each), text)
 
-        outcomes[entry.key] = entry.kept() or entry.try_it(report)
+        outcomes[cell.key] = cell.kept() or cell.try_it(report)
     return conclude(arm, settings, contestants, {v.name: v.meaning for v in variants}, outcomes, folder)
 
 

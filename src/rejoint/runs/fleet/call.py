@@ -11,7 +11,7 @@ from typing import TypeAlias
 from rejoint.runs.fleet.campaign import Campaign, Verb, state_folder
 from rejoint.runs.fleet.drive import Event, Executor, Rules, drive
 from rejoint.runs.fleet.file import Fleet, FleetArm
-from rejoint.runs.fleet.result import FleetResult, permitted, rows_of
+from rejoint.runs.fleet.result import FleetResult, rows_of
 from rejoint.runs.fleet.work import RepairOptions
 from rejoint.runs.folder import RunFolder, locked
 from rejoint.system.extras import require
@@ -72,13 +72,11 @@ def run_fleet(
     require(f"rejoint fleet {verb}", "report")
     arms, begun = fleet.only(only), time.monotonic()
     with locked(RunFolder(state_folder(fleet))):
-        campaign = Campaign.open(fleet, verb, options, anew=anew)
+        campaign = Campaign.open(fleet, verb, options, only=only, anew=anew)
         begins(campaign)
         with executor(arms) as ready:
             standings = drive(arms, campaign.left, campaign.work, ready, rules, tell)
-        finished = permitted(fleet.arms, standings, verb)
-        if finished:
-            campaign.finish()
+        finished = campaign.finish()
         for one in standings:
             if one.outcome is not None and one.outcome.trace:
                 _keep_trace(state_folder(fleet) / f"bug-{one.arm.name}.txt", one.outcome.trace)

@@ -33,7 +33,7 @@ class CampaignInfo:
     begun: datetime
     """UTC, without a zone"""
     runs: dict[str, str]
-    """of a repair, run folder of each arm by its name, below the folder of the fleet"""
+    """by the name of each arm that was asked for: of a repair, its run folder, below the folder of the fleet"""
     finished: bool = False
     """whether nothing was left to do"""
 
@@ -51,20 +51,22 @@ class Campaign:
 
     @classmethod
     def open(
-        cls, fleet: Fleet, verb: Verb, options: RepairOptions | None = None, *, anew: bool = False
+        cls, fleet: Fleet, verb: Verb, options: RepairOptions | None = None, *, only: tuple[str, ...] = (),
+        anew: bool = False,
     ) -> Campaign:  # fmt: skip
         """Go on with what an earlier call left, or begin; who calls has the folder to itself (`state_folder`)."""
-        path, now = state_file(fleet, verb), utc_now()
+        path, now, arms = state_file(fleet, verb), utc_now(), fleet.only(only)
         before = read_json(path, CampaignInfo) if path.exists() else None
-        resumed = before is not None and not before.finished and not anew and now - before.begun < STALE[verb]
-        runs = dict(before.runs) if before is not None and resumed else {}
-        for arm in fleet.arms if verb == "repair" else ():
+        if before is not None and (before.finished or anew or now - before.begun >= STALE[verb]):
+            before = None
+        runs = {} if before is None else dict(before.runs)
+        for arm in arms:
             if arm.name not in runs:
                 place = newest_or_new_in(fleet.folder / "repairs" / arm.name)[0]
-                runs[arm.name] = str(place.relative_to(fleet.folder))
-        info = CampaignInfo(begun=before.begun if before is not None and resumed else now, runs=runs)
+                runs[arm.name] = str(place.relative_to(fleet.folder)) if verb == "repair" else ""
+        info = CampaignInfo(begun=now if before is None else before.begun, runs=runs)
         write_json(path, info)
-        return cls(fleet=fleet, verb=verb, options=options or RepairOptions(), info=info, resumed=resumed)
+        return cls(fleet=fleet, verb=verb, options=options or RepairOptions(), info=info, resumed=before is not None)
 
     def run(self, arm: FleetArm) -> Path:
         """Return the run folder of an arm that is repaired."""
@@ -92,10 +94,15 @@ class Campaign:
         folder = self.fleet.folder if step == "check" else self.run(arm)
         return Work(arm=arm, step=step, folder=folder, options=self.options)
 
-    def finish(self) -> None:
-        """Note that nothing is left to do: the next call begins anew."""
-        done = CampaignInfo(begun=self.info.begun, runs=self.info.runs, finished=True)
-        write_json(state_file(self.fleet, self.verb), done)
+    def finish(self) -> bool:
+        """Note whether nothing is left to do that the file allows, and tell: the next call then begins anew."""
+        asked = [arm for arm in self.fleet.arms if arm.name in self.info.runs]
+        allowed = [arm for arm in asked if arm.may_move and (self.verb == "check" or arm.may_repair)]
+        finished = not any(self.left(arm) for arm in allowed)
+        if finished:
+            done = CampaignInfo(begun=self.info.begun, runs=self.info.runs, finished=True)
+            write_json(state_file(self.fleet, self.verb), done)
+        return finished
 
     def check_of(self, arm: FleetArm) -> HistoryRow | None:
         """Return the newest check of an arm since this was begun; None where there is none."""

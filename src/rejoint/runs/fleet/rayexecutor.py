@@ -1,6 +1,6 @@
 """Work done by Ray: tasks on any computer of a cluster, and an actor for each real arm while it moves.
 
-The only module that imports Ray, when it is needed. Nothing here decides whether something is tried again: Ray may try
+Ray is imported when it is needed. Nothing here decides whether something is tried again: Ray may try
 nothing by itself, and says what it has lost.
 """
 
@@ -20,26 +20,21 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from rejoint.runs.fleet.file import FleetArm
-from rejoint.runs.fleet.work import Lost, Work, WorkOutcome, do_work
+from rejoint.runs.fleet.rayworker import PULSE, ArmHolder, Reports, work_in_task
+from rejoint.runs.fleet.work import Lost, Work, WorkOutcome
 from rejoint.system.errors import InputError, RejointError, first_line
 from rejoint.system.extras import require
-from rejoint.system.progress import Progress
-from rejoint.system.stopping import SIGNALS, install, pause
+from rejoint.system.stopping import SIGNALS, pause
 
 T = TypeVar("T")
 
 NAMESPACE = "rejoint"
 STORE = 80 * 2**20
 """[bytes] of Ray's store of objects on one machine (chosen: the least that Ray takes; results go by files)"""
-PULSE = 0.5
-"""[s] between two reports of what is at work (chosen: nobody reads faster)"""
 TRIES_AGAIN = 3
 """of work in which nothing moves, where nobody leads it (chosen: as many as in a fleet)"""
 GOING = 10.0
 """[s] in which the actor of an arm's last step has ended (chosen: it takes a tenth of one)"""
-SILENCE = 10.0
-"""[s] without an answer after which an arm is brought to a hold (chosen: longer than a busy network is
-silent, and no cycle of control waits for it)"""
 
 
 class RayExecutor:
@@ -69,6 +64,7 @@ class RayExecutor:
 
     def begin(self, work: Work) -> None:
         """Have a piece of work done; a real arm that moves is held by an actor where it is reached."""
+        self._reports.over.remote(work.arm.name)  # a wish to hold that came after the last work had ended
         if not work.held:
             cpus = self._training_cpus if work.step == "train" else 1.0
             task = self._work.options(num_cpus=cpus, name=f"{work.arm.name}:{work.step}")
@@ -182,92 +178,6 @@ def _done_or_why(work: Callable[[T], object], item: T) -> str:
     return ""
 
 
-class Reports:
-    """An actor that holds what everybody reports, and whom to hold."""
-
-    def __init__(self) -> None:
-        self._shares: dict[str, tuple[float, str]] = {}
-        self._hold: set[str] = set()
-
-    def pulse(self, name: str, share: float, what: str) -> bool:
-        """Take a report; returns whether the arm is to be held."""
-        self._shares[name] = share, what
-        return name in self._hold
-
-    def over(self, name: str) -> None:
-        """Forget an arm whose work has ended."""
-        self._shares.pop(name, None)
-        self._hold.discard(name)
-
-    def hold(self, name: str) -> None:
-        """Have an arm brought to a hold."""
-        self._hold.add(name)
-
-    def shares(self) -> dict[str, tuple[float, str]]:
-        """Return all reports."""
-        return self._shares
-
-
-def work_in_task(work: Work, reports: Any) -> WorkOutcome:  # noqa: ANN401 - of Ray
-    """Do work in which nothing real moves; reports go out and are not waited for."""
-    stop = threading.Event()
-    state = [0.0, ""]
-    thread = threading.Thread(target=_report, args=(reports, work.arm.name, state, stop), daemon=True)
-    thread.start()
-    try:
-        return do_work(work, _into(state))
-    finally:
-        stop.set()
-        thread.join()
-        reports.over.remote(work.arm.name)
-
-
-class ArmHolder:
-    """An actor that has the only connection to a real arm, for one piece of work."""
-
-    def __init__(self) -> None:
-        install()  # so that being ended brings the arm to a hold
-
-    def do(self, work: Work, reports: Any) -> WorkOutcome:  # noqa: ANN401 - of Ray
-        """Do work in which the arm moves; it is held where that is asked for, or nobody answers."""
-        stop = threading.Event()
-        state = [0.0, ""]
-        thread = threading.Thread(target=_watch, args=(reports, work.arm.name, state, stop), daemon=True)
-        thread.start()
-        try:
-            return do_work(work, _into(state))
-        finally:
-            stop.set()
-            thread.join(PULSE)
-            reports.over.remote(work.arm.name)
-
-
-def _into(state: list[Any]) -> Progress:
-    def update(share: float, what: str) -> None:
-        state[:] = share, what
-
-    return update
-
-
-def _report(reports: Any, name: str, state: list[Any], stop: threading.Event) -> None:  # noqa: ANN401
-    while not stop.wait(PULSE):
-        reports.pulse.remote(name, *state)
-
-
-def _watch(reports: Any, name: str, state: list[Any], stop: threading.Event) -> None:  # noqa: ANN401
-    """Report, and have the arm held where that is asked for or nobody is there who could ask."""
-    import ray
-
-    while not stop.wait(PULSE):
-        try:
-            wanted = ray.get(reports.pulse.remote(name, *state), timeout=SILENCE)
-        except Exception:  # noqa: BLE001 - whatever it is, nobody leads any more
-            wanted = True
-        if wanted and not stop.is_set():
-            os.kill(os.getpid(), signal.SIGTERM)
-            return
-
-
 def has_token() -> bool:
     """Tell whether this computer has a token for a cluster: without one, whoever reaches it may run programs there."""
     named = any(name in os.environ for name in ("RAY_AUTH_TOKEN", "RAY_AUTH_TOKEN_PATH"))
@@ -289,8 +199,8 @@ def _started(address: str | None, cpus: int | None, resources: dict[str, float])
         try:
             if address is None:
                 ray.init(
-                    num_cpus=cpus, resources=resources, include_dashboard=False, object_store_memory=STORE,
-                    log_to_driver=False, logging_level=logging.ERROR, namespace=NAMESPACE,
+                    address="local", num_cpus=cpus, resources=resources, include_dashboard=False,
+                    object_store_memory=STORE, log_to_driver=False, logging_level=logging.ERROR, namespace=NAMESPACE,
                 )  # fmt: skip
             else:
                 ray.init(address=address, log_to_driver=False, logging_level=logging.ERROR, namespace=NAMESPACE)

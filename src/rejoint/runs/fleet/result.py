@@ -9,7 +9,6 @@ from pathlib import Path
 from rejoint.logs.history.index import CHECKS
 from rejoint.runs.fleet.campaign import Campaign, Verb, error_of, is_over, needs_repair
 from rejoint.runs.fleet.drive import End, Standing
-from rejoint.runs.fleet.file import FleetArm
 from rejoint.runs.folder import RunFolder
 from rejoint.runs.history.table import what_to_do
 from rejoint.runs.run import Run
@@ -18,6 +17,8 @@ from rejoint.system.errors import RejointError
 DRIFTS, ALARM, PARTLY, ROBOT = 6, 7, 5, 4
 """Exit codes, as the command line has them: watch it, repair it, not all was done, the robot failed"""
 
+_ORDER = (1, ROBOT, 3, 2, ALARM, DRIFTS, PARTLY, 0)
+"""Exit codes, the worst first: bugs and failures, then alarms, then what was left"""
 HEADERS = ("arm", "state", "error [mm]", "done", "what to do")
 
 
@@ -130,6 +131,7 @@ def _undone(campaign: Campaign, one: Standing, folder: Path) -> FleetRow:
     """Tell of an arm that is not through."""
     again = f"rejoint fleet {campaign.verb} {campaign.fleet.path}"
     code = PARTLY if one.end != "failed" else ROBOT if one.outcome is None else one.outcome.code
+    code = code if code in _ORDER else ROBOT  # held, since nobody led any more
     todo = f"{again} goes on" if one.end == "failed" else f"once that is so: {again}"
     return _row(
         one, state=one.end or "left", error_mm=None, found=one.why, todo=todo, folder=folder, code=code
@@ -146,13 +148,4 @@ def _row(
 
 
 def _badness(code: int) -> int:
-    """Rank exit codes: bugs and failures first, then alarms, then what was left."""
-    order = (1, ROBOT, 3, 2, ALARM, DRIFTS, PARTLY, 0)
-    return order.index(code) if code in order else 0
-
-
-def permitted(arms: Sequence[FleetArm], standings: Sequence[Standing], verb: Verb) -> bool:
-    """Tell whether all arms are through that the file allows to be moved."""
-    ends = {one.arm.name: one.end for one in standings}
-    meant = [arm for arm in arms if arm.may_move and (verb == "check" or arm.may_repair)]
-    return all(ends.get(arm.name) == "done" for arm in meant)
+    return _ORDER.index(code)
