@@ -10,9 +10,10 @@ from rejoint.arms import Displacement, frames, mycobot280, so101
 from rejoint.arms.orientation import tool_axis
 from rejoint.arms.posing import missed_pose
 from rejoint.arms.rotations import quaternion_of, rotation_of
+from rejoint.control.accuracy import NOT_KNOWN
 from rejoint.control.comparison.targets import read_targets, require_reachable
 from rejoint.control.correction import Modelled
-from rejoint.control.deployment import Deployment, deploy
+from rejoint.control.deployment import Deployment, Visit, deploy
 from rejoint.control.feedforward import FeedforwardController
 from rejoint.control.loop import Schedule, run
 from rejoint.control.poses import Pose, in_words, placed
@@ -123,6 +124,15 @@ def test_poses_are_reached_and_points_among_them_as_ever():
     np.testing.assert_allclose(angle[:2], [first.turned, second.turned])
     np.testing.assert_allclose(off, [visit.error for visit in done.visits])
     assert np.isnan(recording.turned[recording.target_index == 2]).all()
+
+
+def test_json_tells_degrees_where_they_were_asked_for_and_nothing_of_them_else():
+    from rejoint.cli.console import results_of
+
+    point = Visit(target=(0.18, 0.0, 0.2), error=1e-3, true_error=NOT_KNOWN, reached=True, remark="")
+    posed = replace(point, orientation=DOWN, turned=0.0)
+    assert set(results_of(posed)) - set(results_of(point)) == {"orientation", "turned"}
+    assert results_of(posed)["turned"] == 0.0
 
 
 def test_a_pose_is_missed_where_only_its_place_is_reached():

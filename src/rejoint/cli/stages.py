@@ -281,7 +281,10 @@ def follow(
     robot: opt.Robot,
     run: opt.Run,
     path: Annotated[
-        str, typer.Argument(help="CSV file time,x,y,z in s and mm; or circle-8s, random-0.2hz and the like.")
+        str,
+        typer.Argument(
+            help="CSV file time,x,y,z in s and mm, perhaps an orientation; or circle-8s, random-0.2hz and the like."
+        ),
     ],
     controller: Annotated[
         str, typer.Option(help="tracker, by the run's twin; or default: sent as it comes.")

@@ -157,6 +157,8 @@ def test_a_path_with_an_orientation_out_of_reach_is_refused_with_where(tmp_path)
         Path(time=time, place=place, direction=direction).on(ARM).require_followable(ARM)
     with pytest.raises(InputError, match="none zero"):
         Path(time=time, place=place, direction=0.0 * direction)
+    with pytest.raises(InputError, match="turn round between two points"):
+        Path(time=time, place=place, direction=np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 1.0], [0.0, 0.0, -1.0]]))
     file = tmp_path / "half.csv"
     file.write_text("time,x,y,z,dx,dy,dz\n0,180,0,200,0,0,-1\n1,180,0,200,,,\n")
     with pytest.raises(FileError, match="on every line or on none"):

@@ -26,6 +26,8 @@ _MOST = 4_000_000
 """[bytes] largest file that is read (chosen: ten minutes at 100 Hz)"""
 _LOOK = 0.04
 """[s] between the places of a path that are judged before the arm moves (chosen: a control cycle or two)"""
+_OPPOSITE = -0.5
+"""Cosine below which two directions are too far apart for a way between them (chosen: 120 deg)"""
 SPEED_SHARE = 0.8
 """Share of what its joints can do that a path may ask of an arm (chosen: the firmware of a myCobot moves its own
 references that fast, and what corrects errors needs some as well)"""
@@ -83,7 +85,10 @@ class Path:
                 f"path: orientations of shape {turn.shape}, expected ({len(self.time)}, {size}), none zero"
             )
         turn = turn / np.linalg.norm(turn, axis=-1, keepdims=True)
-        return turn if size == 3 else same_side(turn)
+        turn = turn if size == 3 else same_side(turn)
+        if ((turn[1:] * turn[:-1]).sum(axis=-1) < _OPPOSITE).any():
+            raise InputError("path: the tool would turn round between two points; give points between them")
+        return turn
 
     @property
     def turned(self) -> bool:
@@ -138,18 +143,10 @@ class Path:
                 "give places that the tool can reach"
             )
         turns = self.turn_at(times)
-        postures = PathPostures(arm, places[:1], turns and turns[:1]).along(places[:, None], turns and turns[:, None])[
-            :, 0
-        ]
+        begin = PathPostures(arm, places[:1], turns and turns[:1])
+        postures = begin.along(places[:, None], turns and turns[:, None])[:, 0]
         if turns is not None:
-            off, angle = missed_pose(arm, postures, places, turns)
-            askew = (off > NEAR) | (angle > TURNED)
-            if askew.any():
-                k = int(askew.argmax())
-                raise InputError(
-                    f"path: at {times[k]:.2f} s {_point(places[k])} the tool cannot have {in_words(turns[k])}, at best "
-                    f"{1e3 * off[k]:.0f} mm and {np.degrees(angle[k]):.0f} deg off; give another orientation there"
-                )
+            _require_turned(arm, times, places, turns, postures)
         share = np.abs(np.diff(postures, axis=0)) / np.diff(times)[:, None] / arm.max_speed
         k, j = (int(index) for index in np.unravel_index(int(share.argmax()), share.shape))
         if share[k, j] > SPEED_SHARE:
@@ -158,6 +155,18 @@ class Path:
                 f"{np.degrees(share[k, j] * arm.max_speed[j]):.0f} deg/s, "
                 f"{np.degrees(SPEED_SHARE * arm.max_speed[j]):.0f} at most were expected; give the path more time there"
             )
+
+
+def _require_turned(arm: Arm, times: Array, places: Array, turns: Orientation, postures: Array) -> None:
+    """Raise InputError, which says where, unless ``postures`` (T, n) [rad] turn the tool as in ``turns`` (T,)."""
+    off, angle = missed_pose(arm, postures, places, turns)
+    askew = (off > NEAR) | (angle > TURNED)
+    if askew.any():
+        k = int(askew.argmax())
+        raise InputError(
+            f"path: at {times[k]:.2f} s {_point(places[k])} the tool cannot have {in_words(turns[k])}, at best "
+            f"{1e3 * off[k]:.0f} mm and {np.degrees(angle[k]):.0f} deg off; give another orientation there"
+        )
 
 
 def on_spline(knots: Array, values: Array, slopes: Array, time: Array | float) -> tuple[Array, Array, Array]:
