@@ -100,8 +100,7 @@ def twin_in_force(run: Run, robot: Robot) -> Twin | None:
 def twin_under(twin: Twin, before: ServoGains | None, now: ServoGains | None) -> Twin:
     """Return a ``twin`` that was fitted under the gains ``before``, its servos as stiff as under those ``now``.
 
-    What more stiffness does to the rest of a servo was not worth an excitation of its own: on eight emulated SO-101
-    predictive control settles no nearer on a twin that was fitted under the tuned gains (docs/so101.md).
+    The rest of a servo is left as it is: damping is its motor's back-EMF and D, friction what its startup force leaves.
     """
     stiffness = stiffness_under(twin.parameters.stiffness, before, now)
     return replace(twin, parameters=replace(twin.parameters, stiffness=stiffness))

@@ -44,7 +44,7 @@ def gains(
     Parameters
     ----------
     robot
-        robot or its address: an SO-101 on its own bus
+        robot or its address: an SO-101 on its own bus, or an emulated one
     run
         run, or its folder, into which ``gains.json`` is written
     period
