@@ -1,4 +1,6 @@
 import dataclasses
+import os
+import subprocess
 import sys
 
 import numpy as np
@@ -76,6 +78,14 @@ def test_a_training_is_a_function_of_its_seed(tmp_path):
         for name, seed in (("a", 5), ("b", 5), ("c", 6))
     ]
     assert policies[0] == policies[1] != policies[2]
+
+
+def test_threads_of_torch_sleep_while_they_wait_where_the_owner_says_nothing_else():
+    told = "import os, rejoint.training; print(os.environ['OMP_WAIT_POLICY'])"
+    for given, expected in (({}, "PASSIVE"), ({"OMP_WAIT_POLICY": "active"}, "active")):
+        env = {name: value for name, value in os.environ.items() if name != "OMP_WAIT_POLICY"} | given
+        found = subprocess.run([sys.executable, "-c", told], env=env, capture_output=True, text=True, check=True)
+        assert found.stdout.strip() == expected
 
 
 def test_threads_do_not_change_what_the_agents_do():

@@ -39,7 +39,8 @@ def contenders(*, real: bool, shelf: bool, policy: bool, twin: bool) -> tuple[st
     """Return who takes part in a comparison where nobody is named, on a ``real`` arm or in virtual time.
 
     ``shelf``, ``policy`` and ``twin`` tell whether there is one for this arm. A real arm is driven with the policy from
-    the shelf until it has its own: to drive both takes a minute more, and buys nothing (`python -m benchmarks.racing`).
+    the shelf until it has its own: to drive both takes a minute more and buys nothing (`python -m benchmarks.racing
+    --shelf`).
     """
     missing = {SHELF: not shelf or (real and policy), POLICY: not policy, PREDICTIVE: not twin}
     return tuple(name for name in CONTROLLERS if not missing.get(name) and not (real and name in ON_REQUEST))

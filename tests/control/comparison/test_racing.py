@@ -9,6 +9,7 @@ import pytest
 from test_compare import ARM, PROTOCOL, SaggingRobot, factories
 
 import rejoint
+from rejoint.control.catalogue import contenders
 from rejoint.control.comparison import racing
 from rejoint.control.comparison.compare import Settings, compare
 from rejoint.control.comparison.elimination import MISSES
@@ -308,6 +309,13 @@ def test_a_real_arm_races_and_goes_on_from_its_diagnosis(tmp_path):
     assert other.rows[0].source == "", "at other targets it is driven"
     full = rejoint.compare(SaggingRobot(1, 0), ["integrator"], TARGETS[0, :2], full=True, protocol=QUICK).comparison
     assert (full.race, full.most, full.rows[0].source) == (None, None, "")
+
+
+def test_a_real_arm_is_driven_with_the_policy_from_the_shelf_until_it_has_its_own():
+    real = contenders(real=True, shelf=True, policy=True, twin=True)
+    assert real == ("default", "integrator", "feedforward", "policy", "predictive")
+    assert "shelf" in contenders(real=True, shelf=True, policy=False, twin=True)
+    assert {"shelf", "policy"} < set(contenders(real=False, shelf=True, policy=True, twin=True)), "side by side: all"
 
 
 def test_an_interrupted_race_goes_on_where_it_was(tmp_path):

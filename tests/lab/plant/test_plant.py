@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from rejoint.arms import gravity_torque, mycobot280, tcp_position
+from rejoint.lab.plant import plant as plants
 from rejoint.lab.plant import servo
 from rejoint.lab.plant.model import build_model
 from rejoint.lab.plant.plant import Plant
@@ -256,11 +257,21 @@ def play(plant: Plant, where: np.ndarray | None = None, steps: int = 40) -> np.n
 FAMILY = [load_wear(f"worn?seed={i}", ARM) for i in range(5)]
 
 
-def test_the_same_seed_gives_the_same_trajectory_bit_for_bit_at_any_number_of_threads():
+def test_the_same_seed_gives_the_same_trajectory_bit_for_bit_at_any_number_of_threads(monkeypatch):
+    monkeypatch.setattr(plants, "ARMS_PER_THREAD", 1)
     one = play(Plant(ARM, FAMILY, seed=7))
     np.testing.assert_array_equal(play(Plant(ARM, FAMILY, seed=7, threads=2)), one)
     other = play(Plant(ARM, FAMILY, seed=8))
     assert (other[-1] != one[-1]).any(axis=1).all()
+
+
+def test_few_arms_are_stepped_by_one_thread(monkeypatch):
+    asked = []
+    own = plants.Batch
+    monkeypatch.setattr(plants, "Batch", lambda model, count, threads: asked.append(threads) or own(model, count, 1))
+    for count in (1, 6, 2 * plants.ARMS_PER_THREAD):
+        Plant(ARM, [FAMILY[0]] * count, seed=0, threads=2)
+    assert asked == [1, 1, 2]
 
 
 def test_an_arm_in_a_batch_is_the_same_arm_alone_bit_for_bit():

@@ -236,7 +236,9 @@ def _race(race: Race) -> str:
         "Who is the worse one too often for chance is beaten, and driven no further; neither is who does not lead all "
         f"simpler ones by {race.lead * PERCENT:g} % of the targets or more. In {race.error * PERCENT:g} % of such "
         "races at most the best one is called beaten, and in as many one with such a lead is passed over, however "
-        "often one looks. The numbers of one that was stopped are of few targets, and of those that spoke against it."
+        "often one looks. Of those left undecided the simplest is recommended that none leads by "
+        f"{race.likely * PERCENT:g} %. The numbers of one that was stopped are of few targets, and of those that spoke "
+        "against it."
     )
 
 

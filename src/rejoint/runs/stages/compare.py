@@ -76,88 +76,84 @@ def compare(
 ) -> Compared:
     """Try controllers on the same arm, with the same targets, from the same start, and recommend one.
 
-        Emulated arms are tried side by side; on a real one the controllers race: the trials take turns, who misses three
-        targets in a row, is beaten beyond doubt, or is no better by what matters than a simpler one is driven no further,
-        and it ends when one is left, or after all sets.
-        What the diagnosis of the run measured open loop is not driven again: it is what ``default`` does. While an arm
-        moves, Ctrl-C and SIGTERM first bring it to a hold; then `Interrupted` is raised, which is a KeyboardInterrupt. In a
-        run, the same call then goes on after the last finished trial.
+    Emulated arms are tried side by side; on a real one the controllers race: the trials take turns, who misses three
+    targets in a row, is beaten beyond doubt, or is no better by what matters than a simpler one is driven no further,
+    and it ends when one is left, or after all sets.
+    What the diagnosis of the run measured open loop is not driven again: it is what ``default`` does. While an arm
+    moves, Ctrl-C and SIGTERM first bring it to a hold; then `Interrupted` is raised, which is a KeyboardInterrupt. In a
+    run, the same call then goes on after the last finished trial.
 
-        Parameters
-        ----------
-        robot
-            robot or its address
-        controllers
-            names of baselines (``default``, ``pid-sum``, ``pid-literal``, ``integrator``, ``feedforward``), ``shelf``,
-            ``predictive``, policies, their files, or controllers of your own; a mapping names them. None given: all
-            baselines, on a real arm without the paper's PIDs (``pid-sum``, ``pid-literal``), the policy that comes with the
-    <<<<<<< ours
-            package (``shelf``) where it suits, on a real arm only where the run has no policy, the policy of the run, and
-            predictive control where there is a twin
-    =======
-            package (``shelf``) where it suits, the policy of the run, and predictive control where there is a twin; after a
-            search for gains of the servos these two under the gains found, and ``servo-gains`` beside them
-    >>>>>>> theirs
-        targets
-            (K, 3) or (S, K, 3) [m], or `Pose` objects, or a CSV file in mm with the header ``x,y,z`` and perhaps columns
-            of an orientation, which only baselines heed; by default drawn, ten in a set; in a race the first ten are those
-            of the diagnosis
-        run
-            run, or its folder, with the policy and the twin, into which results are written; without one nothing is
-        arm
-            arm, name or file; needed only without a run, where the address does not tell
-        twin
-            twin whose stiffness the feed-forward controller believes, on which predictive control plans, and as
-            which a real arm must stand; by default that of the run
-        calibration
-            what lies behind the encoders, or its file: all controllers are aimed by it; ``none`` for no correction. By
-            default that of ``run``
-        payload
-            [kg] that the hand carries at its tool centre point, or a `Payload`; everything is computed with it
-        tool
-            (3,) [m] from the tool centre point of the arm's description to the tip of a tool, in the frame of the former
-        sets
-            number of target sets that are drawn; by default 10, in a race at most 1
-        repetitions
-            number of times that each set is driven to by each controller; by default 6, in a race 1
-        protocol
-            thresholds [m] and times [s] of a trial; by default those of Park et al. 2024, and holds of eight seconds, in a
-            race of five, as in the diagnosis
-        period
-            [s] interval of the control periods; by default what the robot suits
-        directions
-            whether the recommended controller also comes to five poses from three directions, in as many cycles as there
-            are repetitions: vAP after ISO 9283 (on a real arm four minutes a cycle)
-        seed
-            of targets and an emulated arm's noise; by default that of the run, else 0
-        full
-            no race: a real arm is driven to all targets with every controller that does not miss three in a row
-        on_progress
-            called with the share that is done and what is being tried
-        say
-            told, in lines, which targets are too heavy, before an arm moves
-        live
-            shows the arm meanwhile: a `LiveView`
+    Parameters
+    ----------
+    robot
+        robot or its address
+    controllers
+        names of baselines (``default``, ``pid-sum``, ``pid-literal``, ``integrator``, ``feedforward``), ``shelf``,
+        ``predictive``, policies, their files, or controllers of your own; a mapping names them. None given: all
+        baselines, on a real arm without the paper's PIDs (``pid-sum``, ``pid-literal``), the policy that comes with the
+        package (``shelf``) where it suits, on a real arm only where the run has no policy, the policy of the run, and
+        predictive control where there is a twin; after a search for gains of the servos these two under the gains
+        found, and ``servo-gains`` beside them
+    targets
+        (K, 3) or (S, K, 3) [m], or `Pose` objects, or a CSV file in mm with the header ``x,y,z`` and perhaps columns
+        of an orientation, which only baselines heed; by default drawn, ten in a set; in a race the first ten are those
+        of the diagnosis
+    run
+        run, or its folder, with the policy and the twin, into which results are written; without one nothing is
+    arm
+        arm, name or file; needed only without a run, where the address does not tell
+    twin
+        twin whose stiffness the feed-forward controller believes, on which predictive control plans, and as
+        which a real arm must stand; by default that of the run
+    calibration
+        what lies behind the encoders, or its file: all controllers are aimed by it; ``none`` for no correction. By
+        default that of ``run``
+    payload
+        [kg] that the hand carries at its tool centre point, or a `Payload`; everything is computed with it
+    tool
+        (3,) [m] from the tool centre point of the arm's description to the tip of a tool, in the frame of the former
+    sets
+        number of target sets that are drawn; by default 10, in a race at most 1
+    repetitions
+        number of times that each set is driven to by each controller; by default 6, in a race 1
+    protocol
+        thresholds [m] and times [s] of a trial; by default those of Park et al. 2024, and holds of eight seconds, in a
+        race of five, as in the diagnosis
+    period
+        [s] interval of the control periods; by default what the robot suits
+    directions
+        whether the recommended controller also comes to five poses from three directions, in as many cycles as there
+        are repetitions: vAP after ISO 9283 (on a real arm four minutes a cycle)
+    seed
+        of targets and an emulated arm's noise; by default that of the run, else 0
+    full
+        no race: a real arm is driven to all targets with every controller that does not miss three in a row
+    on_progress
+        called with the share that is done and what is being tried
+    say
+        told, in lines, which targets are too heavy, before an arm moves
+    live
+        shows the arm meanwhile: a `LiveView`
 
-        Returns
-        -------
-        Compared
-            ``recommendation``, the whole ``comparison``, and one log of each controller
+    Returns
+    -------
+    Compared
+        ``recommendation``, the whole ``comparison``, and one log of each controller
 
-        Raises
-        ------
-        InputError, ContractError
-            if a controller, its control period or the targets do not fit; nothing has moved
-        GuardTripError, RobotError
-            if the motion of a real arm had to be ended
-        UnsavedError
-            if the result could not be written; it is in the error
+    Raises
+    ------
+    InputError, ContractError
+        if a controller, its control period or the targets do not fit; nothing has moved
+    GuardTripError, RobotError
+        if the motion of a real arm had to be ended
+    UnsavedError
+        if the result could not be written; it is in the error
 
-        Examples
-        --------
-        >>> found = rejoint.compare("emulated:worn", ["integrator", policy], sets=1, repetitions=2)
-        >>> print(found.recommendation.controller, *found.recommendation.why)
-        >>> print(found.comparison.row("integrator").hold.settled.mean.value)  # metres
+    Examples
+    --------
+    >>> found = rejoint.compare("emulated:worn", ["integrator", policy], sets=1, repetitions=2)
+    >>> print(found.recommendation.controller, *found.recommendation.why)
+    >>> print(found.comparison.row("integrator").hold.settled.mean.value)  # metres
     """
     about = None if run is None else as_run(run).seeded(seed)
     chosen = with_load(arm_of(robot, arm) if about is None else about.arm, robot, payload, tool)
