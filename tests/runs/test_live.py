@@ -42,7 +42,7 @@ def write(ring, number, *, time=None, reasons=0, position=None, wanted=None, com
         time=np.array([number if time is None else time], dtype=float), position=position, command=command,
         target=np.full((1, 3), float(number)), aim=np.full((1, 3), float(number)), target_index=np.array([number]),
         since_target=np.zeros(1), true_tcp=np.full((1, 3), float(number)), active=np.array([True]),
-        reasons=np.array([reasons], dtype=np.uint16), load=each,
+        reasons=np.array([reasons], dtype=np.uint16), load=each, turned=np.full(1, np.nan),
     )  # fmt: skip
     state = JointState(
         time=cycle.time, position=position, age=np.zeros(1), temperature=given.get("temperature"), load=each
@@ -73,7 +73,9 @@ def test_records_that_are_read_while_others_are_written_are_whole():
 
     thread, read, seen = threading.Thread(target=writer), 0, []
     thread.start()
-    while thread.is_alive() or read < last:
+    alive = True
+    while alive:  # once more after its end
+        alive = thread.is_alive()
         records, read = ring.since(read)
         numbers = records.index
         assert (records.position == numbers[:, None]).all()
@@ -251,7 +253,7 @@ def test_the_trace_keeps_ways_and_errors_over_runs_with_clocks_of_their_own():
                 time=np.array([100.0 * number + 0.025 * k]), position=q[None], command=q[None],
                 target=place[None] + [0.0, 0.0, 0.003], aim=place[None] + [0.0, 0.004, 0.003],
                 target_index=np.zeros(1, int), since_target=np.zeros(1), true_tcp=place[None], active=np.array([True]),
-                reasons=np.zeros(1, np.uint16), load=q[None],
+                reasons=np.zeros(1, np.uint16), load=q[None], turned=np.full(1, np.nan),
             )  # fmt: skip
             ring.write(number, cycle, JointState(time=cycle.time, position=q[None], age=np.zeros(1)), q[None])
     trace.follow(ring.since(0)[0])
