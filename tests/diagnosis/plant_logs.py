@@ -1,16 +1,20 @@
 """Logs of ordinary motion, recorded on emulated SO-101 arms whose wear is known."""
 
 import dataclasses
+from functools import cache
 
 import numpy as np
 
 from rejoint.arms import so101
 from rejoint.control.guard import GuardLimits
 from rejoint.control.loop import move, play
+from rejoint.diagnosis.healthy import ARMS_ON_DEMAND, measure_healthy
 from rejoint.lab.plant.wear import load_wear
 from rejoint.robots.emulated import EmulatedRobot
 
 ARM = so101()
+PLAIN = dataclasses.replace(ARM, servos=())
+"""With servos whose stiffness is that of the wear, and not of what stands in their registers"""
 HEALTHY = load_wear("healthy", ARM)
 
 
@@ -20,6 +24,12 @@ def with_joint(joint, **values):
     for name, value in values.items():
         changed[name][joint] = value
     return dataclasses.replace(HEALTHY, **changed)
+
+
+@cache
+def plain_reference():
+    """What healthy arms with such servos measure."""
+    return measure_healthy(PLAIN, count=ARMS_ON_DEMAND)
 
 
 def wandering(seed, seconds, size=0.3):
@@ -40,7 +50,7 @@ def wandering(seed, seconds, size=0.3):
 
 def record_motions(wears, count, seconds, seed=0):
     """Lists of ``count`` run logs, one list for each wear."""
-    robot, limits = EmulatedRobot(ARM, wears, seed=seed), GuardLimits.of(ARM).of_simulation()  # nothing to touch
+    robot, limits = EmulatedRobot(PLAIN, wears, seed=seed), GuardLimits.of(ARM).of_simulation()  # nothing to touch
     logs = [[] for _ in wears]
     for motion in range(count):
         centre, command = wandering(100 * seed + motion, seconds)

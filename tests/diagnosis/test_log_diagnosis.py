@@ -7,13 +7,12 @@ import numpy as np
 import pytest
 from motion_logs import TRUTH, as_log, pressing, record
 from motion_logs import wandering as twin_wandering
-from plant_logs import ARM, HEALTHY, record_motions, with_joint
+from plant_logs import ARM, HEALTHY, plain_reference, record_motions, with_joint
 
 from rejoint.arms import tcp_position
 from rejoint.diagnosis import fromlogs
 from rejoint.diagnosis.diagnosis import Diagnosis
 from rejoint.diagnosis.fromlogs import diagnose_logs
-from rejoint.diagnosis.healthy import load_healthy
 from rejoint.diagnosis.knowngood import reference_by
 from rejoint.diagnosis.logmetrics import slow_motion
 from rejoint.diagnosis.spans import FREE, HOLD, STEP, join_logs, log_of
@@ -41,7 +40,7 @@ def logs():
 
 @pytest.fixture(scope="module")
 def found(logs):
-    return {name: diagnose_logs(ARM, entry, load_healthy(ARM)) for name, entry in logs.items()}
+    return {name: diagnose_logs(ARM, entry, plain_reference()) for name, entry in logs.items()}
 
 
 def kinds(diagnosis):
@@ -134,7 +133,7 @@ def own_reference():
     def around(value):
         return Estimate(value, value / 1.3, value * 1.3)
 
-    healthy = load_healthy(ARM)
+    healthy = plain_reference()
     rows = tuple(
         dataclasses.replace(
             row, stiffness_nm_per_rad=around(TRUTH.stiffness[j]), coulomb_nm=around(1.12 * TRUTH.coulomb[j]),
@@ -178,7 +177,7 @@ def test_lags_are_compared_in_one_unit(found):
 @pytest.mark.parametrize("keep", [5, 8, 12])
 def test_slow_logs_leave_open_what_they_do_not_tell(logs, keep):
     slow = [log.rows(slice(None, None, keep)) for log in logs["healthy"]]
-    diagnosis = diagnose_logs(ARM, slow, load_healthy(ARM))
+    diagnosis = diagnose_logs(ARM, slow, plain_reference())
     assert (diagnosis.condition, kinds(diagnosis)) == ("unknown", set())
     assert re.search(r"readings are 0\.\d\d s apart, expected at most 0.1 s", diagnosis.verdict)
     assert all(joint.hunting_rad is None for joint in diagnosis.measurement.joints)
@@ -240,7 +239,7 @@ def test_too_little_free_motion_is_refused(logs, on_a_table):
     with pytest.raises(InputError, match="of arm other, expected so101"):
         diagnose_logs(ARM, [dataclasses.replace(log, arm="other") for log in logs["healthy"]], None)
     with pytest.raises(InputError, match="reference is of arm mycobot280"):
-        diagnose_logs(ARM, logs["healthy"], dataclasses.replace(load_healthy(ARM), arm="mycobot280"))
+        diagnose_logs(ARM, logs["healthy"], dataclasses.replace(plain_reference(), arm="mycobot280"))
 
 
 def test_an_arm_known_to_be_good_is_the_better_reference(logs, found):

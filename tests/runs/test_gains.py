@@ -175,12 +175,12 @@ def test_a_policy_is_trained_for_the_gains_that_a_search_found_on_a_twin_as_stif
 
 def test_what_a_run_made_for_tuned_gains_is_driven_under_them_and_not_under_those_before(tmp_path, monkeypatch):
     run, found = tuned_run(tmp_path / "run", monkeypatch)
-    names = driving._contenders(ARM, 0.02, run, run.twin, real=True)
+    names = driving._contenders(ARM, 0.02, run, run.twin, real=True, posed=False)
     assert {"servo-gains+policy", "servo-gains+predictive"} <= set(names)
     assert not {"policy", "predictive"} & set(names)
     assert driving.recommended(run) == driving.usual_controller(run) == "servo-gains+policy"
     run.policy.contract.servo_gains = found.found  # trained before the search, as runs used to be
-    assert "policy" in driving._contenders(ARM, 0.02, run, run.twin, real=True)
+    assert "policy" in driving._contenders(ARM, 0.02, run, run.twin, real=True, posed=False)
     assert driving.usual_controller(run) == "policy"
     with pytest.raises(ContractError, match=r"no policy for the gains that its search found \(p 40/48/48/40/32"):
         driving.make_factories(["servo-gains+policy"], ARM, (0.02, 0.02), run=run)

@@ -17,7 +17,7 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["
 BASE = {"msgspec", "numba", "numpy", "onnxruntime", "pyarrow", "pymycobot", "serial", "rich", "tomlkit", "typer"}
 NAMED_OTHERWISE = {"serial": "pyserial", "PIL": "pillow", "mcap_protobuf": "mcap-protobuf-support",
                    "mcap_ros2": "mcap-ros2-support", "cv2": "opencv-python-headless",
-                   "scservo_sdk": "ftservo-python-sdk"}  # fmt: skip
+                   "scservo_sdk": "ftservo-python-sdk", "warp": "warp-lang"}  # fmt: skip
 USED_BY_OTHERS = {"serial", "tensorboard"}  # by the vendor's client and by skrl
 ONLY_WITH_OTHERS = {"markupsafe"}  # comes with jinja2, whose absence is told
 

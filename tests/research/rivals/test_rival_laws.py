@@ -170,6 +170,7 @@ def test_the_cost_is_the_time_to_stay_and_the_settled_error():
         away=none,
         away_true=none,
         modelled=np.full((3, 1, 4), np.nan),
+        turned=none,
     )
     # late + 2 s/mm: 1 + 1; never within 3 s and 4 mm; stopped: the worst of both; 50 mm count as 10
     np.testing.assert_allclose(cost(holds, settings), [[2.0, 11.0, 23.0, 22.0]])

@@ -18,6 +18,7 @@ from rejoint.runs.fleet.hours import read_hours
 from rejoint.runs.fleet.result import FleetResult
 from rejoint.runs.fleet.work import Lost, RepairOptions, Work, WorkOutcome
 from rejoint.runs.folder import RunFolder
+from rejoint.runs.given import arm_of
 from rejoint.runs.repair import STAGES, stages_of
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.stopping import Interrupted
@@ -75,7 +76,7 @@ def leave_files(work: Work, state: str = "steady", error: float = 1.0) -> None:
                                       line="No change. Do: nothing; check again in a month.")])  # fmt: skip
         return
     files = RunFolder(work.folder)
-    file = stages_of(work.arm.address, files)[work.step]
+    file = stages_of(work.arm.address, arm_of(work.arm.address, None), files)[work.step]
     file.parent.mkdir(parents=True, exist_ok=True)
     assert not file.exists(), f"{work.step} of {work.arm.name} is done twice"
     file.write_text("done")
