@@ -158,6 +158,10 @@ def history_of(hysteresis: list[float], tolerance: float | None = None) -> Outlo
 
 def test_the_line_says_cause_millimetres_date_and_what_to_do() -> None:
     assert "5 are needed" in say(history_of([2.0] * 3), "R")
+    assert say(history_of([2.0] * 3), "R").endswith(
+        "Do: check again, 3 more times; the first ones may follow each other at once."
+    )
+    assert say(history_of([2.0] * 3, 2.5), "R").endswith("which is reached. Do: rejoint repair R.")
     steady = say(history_of([2.0] * 12, 6.0), "R")
     assert steady.startswith("No change in 2 joints since 2027-01-01.")
     assert "no wear seen" in steady

@@ -22,10 +22,10 @@ def say(found: Outlook, robot: str) -> str:
     error = _error(found)
     if found.state == "learning":
         missing = FEWEST + 1 - found.checks
+        again = f"check again, {missing} more time{'s' * (missing > 1)}; the first ones may follow each other at once"
         return (
             f"Check {found.checks} since {_day(found.since)}: {FEWEST} are needed to know what is usual for this arm, "
-            f"nothing can be said yet. {error}. Do: check again, {missing} more time{'s' * (missing > 1)}; the first "
-            f"ones may follow each other at once."
+            f"nothing can be said yet of a change. {error}. Do: {f'rejoint repair {robot}' if found.over else again}."
         )
     worst = found.changes[0]
     if found.state == "steady":
