@@ -48,10 +48,8 @@ def repair(
     targets: opt.Targets = None,
     controllers: opt.Controllers = "all",
     calibrate: opt.Calibrate = None,
-    sets: Annotated[
-        int | None, typer.Option(help="Target sets to compare on (3 emulated, at most 2 real).", min=1)
-    ] = None,
-    repetitions: Annotated[int | None, typer.Option(help="Repetitions of each (2 emulated, 1 real).", min=1)] = None,
+    sets: opt.RepairSets = None,
+    repetitions: opt.RepairRepetitions = None,
     full: opt.Full = False,
     period: opt.Period = None,
     seed: opt.Seed = 0,

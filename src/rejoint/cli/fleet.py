@@ -46,10 +46,8 @@ def fleet(
     ] = 1.0,
     preset: opt.Preset = "default",
     controllers: opt.Controllers = "all",
-    sets: Annotated[
-        int | None, typer.Option(help="Target sets to compare on (3 emulated, at most 2 real).", min=1)
-    ] = None,
-    repetitions: Annotated[int | None, typer.Option(help="Repetitions of each (2 emulated, 1 real).", min=1)] = None,
+    sets: opt.RepairSets = None,
+    repetitions: opt.RepairRepetitions = None,
     seed: opt.RunSeed = None,
     quick: opt.Quick = False,
     json: opt.Json = False,

@@ -50,6 +50,12 @@ Hold = Annotated[
 Seed = Annotated[int, typer.Option(help="Seed of everything random.", min=0)]
 RunSeed = Annotated[int | None, typer.Option("--seed", help="Seed; by default that of the run.", min=0)]
 Quick = Annotated[bool, typer.Option("--quick", help="Do little of everything, for a first try; no result.")]
+RepairSets = Annotated[
+    int | None, typer.Option("--sets", help="Target sets to compare on (3 emulated, 1 real).", min=1)
+]
+RepairRepetitions = Annotated[
+    int | None, typer.Option("--repetitions", help="Repetitions of each (2 emulated, 1 real).", min=1)
+]
 Device = Annotated[
     str, typer.Option(help="What simulates the twins: cpu, or cuda (extra gpu); without such a GPU, the processors.")
 ]

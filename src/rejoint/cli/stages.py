@@ -181,7 +181,7 @@ def compare(
     targets: opt.Targets = None,
     controllers: opt.Controllers = "all",
     sets: Annotated[
-        int | None, typer.Option(help="Target sets of ten targets each (10; on a real arm at most 2).", min=1)
+        int | None, typer.Option(help="Target sets of ten targets each (10; on a real arm 1).", min=1)
     ] = None,
     repetitions: Annotated[
         int | None, typer.Option(help="Repetitions of every target set (6; on a real arm 1).", min=1)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import threading
+from collections.abc import Callable
 from typing import Any
 
 from rejoint.runs.fleet.work import Work, WorkOutcome, do_work
@@ -46,16 +47,7 @@ class Reports:
 
 def work_in_task(work: Work, reports: Any) -> WorkOutcome:  # noqa: ANN401 - of Ray
     """Do work in which nothing real moves; reports go out and are not waited for."""
-    stop = threading.Event()
-    state = [0.0, ""]
-    thread = threading.Thread(target=_report, args=(reports, work.arm.name, state, stop), daemon=True)
-    thread.start()
-    try:
-        return do_work(work, _into(state))
-    finally:
-        stop.set()
-        thread.join()
-        reports.over.remote(work.arm.name)
+    return _done_beside(_report, work, reports)
 
 
 class ArmHolder:
@@ -66,16 +58,21 @@ class ArmHolder:
 
     def do(self, work: Work, reports: Any) -> WorkOutcome:  # noqa: ANN401 - of Ray
         """Do work in which the arm moves; it is held where that is asked for, or nobody answers."""
-        stop = threading.Event()
-        state = [0.0, ""]
-        thread = threading.Thread(target=_watch, args=(reports, work.arm.name, state, stop), daemon=True)
-        thread.start()
-        try:
-            return do_work(work, _into(state))
-        finally:
-            stop.set()
-            thread.join(PULSE)
-            reports.over.remote(work.arm.name)
+        return _done_beside(_watch, work, reports)
+
+
+def _done_beside(tell: Callable[..., None], work: Work, reports: Any) -> WorkOutcome:  # noqa: ANN401
+    """Do work while a thread tells ``reports`` how far it is."""
+    stop = threading.Event()
+    state = [0.0, ""]
+    thread = threading.Thread(target=tell, args=(reports, work.arm.name, state, stop), daemon=True)
+    thread.start()
+    try:
+        return do_work(work, _into(state))
+    finally:
+        stop.set()
+        thread.join(PULSE)
+        reports.over.remote(work.arm.name)
 
 
 def _into(state: list[Any]) -> Progress:
