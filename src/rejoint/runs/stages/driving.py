@@ -186,13 +186,14 @@ def _contenders(
     """
     own, tuned = run is not None and run.folder.policy.exists() and not posed, tuned_gains(run) is not None
     plain = contenders(
-        real=real, shelf=not posed and _on_shelf(arm, period), policy=own and not trained_for_tuned(run),
+        real=real, shelf=not posed and _on_shelf(arm, period), policy=own,
         twin=twin is not None and not tuned and not posed,
     )  # fmt: skip
     if not tuned:
         return plain
-    missing = {GEARED_POLICY: posed or not trained_for_tuned(run), GEARED_PREDICTIVE: posed or twin is None}
-    return (*plain, *(name for name in RIVALS if not missing.get(name)))
+    geared = own and trained_for_tuned(run)
+    missing = {POLICY: geared, GEARED_POLICY: not geared, GEARED_PREDICTIVE: posed or twin is None}
+    return tuple(name for name in (*plain, *RIVALS) if not missing.get(name))
 
 
 def usual_controller(run: Run | None, *, posed: bool = False) -> str:
