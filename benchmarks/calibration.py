@@ -18,8 +18,8 @@ from rejoint.arms import load_arm, tcp_position
 from rejoint.control.catalogue import make_controller
 from rejoint.control.loop import Schedule, run
 from rejoint.control.recording import Recording
-from rejoint.lab.plant.wear import load_wear, wear_names
 from rejoint.robots.emulated import EmulatedRobot
+from rejoint.robots.lab.plant.wear import load_wear, wear_names
 
 DWELL = 20.0
 REACHED = 0.010

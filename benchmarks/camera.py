@@ -22,9 +22,9 @@ from rejoint.diagnosis.calibration.camera.choosing import choose_postures
 from rejoint.diagnosis.calibration.camera.track import ToolTracker
 from rejoint.diagnosis.calibration.fit import fit
 from rejoint.diagnosis.calibration.measurements import Measurements
-from rejoint.lab.camera.scene import beside
-from rejoint.lab.plant.wear import load_wear
 from rejoint.robots.emulated import EmulatedRobot
+from rejoint.robots.lab.camera.scene import beside
+from rejoint.robots.lab.plant.wear import load_wear
 
 ARM = mycobot280()
 VIEWS, TOUCHES, TARGETS, FIRST = 40, 20, 25, 500

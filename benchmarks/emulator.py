@@ -22,7 +22,7 @@ from rejoint.arms.wire.frames import MAX_PAYLOAD, Decoder, Frame, encode
 from rejoint.arms.wire.orders import ORDERS, SWITCHES
 from rejoint.arms.wire.states import QUESTIONS, STATES
 from rejoint.arms.wire.values import pack_angles
-from rejoint.lab.emulator import Firmware, Server, Timing, build_firmware, serve_tcp
+from rejoint.robots.lab.emulator import Firmware, Server, Timing, build_firmware, serve_tcp
 
 FRAMES, CONNECTIONS, SOAK = 1_000_000, 10_000, 3600.0
 """How many requests and connections, and how long [s] the soak is"""

@@ -20,13 +20,13 @@ from rejoint.arms import load_arm, solve_position, tcp_position
 from rejoint.control.default import DefaultController
 from rejoint.control.integrator import IntegratorController
 from rejoint.control.loop import Schedule, run
-from rejoint.lab.plant.plant import Plant
-from rejoint.lab.plant.stsplant import StsPlant
-from rejoint.lab.plant.wear import load_wear
 from rejoint.logs import import_logs
 from rejoint.robots import place_of
 from rejoint.robots.emulated import EmulatedRobot
 from rejoint.robots.feetech.bus import FeetechBus
+from rejoint.robots.lab.plant.plant import Plant
+from rejoint.robots.lab.plant.stsplant import StsPlant
+from rejoint.robots.lab.plant.wear import load_wear
 from rejoint.runs.stages.posing import PosedArm
 from rejoint.system.errors import NoReplyError
 from rejoint.twin.judge import judge_paths

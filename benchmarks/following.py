@@ -23,8 +23,8 @@ from rejoint.control.guard import GuardLimits, guard, warm_up
 from rejoint.control.lines import servo_lines
 from rejoint.control.robot import Mask
 from rejoint.diagnosis.record import DiagnosisLogs, record
-from rejoint.lab.plant.wear import Wear, load_wear
 from rejoint.robots.emulated import EmulatedRobot
+from rejoint.robots.lab.plant.wear import Wear, load_wear
 from rejoint.system.errors import GuardTripError
 from rejoint.training.train import TrainingOptions, train
 

@@ -21,8 +21,8 @@ from rejoint.control.comparison.result import Protocol
 from rejoint.control.guard import RAMP, GuardLimits, Reason, guard, reason_names
 from rejoint.control.loop import run
 from rejoint.control.robot import JointState
-from rejoint.lab.plant.wear import draw_wear, load_wear
 from rejoint.robots.emulated import EmulatedRobot
+from rejoint.robots.lab.plant.wear import draw_wear, load_wear
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "control"))
 

@@ -28,7 +28,7 @@ import pyarrow.parquet as pq
 
 import rejoint.diagnosis.diagnosis
 import rejoint.diagnosis.excitation
-import rejoint.runs.report.page
+import rejoint.pages.report.page
 import rejoint.training.presets
 import rejoint.training.train
 import rejoint.twin.identify
@@ -36,8 +36,8 @@ from rejoint.arms import mycobot280
 from rejoint.cli import main as command_line
 from rejoint.diagnosis.excitation import SHORT
 from rejoint.logs.journal import Journal
+from rejoint.logs.runfolder.folder import RunFolder, locked
 from rejoint.logs.runlog import read_log
-from rejoint.runs.folder import RunFolder, locked
 from rejoint.runs.run import Run
 
 STAGES = {

@@ -14,10 +14,10 @@ from benchmarks.timing import best_of
 from rejoint.arms import mycobot280
 from rejoint.control.integrator import IntegratorController
 from rejoint.control.loop import Schedule, run
+from rejoint.pages.live.ring import SLOTS, Ring
+from rejoint.pages.live.view import RATE, LiveView
 from rejoint.robots import open_robot
 from rejoint.robots.wallclock import WallClock
-from rejoint.runs.live.ring import SLOTS, Ring
-from rejoint.runs.live.view import RATE, LiveView
 from rejoint.twin.parameters import nominal_parameters
 
 ROUNDS, DWELL, SECONDS = 201, 2.0, 30.0

@@ -9,10 +9,10 @@ import numpy as np
 
 from rejoint.arms import Arm
 from rejoint.control.loop import move, play
-from rejoint.lab.plant.wear import load_wear
 from rejoint.logs import import_logs
 from rejoint.logs.runlog import RunLog
 from rejoint.robots.emulated import EmulatedRobot
+from rejoint.robots.lab.plant.wear import load_wear
 
 VARIABLE = "REJOINT_SO101"
 """Environment variable that names the folder of a real SO-101's SAGE motions"""

@@ -21,10 +21,10 @@ from rejoint.control.moving.servos import Servos
 from rejoint.control.moving.standard import STANDARD, standard_path
 from rejoint.control.moving.tracker import Tracker
 from rejoint.control.recording import Recording
-from rejoint.lab.plant.wear import load_wear
+from rejoint.logs.runfolder.folder import RunFolder
 from rejoint.research.evaluation.identification import identify_arm
 from rejoint.robots.emulated import EmulatedRobot
-from rejoint.runs.folder import RunFolder
+from rejoint.robots.lab.plant.wear import load_wear
 from rejoint.system.progress import no_progress
 from rejoint.twin.file import read_twin
 from rejoint.twin.parameters import TwinParameters, healthy_parameters

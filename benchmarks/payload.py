@@ -23,10 +23,10 @@ from rejoint.control.moving.routes import LEAD_IN, Ahead, Routes
 from rejoint.control.moving.standard import standard_path
 from rejoint.control.moving.tracker import Tracker
 from rejoint.control.start import begin
-from rejoint.lab.plant.wear import load_wear
+from rejoint.logs.runfolder.folder import RunFolder
 from rejoint.research.evaluation.identification import identify_arm
 from rejoint.robots.emulated import EmulatedRobot
-from rejoint.runs.folder import RunFolder
+from rejoint.robots.lab.plant.wear import load_wear
 from rejoint.runs.stages.loads import heavy, noticed_load
 from rejoint.runs.stages.pathdrive import servos_of
 from rejoint.system.progress import no_progress

@@ -6,8 +6,8 @@ import numpy as np
 
 from benchmarks.timing import best_of
 from rejoint.arms import mycobot280
-from rejoint.lab.plant.plant import Plant
-from rejoint.lab.plant.wear import load_wear
+from rejoint.robots.lab.plant.plant import Plant
+from rejoint.robots.lab.plant.wear import load_wear
 
 
 def main() -> None:

@@ -36,10 +36,10 @@ from rejoint.control.moving.tracker import Tracker
 from rejoint.control.posture import PostureController, Wanted
 from rejoint.control.robot import JointState, Mask
 from rejoint.control.start import begin
-from rejoint.lab.plant.wear import load_wear
+from rejoint.logs.runfolder.folder import RunFolder
 from rejoint.research.evaluation.identification import identify_arm
 from rejoint.robots.emulated import EmulatedRobot
-from rejoint.runs.folder import RunFolder
+from rejoint.robots.lab.plant.wear import load_wear
 from rejoint.runs.stages.pathdrive import servos_of
 from rejoint.system.progress import no_progress
 from rejoint.twin.file import read_twin

@@ -18,12 +18,12 @@ from rejoint.control.controller import ControlInput
 from rejoint.control.feedforward import FeedforwardController
 from rejoint.control.robot import JointState
 from rejoint.control.shelf import shelf_controller
+from rejoint.logs.runfolder.folder import RunFolder
 from rejoint.research.evaluation.family import ArmFamily, family_targets, find_variant, open_family
 from rejoint.research.evaluation.identification import identify_arm
 from rejoint.research.evaluation.outcome import Outcome
 from rejoint.research.evaluation.trials import TrialArms, TrialSettings, try_on
 from rejoint.research.rivals.catalogue import make_rival
-from rejoint.runs.folder import RunFolder
 from rejoint.system.statistics import paired_difference
 from rejoint.twin.file import read_twin
 from rejoint.twin.parameters import TwinParameters

@@ -36,7 +36,7 @@ from rejoint.control.default import DefaultController
 from rejoint.control.robot import Robot
 from rejoint.control.shelf import SHELF
 from rejoint.robots import open_robot
-from rejoint.runs.effort import Meter
+from rejoint.runs.metering import Meter
 from rejoint.runs.openloop import DEFAULT, trials
 from rejoint.runs.stages.compare import RACE_PROTOCOL, RACE_SETS
 from rejoint.runs.stages.driving import make_factories

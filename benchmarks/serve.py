@@ -30,7 +30,7 @@ import rejoint
 from rejoint.arms import Array, mycobot280, tcp_pose
 from rejoint.arms.wire.frames import Frame, encode
 from rejoint.arms.wire.values import pack_angles, to_coords
-from rejoint.lab.emulator import Timing, build_firmware, serve_tcp
+from rejoint.robots.lab.emulator import Timing, build_firmware, serve_tcp
 from rejoint.robots.vendor import MyCobot280Socket
 from rejoint.runs.stages.serve import Serving
 from rejoint.twin.twin import Twin

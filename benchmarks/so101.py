@@ -23,8 +23,8 @@ from rejoint.control.law import dls_step, limit_position
 from rejoint.control.loop import Schedule, run
 from rejoint.control.shelf import shelf_controller
 from rejoint.diagnosis.record import record
-from rejoint.lab.plant.wear import load_wear
 from rejoint.robots.emulated import EmulatedRobot
+from rejoint.robots.lab.plant.wear import load_wear
 from rejoint.runs.stages.driving import twin_under
 from rejoint.twin.identify import identify
 from rejoint.twin.parameters import Layout, pack

@@ -3,8 +3,8 @@
 import math
 from collections.abc import Callable, Iterable, Iterator
 
-from rejoint.lab.emulator import Faults, Firmware, Timing
-from rejoint.lab.emulator.session import Session
+from rejoint.robots.lab.emulator import Faults, Firmware, Timing
+from rejoint.robots.lab.emulator.session import Session
 
 START = 1e6
 """[s] that the clock shows at first: as large as that of a machine that has been up for twelve days (chosen)"""

@@ -24,8 +24,8 @@ from rejoint.diagnosis.monitoring.charts import FEWEST
 from rejoint.diagnosis.monitoring.judge import PastCheck, outlook
 from rejoint.diagnosis.monitoring.measures import CheckMeasures, measure_check
 from rejoint.diagnosis.monitoring.record import record_check
-from rejoint.lab.plant.wear import load_wear
 from rejoint.robots.emulated import EmulatedRobot
+from rejoint.robots.lab.plant.wear import load_wear
 
 ARMS = 100
 """Of each kind"""

@@ -19,12 +19,12 @@ from rejoint.cli.console import Terminal
 from rejoint.cli.options import controller_names, period_seconds
 from rejoint.control.comparison.result import Comparison
 from rejoint.control.robot import JointState
+from rejoint.logs.runfolder.folder import RunFolder, RunInfo
 from rejoint.logs.runlog import read_log
+from rejoint.pages.report.contents import read_contents
+from rejoint.pages.report.sections.details import commands
 from rejoint.robots import Place
 from rejoint.robots.emulated import EmulatedRobot
-from rejoint.runs.folder import RunFolder, RunInfo
-from rejoint.runs.report.contents import read_contents
-from rejoint.runs.report.sections.details import commands
 from rejoint.runs.run import Run, newest_or_new
 from rejoint.system.errors import FileError, GuardTripError, InputError
 from rejoint.system.files import read_json, write_json

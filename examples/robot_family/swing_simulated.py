@@ -7,9 +7,9 @@ it passes where somebody waits, so that an hour of driving takes minutes.
 import numpy as np
 
 from rejoint.arms import load_arm
-from rejoint.lab.plant.plant import Plant
-from rejoint.lab.plant.wear import load_wear
 from rejoint.robots import Clock
+from rejoint.robots.lab.plant.plant import Plant
+from rejoint.robots.lab.plant.wear import load_wear
 
 ANSWER = 0.004
 """[s] from a question to its answer"""

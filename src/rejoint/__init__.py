@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from rejoint.diagnosis.calibration.measurements import Measurements
     from rejoint.diagnosis.diagnosis import Diagnosis
     from rejoint.logs.runlog import RunLog
-    from rejoint.runs.live.view import LiveView
+    from rejoint.pages.live.view import LiveView
     from rejoint.runs.repair import Repaired, Stage, repair
     from rejoint.runs.run import Run
     from rejoint.runs.stages.calibrate import Calibrated, calibrate
@@ -89,7 +89,7 @@ _HOMES = {
     "control.comparison.recommend": ("Recommendation",),
     "control.comparison.result": ("Comparison",),
     "control.deployment": ("Deployed",),
-    "runs.live.view": ("LiveView",),
+    "pages.live.view": ("LiveView",),
     "runs.repair": ("Repaired", "Stage", "repair"),
     "runs.run": ("Run",),
     "runs.stages.calibrate": ("Calibrated", "calibrate"),

@@ -13,9 +13,9 @@ from rejoint.control.guard import GuardLimits, Reason
 from rejoint.control.loop import Schedule, run
 from rejoint.diagnosis.excitation import SHORT
 from rejoint.diagnosis.record import record
-from rejoint.lab.plant.wear import load_wear
 from rejoint.logs.runlog import RunLog
 from rejoint.robots.emulated import EmulatedRobot
+from rejoint.robots.lab.plant.wear import load_wear
 
 ARM = mycobot280()
 DWELL = Schedule(dwell=2.0, keep_going=True)

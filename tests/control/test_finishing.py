@@ -12,8 +12,8 @@ from rejoint.control.guard import TRIPS
 from rejoint.control.integrator import IntegratorController
 from rejoint.control.loop import Schedule, run
 from rejoint.control.seeing import Seen, Sighting
-from rejoint.lab.plant.wear import load_wear
 from rejoint.robots.emulated import EmulatedRobot
+from rejoint.robots.lab.plant.wear import load_wear
 
 ARM = mycobot280()
 TARGETS = ARM.targets.sample(np.random.default_rng(11), (1, 3))

@@ -14,8 +14,8 @@ from rejoint.control.integrator import IntegratorController
 from rejoint.control.loop import RELEASE_CYCLES, Schedule, play, run
 from rejoint.control.recording import recording_of
 from rejoint.control.robot import JointState
-from rejoint.lab.plant.wear import load_wear
 from rejoint.robots.emulated import EmulatedRobot
+from rejoint.robots.lab.plant.wear import load_wear
 from rejoint.system.errors import GuardTripError, InputError
 
 ARM = mycobot280()

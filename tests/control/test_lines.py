@@ -12,9 +12,9 @@ from rejoint.control.lines import FEWEST, servo_lines
 from rejoint.control.loop import play
 from rejoint.control.robot import JointState
 from rejoint.diagnosis.record import record
-from rejoint.lab.plant.wear import load_wear
 from rejoint.logs.runlog import RunLog, read_log, write_log
 from rejoint.robots.emulated import EmulatedRobot
+from rejoint.robots.lab.plant.wear import load_wear
 from rejoint.system.errors import InputError
 
 ARM = mycobot280()

@@ -182,7 +182,7 @@ def test_who_turns_no_tool_does_not_take_poses():
 
 def test_a_comparison_of_poses_has_degrees_and_one_of_points_has_none():
     from rejoint.control.comparison.result import Protocol
-    from rejoint.runs.report.tables import comparison_table
+    from rejoint.pages.report.tables import comparison_table
 
     quick = Protocol(dwell=4.0, hold=2.0)
     names = ["default", "feedforward"]

@@ -10,8 +10,8 @@ from rejoint.control.guard import GuardLimits
 from rejoint.control.loop import Schedule, move, run
 from rejoint.control.posture import PostureController, PostureGains, Wanted, _without
 from rejoint.control.robot import JointState
-from rejoint.lab.plant.wear import load_wear
 from rejoint.robots import open_robot
+from rejoint.robots.lab.plant.wear import load_wear
 
 ARM = mycobot280()
 DWELL, SPEED = 6.0, np.radians(60.0)

@@ -8,8 +8,8 @@ import pytest
 from rejoint.arms import gravity_torque, mycobot280
 from rejoint.control.robot import JointState
 from rejoint.control.start import STANCE, Stance, begin, check_ready
-from rejoint.lab.plant.wear import load_wear
 from rejoint.robots import open_robot
+from rejoint.robots.lab.plant.wear import load_wear
 from rejoint.system.errors import NotReadyError
 
 ARM = mycobot280()

@@ -10,9 +10,9 @@ from rejoint.diagnosis.diagnosis import Diagnosis, diagnose, judge, ringing_most
 from rejoint.diagnosis.excitation import SHORT
 from rejoint.diagnosis.healthy import load_healthy, reference_from
 from rejoint.diagnosis.record import DiagnosisLogs, record
-from rejoint.lab.plant.wear import Wear, load_wear
 from rejoint.logs.runlog import read_log, write_log
 from rejoint.robots.emulated import EmulatedRobot
+from rejoint.robots.lab.plant.wear import Wear, load_wear
 from rejoint.system.errors import InputError, NotReadyError
 from rejoint.system.files import read_json, write_json
 from rejoint.system.statistics import Estimate

@@ -11,8 +11,8 @@ from plant_logs import ARM, HEALTHY, record_motions, with_joint
 
 from rejoint.cli import main
 from rejoint.diagnosis.diagnosis import Diagnosis
+from rejoint.logs.runfolder.folder import LOGS, RunFolder, RunInfo
 from rejoint.logs.runlog import write_log
-from rejoint.runs.folder import LOGS, RunFolder, RunInfo
 from rejoint.system.files import read_json
 from rejoint.twin.fromlogs import REFITTED
 from rejoint.twin.judgement import NO_TWIN, Judgement

@@ -3,10 +3,10 @@ import pytest
 
 from rejoint.arms import mycobot280, so101, tcp_position
 from rejoint.control.robot import Robot
-from rejoint.lab.plant import plant
-from rejoint.lab.plant.wear import load_wear
 from rejoint.robots import open_robot, place_of
 from rejoint.robots.emulated import EmulatedRobot
+from rejoint.robots.lab.plant import plant
+from rejoint.robots.lab.plant.wear import load_wear
 from rejoint.system.errors import InputError, ProfileError
 
 ARM = mycobot280()

@@ -6,12 +6,12 @@ import pytest
 import rejoint
 from rejoint.arms import load_arm
 from rejoint.control.servogains import gains_in_force
-from rejoint.lab.emulator.feetech.arm import build_arm
-from rejoint.lab.plant.sts3215 import SETTING
-from rejoint.lab.plant.wear import load_wear
 from rejoint.robots import open_robot, place_of
 from rejoint.robots.emulated import EmulatedRobot
 from rejoint.robots.feetech.gains import for_all
+from rejoint.robots.lab.emulator.feetech.arm import build_arm
+from rejoint.robots.lab.plant.sts3215 import SETTING
+from rejoint.robots.lab.plant.wear import load_wear
 from rejoint.runs.run import Run
 from rejoint.runs.stages import gains as stage
 from rejoint.runs.stages.gains import keep_gains

@@ -16,10 +16,10 @@ from benchmarks.family import EXAMPLE, install
 from rejoint.arms import mycobot280
 from rejoint.cli import main
 from rejoint.control.robot import Robot
-from rejoint.lab.plant.wear import load_wear
+from rejoint.logs.runfolder.folder import RunFolder
 from rejoint.logs.runlog import read_log
 from rejoint.robots import open_robot, place_of
-from rejoint.runs.folder import RunFolder
+from rejoint.robots.lab.plant.wear import load_wear
 from rejoint.system.errors import AddressError
 from rejoint.training import presets
 from rejoint.training.presets import DEFAULT, PpoSettings

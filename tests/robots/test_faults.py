@@ -17,14 +17,14 @@ from rejoint.control.guard import Reason
 from rejoint.control.integrator import IntegratorController
 from rejoint.control.loop import Schedule, run
 from rejoint.control.recording import recording_of
-from rejoint.lab.emulator import Timing, build_firmware, serve_tcp
-from rejoint.lab.emulator.faults import parse_faults
 from rejoint.robots import (
     open_robot,
     vendor,  # noqa: F401 - imports the client without the deprecation that it raises
 )
 from rejoint.robots.bus import Bus, Clock, Reading, Vitals
 from rejoint.robots.busrobot import BusRobot
+from rejoint.robots.lab.emulator import Timing, build_firmware, serve_tcp
+from rejoint.robots.lab.emulator.faults import parse_faults
 from rejoint.runs.run import Run
 from rejoint.system.errors import ConnectionLostError, GuardTripError, RobotError
 

@@ -13,10 +13,6 @@ from rejoint.arms import load_arm
 from rejoint.control.integrator import IntegratorController
 from rejoint.control.loop import Schedule, run
 from rejoint.control.recording import recording_of
-from rejoint.lab.emulator.faults import parse_faults
-from rejoint.lab.emulator.feetech.arm import HOMING, NAMES, build_arm
-from rejoint.lab.emulator.feetech.emulate import serve_bus
-from rejoint.lab.emulator.feetech.session import BusSession
 from rejoint.robots import open_robot, place_of
 from rejoint.robots.feetech.address import FeetechAddress
 from rejoint.robots.feetech.bus import FeetechBus
@@ -24,6 +20,10 @@ from rejoint.robots.feetech.gains import LIMIT
 from rejoint.robots.feetech.gripper import Gripper
 from rejoint.robots.feetech.tuning import Tuning
 from rejoint.robots.feetech.zeros import Zeros, read_calibration, zeros_of
+from rejoint.robots.lab.emulator.faults import parse_faults
+from rejoint.robots.lab.emulator.feetech.arm import HOMING, NAMES, build_arm
+from rejoint.robots.lab.emulator.feetech.emulate import serve_bus
+from rejoint.robots.lab.emulator.feetech.session import BusSession
 from rejoint.system.errors import (
     AddressError,
     ConnectionLostError,

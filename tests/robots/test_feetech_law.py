@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rejoint.lab.plant.bareservo import BareServos
 from rejoint.robots.feetech.gains import KNOBS, way
 from rejoint.robots.feetech.law import DutyLaw
+from rejoint.robots.lab.plant.bareservo import BareServos
 
 
 @settings(deadline=None)

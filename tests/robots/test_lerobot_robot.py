@@ -13,9 +13,9 @@ import pytest
 
 from rejoint.arms import load_arm
 from rejoint.control.guard import GuardLimits
-from rejoint.lab.emulator.feetech.arm import build_arm
-from rejoint.lab.emulator.feetech.emulate import serve_bus
-from rejoint.lab.emulator.feetech.session import BusSession
+from rejoint.robots.lab.emulator.feetech.arm import build_arm
+from rejoint.robots.lab.emulator.feetech.emulate import serve_bus
+from rejoint.robots.lab.emulator.feetech.session import BusSession
 from rejoint.runs.run import Run
 from rejoint.runs.stages.posing import PosedArm
 

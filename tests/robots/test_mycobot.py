@@ -13,12 +13,12 @@ import pytest
 
 from rejoint.arms import mycobot280, solve_position, tcp_position
 from rejoint.control.robot import Robot
-from rejoint.lab.emulator import Timing, build_firmware, serve_pty, serve_tcp
 from rejoint.robots import link as link_module
 from rejoint.robots import mycobot as mycobot_module
 from rejoint.robots import open_robot
 from rejoint.robots.address import TcpAddress
 from rejoint.robots.bus import Clock
+from rejoint.robots.lab.emulator import Timing, build_firmware, serve_pty, serve_tcp
 from rejoint.robots.mycobot import MyCobotBus
 from rejoint.system.errors import (
     AddressError,

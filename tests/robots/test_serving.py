@@ -16,7 +16,7 @@ import rejoint
 from rejoint.arms import tcp_position
 from rejoint.arms.wire.frames import Decoder, Frame, encode
 from rejoint.control.robot import JointState
-from rejoint.lab.plant.wear import load_wear
+from rejoint.robots.lab.plant.wear import load_wear
 from rejoint.robots.serving.answering import REFUSED, Answering
 from rejoint.robots.serving.apparent import Apparent
 from rejoint.robots.serving.orderlog import OrderLog

@@ -16,8 +16,8 @@ from rejoint.arms.wire.orders import SWITCHES
 from rejoint.control.integrator import IntegratorController
 from rejoint.control.loop import Schedule, run
 from rejoint.control.recording import recording_of
-from rejoint.lab.emulator import Timing, build_firmware, serve_pty, serve_tcp
 from rejoint.robots import open_robot
+from rejoint.robots.lab.emulator import Timing, build_firmware, serve_pty, serve_tcp
 from rejoint.system import stopping
 from rejoint.system.stopping import Interrupted
 

@@ -18,8 +18,8 @@ import pytest
 
 from rejoint.arms import mycobot280
 from rejoint.arms.wire.frames import Decoder, encode
-from rejoint.lab.emulator import build_firmware, serve_pty
 from rejoint.robots import open_robot
+from rejoint.robots.lab.emulator import build_firmware, serve_pty
 from rejoint.robots.vendor import MyCobot280Socket
 
 pytestmark = pytest.mark.realtime

@@ -15,11 +15,11 @@ from rejoint.diagnosis.monitoring.measures import measure_check
 from rejoint.diagnosis.monitoring.record import record_check
 from rejoint.diagnosis.monitoring.routine import CYCLES, POSES, iso_poses, plan_check
 from rejoint.diagnosis.segments import attach_segments
-from rejoint.lab.plant.wear import load_wear
 from rejoint.logs.history.index import find_rows
 from rejoint.logs.history.rows import SUMMARY, read_rows, write_rows
 from rejoint.logs.runlog import RunLog
 from rejoint.robots.emulated import EmulatedRobot
+from rejoint.robots.lab.plant.wear import load_wear
 from rejoint.runs.stages import check as stage
 from rejoint.system.errors import InputError
 

@@ -9,7 +9,7 @@ import pytest
 
 import rejoint
 from rejoint.arms import mycobot280, tcp_position
-from rejoint.lab.plant.wear import load_wear
+from rejoint.robots.lab.plant.wear import load_wear
 from rejoint.runs.run import Run
 from rejoint.runs.stages.driving import twin_in_force
 from rejoint.twin.parameters import nominal_parameters, prior

@@ -18,11 +18,11 @@ from torch import nn
 from rejoint.arms import load_arm, mycobot280, write_arm_toml
 from rejoint.control.comparison.targets import read_targets
 from rejoint.control.policy import load_policy
-from rejoint.lab.plant.wear import load_wear
 from rejoint.logs import runlog
+from rejoint.logs.runfolder.folder import FORMAT, RunInfo, read_info
 from rejoint.logs.runlog import RunLog, read_log, write_log
-from rejoint.runs.folder import FORMAT, RunInfo, read_info
-from rejoint.runs.report.sections.training import read_curves
+from rejoint.pages.report.sections.training import read_curves
+from rejoint.robots.lab.plant.wear import load_wear
 from rejoint.runs.run import Run
 from rejoint.system.errors import ContractError, FileError, InputError
 from rejoint.system.files import JSON_MOST, read_json, write_json

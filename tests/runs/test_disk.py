@@ -11,8 +11,8 @@ import pytest
 import rejoint
 from rejoint.arms import mycobot280
 from rejoint.cli import main
+from rejoint.logs.runfolder.folder import RunFolder, locked
 from rejoint.logs.runlog import read_log
-from rejoint.runs.folder import RunFolder, locked
 from rejoint.runs.run import Run
 from rejoint.system.errors import FileError, UnsavedError
 from rejoint.system.files import require_space, saving, write_json, write_whole

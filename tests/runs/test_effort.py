@@ -5,9 +5,10 @@ import pytest
 
 from rejoint.arms import mycobot280
 from rejoint.control.loop import move
+from rejoint.logs.runfolder.effort import Effort, StageCost, add, cost, read_effort
+from rejoint.logs.runfolder.folder import RunFolder
 from rejoint.robots import open_robot
-from rejoint.runs.effort import Effort, Meter, StageCost, add, cost, metered, read_effort
-from rejoint.runs.folder import RunFolder
+from rejoint.runs.metering import Meter, metered
 from rejoint.runs.run import Run
 
 ARM = mycobot280()

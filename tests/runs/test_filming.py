@@ -21,9 +21,9 @@ from rejoint.diagnosis.calibration.camera import filming
 from rejoint.diagnosis.calibration.camera.filmfile import read_film, read_folder
 from rejoint.diagnosis.calibration.camera.filming import CameraGauge, FilmDrive, UnseenBoardError
 from rejoint.diagnosis.calibration.file import read_calibration
-from rejoint.lab.camera.rendering import Looks
-from rejoint.lab.camera.scene import beside
 from rejoint.robots.emulatedcamera import EmulatedCamera
+from rejoint.robots.lab.camera.rendering import Looks
+from rejoint.robots.lab.camera.scene import beside
 from rejoint.robots.livecamera import LiveCamera
 from rejoint.runs.run import Run
 from rejoint.runs.stages.eyes import opened_eye

@@ -16,12 +16,12 @@ from rejoint.control.contract import decode_contract, encode_contract
 from rejoint.control.gainsearch import GainsFound, Round
 from rejoint.control.geared import Geared
 from rejoint.control.servogains import under_gains
-from rejoint.lab.emulator.feetech.arm import build_arm
-from rejoint.lab.emulator.feetech.emulate import serve_bus
-from rejoint.lab.emulator.feetech.session import BusSession
+from rejoint.logs.runfolder.effort import read_effort
 from rejoint.robots import place_of
 from rejoint.robots.feetech.gains import for_all
-from rejoint.runs.effort import read_effort
+from rejoint.robots.lab.emulator.feetech.arm import build_arm
+from rejoint.robots.lab.emulator.feetech.emulate import serve_bus
+from rejoint.robots.lab.emulator.feetech.session import BusSession
 from rejoint.runs.run import Run
 from rejoint.runs.stages import driving
 from rejoint.runs.stages import gains as stage

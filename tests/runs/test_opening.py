@@ -13,9 +13,9 @@ import rejoint
 from rejoint.arms import mycobot280
 from rejoint.cli import main
 from rejoint.logs.journal import Journal
+from rejoint.logs.runfolder.folder import FORMAT, LOGS, RunFolder, RunInfo, locked
 from rejoint.logs.runlog import RunLog, write_log
 from rejoint.robots.emulated import EmulatedRobot
-from rejoint.runs.folder import FORMAT, LOGS, RunFolder, RunInfo, locked
 from rejoint.runs.run import Run, exclusive, finish, is_finished, mark_quick, require_same_pace
 from rejoint.system.errors import FileError, InputError, NotReadyError
 from rejoint.system.files import write_json

@@ -14,8 +14,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from rejoint.logs.runfolder.folder import RunFolder, locked
 from rejoint.logs.runlog import RunLog, read_log, write_log
-from rejoint.runs.folder import RunFolder, locked
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import read_json, set_aside, write_json, write_whole
 
@@ -96,7 +96,7 @@ def test_a_write_that_fails_leaves_the_old_file(tmp_path: Path) -> None:
 
 
 def test_nobody_else_works_in_a_run_folder_meanwhile(tmp_path: Path) -> None:
-    code = "import sys\nfrom pathlib import Path\nfrom rejoint.runs.folder import RunFolder, locked\n"
+    code = "import sys\nfrom pathlib import Path\nfrom rejoint.logs.runfolder.folder import RunFolder, locked\n"
     code += "with locked(RunFolder(Path(sys.argv[1]))): print('in', flush=True); sys.stdin.read()\n"
     words = [sys.executable, "-c", code, str(tmp_path)]
     with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as other:

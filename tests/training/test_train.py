@@ -16,11 +16,11 @@ from torch import nn
 from rejoint.arms import mycobot280
 from rejoint.control.contract import INPUT, OUTPUT
 from rejoint.control.policy import load_policy
+from rejoint.logs.runfolder.outputs import Outputs
 from rejoint.system.errors import FileError, InputError
 from rejoint.training.export import policy_graph
 from rejoint.training.learner import Learner
 from rejoint.training.networks import Actor, Critic, perceptron
-from rejoint.training.outputs import Outputs
 from rejoint.training.ppo import Ppo, Rollout, join
 from rejoint.training.presets import DEFAULT, PAPER, PpoSettings, load_preset
 from rejoint.training.ranges import BroadRanges

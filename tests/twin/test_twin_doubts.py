@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from motion_logs import ARM, STEP, TRUTH, as_log, record, wandering
 
-from rejoint.runs.report.trust import answer
+from rejoint.pages.report.trust import answer
 from rejoint.twin.doubts import command_lag
 from rejoint.twin.fit import Problem, fit
 from rejoint.twin.fromlogs import _hard_to_follow

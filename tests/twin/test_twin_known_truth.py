@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from motion_logs import ARM, PERIOD, STEP, TRUTH, record, wandering
 
-from rejoint.lab.plant.wear import load_wear
 from rejoint.logs.exclusions import find_exclusions
+from rejoint.robots.lab.plant.wear import load_wear
 from rejoint.twin.fromlogs import FITTED, HEALTHY, identify_logs
 from rejoint.twin.holdout import HoldOut
 from rejoint.twin.judgement import NO_TWIN

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from rejoint.arms import Arm, Box, gravity_torque, mycobot280, so101
-from rejoint.lab.plant.wear import load_wear
 from rejoint.logs.runlog import RunLog
+from rejoint.robots.lab.plant.wear import load_wear
 from rejoint.twin.fit import Problem
 from rejoint.twin.parameters import Layout, healthy_parameters, nominal_parameters, prior, unpack
 from rejoint.twin.replay import Replay, cut

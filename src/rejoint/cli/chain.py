@@ -16,14 +16,14 @@ from rejoint.cli.console import Terminal
 from rejoint.cli.live import live_view, shared
 from rejoint.cli.measuring import gauge_by_word
 from rejoint.diagnosis.calibration.gauges import TouchGauge
-from rejoint.runs.effort import read_effort
+from rejoint.logs.runfolder.effort import read_effort
 from rejoint.runs.run import Run, newest_or_new
 from rejoint.system.errors import UnsavedError
 from rejoint.system.extras import require
 from rejoint.system.progress import Progress, no_progress
 
 if TYPE_CHECKING:
-    from rejoint.runs.live.view import LiveView
+    from rejoint.pages.live.view import LiveView
 
 TITLES = {
     "diagnose": ("Diagnosis: ten targets open loop, then an excitation of every joint", "diagnosing"),
@@ -86,8 +86,8 @@ def repair(
     page = Path(os.path.relpath(found.page))
     if quick:
         terminal.say("A quick try: little of everything was done, so none of this is a result.")
-    from rejoint.runs.report.contents import read_contents
-    from rejoint.runs.report.errors import before_after
+    from rejoint.pages.report.contents import read_contents
+    from rejoint.pages.report.errors import before_after
 
     errors = before_after(read_contents(path), found.recommendation.controller)
     spent = read_effort(job.folder)

@@ -14,7 +14,7 @@ from rejoint.system.extras import require
 from rejoint.system.progress import Progress
 
 if TYPE_CHECKING:
-    from rejoint.runs.live.view import LiveView
+    from rejoint.pages.live.view import LiveView
 
 OPTION = "--live"
 HERE = "127.0.0.1:8080"
@@ -37,7 +37,7 @@ def live_view(terminal: Terminal, place: str | None, title: str) -> Iterator[Liv
         yield None
         return
     require(f"rejoint {title} {OPTION}", "live")
-    from rejoint.runs.live.view import LiveView
+    from rejoint.pages.live.view import LiveView
 
     host, port = host_and_port(place)
     view = LiveView(host, port)

@@ -174,7 +174,7 @@ def _by_motion(given: list[str] | None) -> dict[str, str]:
 
 def show_errors(terminal: Terminal, judgement: Judgement) -> None:
     """Print the errors of every motion, and which prediction to trust."""
-    from rejoint.runs.report.trust import answer
+    from rejoint.pages.report.trust import answer
 
     names = list(judgement.mean)
     headers = ["motion", "s", *names]

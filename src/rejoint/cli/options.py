@@ -15,8 +15,8 @@ from rejoint.arms.loaded import Payload as LoadedWith
 from rejoint.arms.loading import read_arm
 from rejoint.arms.tomlfile import write_unfinished
 from rejoint.cli.console import Terminal
+from rejoint.logs.runfolder.folder import LOGS
 from rejoint.robots import DEFAULT_ARM, place_of
-from rejoint.runs.folder import LOGS
 from rejoint.runs.run import Run as OpenRun
 from rejoint.runs.run import newest_or_new
 from rejoint.system.errors import InputError

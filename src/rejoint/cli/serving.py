@@ -52,10 +52,10 @@ def emulate(
     On the bus of an SO-101 alone: mute=J@T/D (a servo that is silent for D), sag=R (a supply of R ohm).
     """
     require("rejoint emulate", SIMULATOR)
-    from rejoint.lab.emulator.emulate import emulate as emulate_mycobot
-    from rejoint.lab.emulator.faults import parse_faults
-    from rejoint.lab.emulator.feetech.emulate import emulate_bus
-    from rejoint.lab.emulator.servers import beyond_loopback
+    from rejoint.robots.lab.emulator.emulate import emulate as emulate_mycobot
+    from rejoint.robots.lab.emulator.faults import parse_faults
+    from rejoint.robots.lab.emulator.feetech.emulate import emulate_bus
+    from rejoint.robots.lab.emulator.servers import beyond_loopback
 
     terminal = Terminal(json=json)
     served: list[str] = []

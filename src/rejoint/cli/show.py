@@ -12,14 +12,14 @@ from rejoint.control.comparison.failure import failure
 from rejoint.control.comparison.recommend import Recommendation
 from rejoint.control.comparison.result import Comparison, DirectionVariation, PoseAccuracy
 from rejoint.control.servogains import in_words
-from rejoint.runs.effort import Effort, cost
+from rejoint.logs.runfolder.effort import Effort, cost
 
 if TYPE_CHECKING:
     from rejoint.control.deployment import Deployed
     from rejoint.control.gainsearch import GainsFound
     from rejoint.control.moving.drive import Followed
     from rejoint.diagnosis.diagnosis import Diagnosis
-    from rejoint.runs.report.errors import BeforeAfter
+    from rejoint.pages.report.errors import BeforeAfter
     from rejoint.runs.stages.calibrate import Calibrated
     from rejoint.training.train import TrainingResult
     from rejoint.twin.twin import Twin
@@ -125,8 +125,8 @@ def training(terminal: Terminal, result: TrainingResult) -> None:
 
 def comparison(terminal: Terminal, result: Comparison, advice: Recommendation) -> None:
     """Print the table of all controllers and the one to use."""
-    from rejoint.runs.report.tables import comparison_table
-    from rejoint.runs.report.words import plural
+    from rejoint.pages.report.tables import comparison_table
+    from rejoint.pages.report.words import plural
 
     headers, rows = comparison_table(result)
     sets, count = len(result.targets), len(result.targets[0])

@@ -16,8 +16,8 @@ from rejoint.cli import options as opt
 from rejoint.cli.console import Terminal, results_of
 from rejoint.cli.live import live_view, shared
 from rejoint.control.deployment import REACHED
-from rejoint.runs.effort import read_effort
-from rejoint.runs.folder import LOGS, RunFolder, locked
+from rejoint.logs.runfolder.effort import read_effort
+from rejoint.logs.runfolder.folder import LOGS, RunFolder, locked
 from rejoint.runs.run import Run, newest_or_new
 from rejoint.runs.stages.pathdrive import TRACKER, WITHIN
 from rejoint.system.errors import InputError
@@ -145,7 +145,7 @@ def train(
     if learner != "ppo" and device != "cpu":
         raise InputError(f"--device {device} goes with --learner ppo; {learner} trains on the processors")
     trainer = None if learner == "ppo" else _off_policy(learner, preset, job.seed)
-    from rejoint.runs.report.sections.training import draw_training
+    from rejoint.pages.report.sections.training import draw_training
 
     if not job.folder.twin.exists():
         terminal.say(f"{run} has no twin.toml: training on broad ranges instead of on this arm.")
@@ -321,7 +321,7 @@ def follow(
         )  # fmt: skip
     show.followed(terminal, done)
     if all(map(installed, EXTRAS["report"])):
-        from rejoint.runs.report.followed import draw_followed
+        from rejoint.pages.report.followed import draw_followed
 
         job = Run.open(run)
         with locked(job.folder):

@@ -24,6 +24,7 @@ from skrl.resources.noises.torch import GaussianNoise
 from torch import nn
 
 from rejoint.arms import Arm
+from rejoint.logs.runfolder.outputs import Outputs
 from rejoint.system.errors import InputError
 from rejoint.system.progress import Progress, no_progress
 from rejoint.training.actorcritic import ActionCritic, BoundedActor, SquashedActor, bounded
@@ -31,7 +32,6 @@ from rejoint.training.arithmetic import on_threads
 from rejoint.training.export import export_policy
 from rejoint.training.learner import REACHED_DISTANCE, CurvePoint
 from rejoint.training.networks import unbounded
-from rejoint.training.outputs import Outputs
 from rejoint.training.presets import DEFAULT, Preset
 from rejoint.training.task import ReachTask, Transition
 from rejoint.training.train import (

@@ -13,14 +13,14 @@ from rejoint.arms import Arm, Array
 from rejoint.arms.kinematics import GRAVITY
 from rejoint.control.robot import JointState, Mask
 from rejoint.control.servogains import Rung, ServoGains
-from rejoint.lab.plant.channel import Channel, Interval
-from rejoint.lab.plant.plant import Plant
-from rejoint.lab.plant.streams import stream_keys
-from rejoint.lab.plant.sts3215 import has_these_servos
-from rejoint.lab.plant.stsplant import StsPlant
-from rejoint.lab.plant.wear import Wear
 from rejoint.robots.feetech.emulated import EmulatedServos
 from rejoint.robots.feetech.gains import RUNGS, Gains
+from rejoint.robots.lab.plant.channel import Channel, Interval
+from rejoint.robots.lab.plant.plant import Plant
+from rejoint.robots.lab.plant.streams import stream_keys
+from rejoint.robots.lab.plant.sts3215 import has_these_servos
+from rejoint.robots.lab.plant.stsplant import StsPlant
+from rejoint.robots.lab.plant.wear import Wear
 from rejoint.system.errors import InputError
 
 _CHANNEL_PURPOSE = 1

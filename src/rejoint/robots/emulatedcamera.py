@@ -11,8 +11,8 @@ import numpy as np
 from rejoint.arms import Arm, Array, tcp_pose
 from rejoint.arms.camera.board import Board
 from rejoint.control.robot import Robot
-from rejoint.lab.camera.rendering import Picture
-from rejoint.lab.camera.scene import Scene, beside, on_tool
+from rejoint.robots.lab.camera.rendering import Picture
+from rejoint.robots.lab.camera.scene import Scene, beside, on_tool
 from rejoint.system.errors import FileError, InputError
 
 _REMEDY = "give the file that `rejoint emulate --log FILE` writes"

@@ -74,14 +74,14 @@ def _payload(given: Mapping[str, str]) -> float:
 
 def _profile_arm(address: EmulatedAddress) -> str:
     """Name of the arm that a wear profile describes, as ``so101``; most scale with any arm."""
-    from rejoint.lab.plant.wear import wear_arm
+    from rejoint.robots.lab.plant.wear import wear_arm
 
     return wear_arm(address.profile) or DEFAULT_ARM
 
 
 def _emulated(place: Place[EmulatedAddress], opening: Opening) -> Robot:
-    from rejoint.lab.plant.wear import load_wear
     from rejoint.robots.emulated import EmulatedRobot
+    from rejoint.robots.lab.plant.wear import load_wear
 
     # What was told of the hand is a description: of it only where the tip is becomes true by being told.
     true = bare(opening.arm)
@@ -95,7 +95,7 @@ def _emulated(place: Place[EmulatedAddress], opening: Opening) -> Robot:
 
 def _has_gains(arm: Arm) -> bool:
     """Whether the gains of the servos of an emulated arm can be set."""
-    from rejoint.lab.plant.sts3215 import has_these_servos
+    from rejoint.robots.lab.plant.sts3215 import has_these_servos
 
     return has_these_servos(arm)
 

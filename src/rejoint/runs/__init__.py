@@ -1,1 +1,1 @@
-"""A repair: its folder, its stages, the trials on the arm, and the report."""
+"""A repair: its folder, its stages, its history, what leaves it, and many of them at once."""

@@ -36,7 +36,7 @@ def export_run(run: RunLike, kind: str, out: Path | None = None, *, lerobot: Pat
         )
     if kind == "datasheet":
         require("rejoint export --format datasheet", "report")
-        from rejoint.runs.report.datasheet import write_datasheet
+        from rejoint.pages.report.datasheet import write_datasheet
 
         return write_datasheet(about.path, out or about.path / "datasheet.html"), "One page; print it on A4."
     if kind in ("onnx", "ros2"):

@@ -17,9 +17,9 @@ from rejoint.control.comparison.targets import draw_targets, read_targets, requi
 from rejoint.control.poses import Pose, placed
 from rejoint.control.robot import Robot
 from rejoint.logs.found import describe
+from rejoint.logs.runfolder.folder import LOGS, RunFolder
 from rejoint.logs.runlog import RunLog, read_log
 from rejoint.robots import open_robot, place_of
-from rejoint.runs.folder import LOGS, RunFolder
 from rejoint.runs.run import Run
 from rejoint.system.errors import FileError, InputError
 

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Literal, TypeVar, get_args
 from rejoint.control.comparison.recommend import Recommendation, recommend
 from rejoint.control.comparison.result import Comparison
 from rejoint.control.comparison.targets import draw_targets
+from rejoint.logs.runfolder.effort import StageCost, add
+from rejoint.logs.runfolder.folder import RunFolder
 from rejoint.robots import place_of
-from rejoint.runs.effort import StageCost, add
-from rejoint.runs.folder import RunFolder
 from rejoint.runs.given import (
     FIRST_ROBOT,
     NO_GAUGE,

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 
 from rejoint.arms import CATALOGUE, Arm, load_arm, write_arm_toml
 from rejoint.control.comparison.result import Comparison
+from rejoint.logs.runfolder.folder import FORMAT, LOGS, RunFolder, RunInfo, locked, read_info
 from rejoint.logs.runlog import RunLog, read_log
-from rejoint.runs.folder import FORMAT, LOGS, RunFolder, RunInfo, locked, read_info
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import TOML_MOST, UNFINISHED, digest, read_bounded, read_json, write_json
 from rejoint.system.version import __version__

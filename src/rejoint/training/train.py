@@ -17,13 +17,13 @@ from skrl.utils.tensorboard import SummaryWriter
 from rejoint.arms import Arm
 from rejoint.control.contract import PolicyContract, arm_digest, law_digests
 from rejoint.control.observation import layout_slots
+from rejoint.logs.runfolder.outputs import Outputs
 from rejoint.system.errors import FileError
 from rejoint.system.files import set_aside, unwritable, write_whole
 from rejoint.system.progress import Progress, no_progress
 from rejoint.system.version import __version__
 from rejoint.training.export import export_policy
 from rejoint.training.learner import CurvePoint, Learner
-from rejoint.training.outputs import Outputs
 from rejoint.training.presets import Preset, load_preset
 from rejoint.training.ranges import BroadRanges, PaperRanges, Ranges, identified_ranges
 from rejoint.training.task import ReachTask
@@ -92,7 +92,7 @@ class TrainingResult:
 
 
 Trainer = Callable[[Arm, Twin | None, Path, Progress], TrainingResult]
-"""Trains a policy for an arm on its twin and leaves `rejoint.training.outputs.Outputs` in a folder."""
+"""Trains a policy for an arm on its twin and leaves `rejoint.logs.runfolder.outputs.Outputs` in a folder."""
 
 
 def train(

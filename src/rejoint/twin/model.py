@@ -1,6 +1,6 @@
 """From an arm to a MuJoCo model: a serial chain whose joints are driven by position servos.
 
-This is the twin's physics. It never imports `rejoint.lab.plant` and shares no code with it, for the
+This is the twin's physics. It never imports `rejoint.robots.lab.plant` and shares no code with it, for the
 reason given in `rejoint.twin.parameters`.
 
 Per joint: torque = clip(stiffness (command + offset - q), +-limit) - damping qdot - dry friction.

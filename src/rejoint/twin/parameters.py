@@ -1,6 +1,6 @@
 """What a twin is described by: its parameters, their units, and what is believed before any data.
 
-The twin stands for what one can know of an arm; the simulated worn arm in `rejoint.lab.plant` stands for
+The twin stands for what one can know of an arm; the simulated worn arm in `rejoint.robots.lab.plant` stands for
 reality. The two never import one another and share no physics code: a twin that shared the
 plant's model would fit it perfectly and prove nothing.
 

@@ -9,7 +9,7 @@ from onnx import TensorProto, helper, numpy_helper
 from rejoint.control.contract import DIGEST_KEY, INPUT, METADATA_KEY, OUTPUT, encode_contract, probe_observations
 from rejoint.control.observation import layout_slots
 from rejoint.control.onnxfile import content_digest
-from rejoint.lab.plant.wear import load_wear
+from rejoint.robots.lab.plant.wear import load_wear
 from rejoint.training.presets import DEFAULT
 from rejoint.training.train import TrainingOptions, policy_contract, train
 from rejoint.twin.parameters import nominal_parameters, prior

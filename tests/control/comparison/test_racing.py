@@ -22,10 +22,10 @@ from rejoint.control.comparison.targets import draw_targets
 from rejoint.control.default import DefaultController
 from rejoint.control.integrator import IntegratorController
 from rejoint.control.loop import Schedule, run
+from rejoint.logs.runfolder.effort import read_effort
 from rejoint.logs.runlog import write_log
-from rejoint.runs.effort import read_effort
+from rejoint.pages.report.tables import comparison_table, comparison_view
 from rejoint.runs.openloop import trials
-from rejoint.runs.report.tables import comparison_table, comparison_view
 from rejoint.runs.run import Run
 from rejoint.system.errors import InputError, NoReplyError
 from rejoint.system.files import read_json, write_json

@@ -20,8 +20,8 @@ from rejoint.control.moving.servos import Moment, Servos, command_for
 from rejoint.control.moving.standard import standard_path
 from rejoint.control.moving.tracker import Tracker
 from rejoint.control.robot import JointState
-from rejoint.lab.plant.wear import load_wear
 from rejoint.robots.emulated import EmulatedRobot
+from rejoint.robots.lab.plant.wear import load_wear
 from rejoint.system.errors import InputError
 
 ARM = mycobot280()

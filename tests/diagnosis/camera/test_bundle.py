@@ -11,7 +11,7 @@ from rejoint.diagnosis.calibration.camera.adjustment import Tip, difference
 from rejoint.diagnosis.calibration.camera.bundle import bundle
 from rejoint.diagnosis.calibration.camera.choosing import choose_postures
 from rejoint.diagnosis.calibration.fit import fit
-from rejoint.lab.camera.scene import LENS, beside
+from rejoint.robots.lab.camera.scene import LENS, beside
 from rejoint.system.errors import InputError
 
 SIZE = (LENS.width, LENS.height)

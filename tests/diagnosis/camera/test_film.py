@@ -16,7 +16,7 @@ from rejoint.diagnosis.calibration.camera.film import Film, Shot
 from rejoint.diagnosis.calibration.camera.filmfile import POSTURES, read_film, read_folder, write_film, write_postures
 from rejoint.diagnosis.calibration.camera.filming import believed_rig
 from rejoint.diagnosis.calibration.camera.fit import fit_film
-from rejoint.lab.camera.scene import LENS
+from rejoint.robots.lab.camera.scene import LENS
 from rejoint.system.errors import ContractError, FileError, InputError
 
 SIZE = (LENS.width, LENS.height)

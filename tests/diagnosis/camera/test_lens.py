@@ -8,7 +8,7 @@ from rejoint.arms.camera.board import ON_TOOL
 from rejoint.arms.camera.lens import TERMS, Lens, projected
 from rejoint.arms.camera.poses import inverse, moved, rotation_vector, turned, turning
 from rejoint.arms.camera.sighting import focal_length, homography, place, turn_between
-from rejoint.lab.camera.scene import LENS
+from rejoint.robots.lab.camera.scene import LENS
 from rejoint.system.errors import InputError
 
 STRONG = LENS.with_numbers(np.array([1400, 950, 545, -0.2, 0.05, 1e-3, -5e-4]))

@@ -17,9 +17,9 @@ from rejoint.arms.camera.poses import turned
 from rejoint.arms.camera.sighting import place
 from rejoint.arms.camera.views import Detector, Unusable
 from rejoint.diagnosis.calibration.camera.track import ToolTracker
-from rejoint.lab.camera.rendering import Looks, render
-from rejoint.lab.camera.scene import LENS
 from rejoint.robots import livecamera
+from rejoint.robots.lab.camera.rendering import Looks, render
+from rejoint.robots.lab.camera.scene import LENS
 from rejoint.system.errors import InputError
 
 CLEAN = Looks(blur=0.5, noise=0.0)

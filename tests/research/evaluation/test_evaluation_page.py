@@ -7,7 +7,7 @@ import pytest
 from evaluation_samples import outcome
 from markupsafe import Markup
 
-from pages import Page, changed, put, rounds
+from readpage import Page, changed, put, rounds
 from rejoint.arms import mycobot280
 from rejoint.control.comparison.result import Protocol
 from rejoint.control.integrator import IntegratorController

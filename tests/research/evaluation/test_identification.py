@@ -6,12 +6,12 @@ import pytest
 from rejoint.arms import mycobot280
 from rejoint.control.comparison.result import Protocol
 from rejoint.control.guard import Reason
+from rejoint.logs.runfolder.folder import RunFolder
 from rejoint.research.evaluation import identification
 from rejoint.research.evaluation.family import ArmFamily
 from rejoint.research.evaluation.identification import COPIES, VARIANT, KnownArm, evaluate_identification, know_arm
 from rejoint.research.evaluation.outcome import Outcome
 from rejoint.research.evaluation.trials import TrialSettings
-from rejoint.runs.folder import RunFolder
 from rejoint.training.train import TrainingOptions, train
 from rejoint.twin.file import write_twin
 from rejoint.twin.parameters import nominal_parameters, pack, vector_names

@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 from sketchbook import Sketchbook
 
-from pages import put, rounds
+from readpage import put, rounds
 from rejoint.arms import mycobot280, tcp_position
 from rejoint.arms.mycobot280 import DH_TABLE, PAPER_DH_TABLE
 from rejoint.control.comparison.result import Comparison

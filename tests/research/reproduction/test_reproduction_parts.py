@@ -7,11 +7,13 @@ import numpy as np
 import pytest
 from sketchbook import Sketchbook
 
-from pages import rounds
+from readpage import rounds
 from rejoint.arms import mycobot280, tcp_position
 from rejoint.cli import main
 from rejoint.control.comparison.protocols import Crossings
 from rejoint.control.comparison.targets import draw_targets
+from rejoint.pages.report.palette import BLUE, RED
+from rejoint.pages.report.sections.training import Curves
 from rejoint.research.reproduction import gains, kinematics
 from rejoint.research.reproduction.campaign import run_experiments
 from rejoint.research.reproduction.experiment import QUICK, Bench, Number
@@ -30,8 +32,6 @@ from rejoint.research.reproduction.trainings import (
     recipe,
 )
 from rejoint.research.reproduction.wear import FIG_9
-from rejoint.runs.report.palette import BLUE, RED
-from rejoint.runs.report.sections.training import Curves
 from rejoint.system.errors import InputError, RejointError
 from rejoint.training.presets import PAPER
 from rejoint.training.ranges import PaperRanges

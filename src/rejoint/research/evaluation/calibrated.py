@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from rejoint.arms import Array
+from rejoint.pages.report.numerals import interval, number
 from rejoint.research.evaluation.calibrating import Trials, Tried
 from rejoint.research.evaluation.family import ArmFamily
-from rejoint.runs.report.numerals import interval, number
 from rejoint.system.statistics import Estimate, bootstrap_mean, clustered_share, wilson
 
 HEADERS = ("points", "true error, mm", "95 % below, mm", "expected, mm", "in the interval, %", "corrected arms, %",

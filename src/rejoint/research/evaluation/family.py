@@ -1,7 +1,7 @@
 """Arms that nobody has met: a hundred worn ones, and the same under conditions that make control hard.
 
 Arm i of family s is the wear profile's neighbour ``?seed=`` `FAMILY_SIZE` (s + 1) + i, every parameter of every
-joint within +-30 % (`rejoint.lab.plant.wear.draw_wear`). Family 0 is the one that is reported; what is
+joint within +-30 % (`rejoint.robots.lab.plant.wear.draw_wear`). Family 0 is the one that is reported; what is
 chosen (recipes, gains) is chosen on others.
 """
 
@@ -13,8 +13,8 @@ import numpy as np
 
 from rejoint.arms import Arm, Array
 from rejoint.control.comparison.targets import draw_targets
-from rejoint.lab.plant.wear import Wear, load_wear
 from rejoint.robots.emulated import EmulatedRobot
+from rejoint.robots.lab.plant.wear import Wear, load_wear
 from rejoint.system.errors import InputError
 
 Interval = tuple[float, float]

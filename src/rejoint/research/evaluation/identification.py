@@ -17,7 +17,7 @@ from rejoint.control.comparison.targets import draw_targets
 from rejoint.control.controller import Controller
 from rejoint.control.feedforward import FeedforwardController
 from rejoint.control.policy import load_policy
-from rejoint.lab.plant.wear import load_wear
+from rejoint.logs.runfolder.folder import RunFolder
 from rejoint.research.evaluation.contestants import Contestant, classical, learned, planned
 from rejoint.research.evaluation.evaluate import conclude
 from rejoint.research.evaluation.family import find_variant
@@ -25,7 +25,7 @@ from rejoint.research.evaluation.outcome import Outcome
 from rejoint.research.evaluation.result import Evaluation
 from rejoint.research.evaluation.trials import TrialArms, TrialSettings, try_on
 from rejoint.robots.emulated import EmulatedRobot
-from rejoint.runs.folder import RunFolder
+from rejoint.robots.lab.plant.wear import load_wear
 from rejoint.system.progress import Progress, part
 from rejoint.twin.twin import Twin
 

@@ -25,11 +25,11 @@ from rejoint.control.moving.servos import Servos
 from rejoint.control.moving.standard import STANDARD, standard_path
 from rejoint.control.moving.tracker import Tracker
 from rejoint.control.recording import Recording
-from rejoint.lab.plant.wear import Wear, load_wear
+from rejoint.logs.runfolder.folder import RunFolder
 from rejoint.research.evaluation.family import ArmFamily
 from rejoint.research.evaluation.identification import identify_arm
 from rejoint.robots.emulated import EmulatedRobot
-from rejoint.runs.folder import RunFolder
+from rejoint.robots.lab.plant.wear import Wear, load_wear
 from rejoint.system.files import read_json, write_json
 from rejoint.system.progress import Progress, part
 

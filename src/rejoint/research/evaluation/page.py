@@ -9,16 +9,16 @@ from pathlib import Path
 import numpy as np
 
 from rejoint.arms import Array
+from rejoint.pages.report.embed import inline_svg
+from rejoint.pages.report.figures import HALF, canvas
+from rejoint.pages.report.page import render
+from rejoint.pages.report.palette import LOOKS
+from rejoint.pages.report.view import Cell, Page, Part, Picture, Row, Section, Table
 from rejoint.research.evaluation.family import FAMILY_SIZE
 from rejoint.research.evaluation.outcome import Outcome
 from rejoint.research.evaluation.paired import NEVER_RATIO
 from rejoint.research.evaluation.result import Evaluation
 from rejoint.research.evaluation.tables import HEADERS, pair_cells, pair_headers, row_cells
-from rejoint.runs.report.embed import inline_svg
-from rejoint.runs.report.figures import HALF, canvas
-from rejoint.runs.report.page import render
-from rejoint.runs.report.palette import LOOKS
-from rejoint.runs.report.view import Cell, Page, Part, Picture, Row, Section, Table
 from rejoint.system.files import write_whole
 from rejoint.system.statistics import Estimate
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from rejoint.pages.report.numerals import NEVER, UNKNOWN, interval, number
+from rejoint.pages.report.view import Cell
 from rejoint.research.evaluation.paired import NEVER_RATIO
 from rejoint.research.evaluation.result import Evaluation, Pair, VariantRow
-from rejoint.runs.report.numerals import NEVER, UNKNOWN, interval, number
-from rejoint.runs.report.view import Cell
 from rejoint.system.statistics import Estimate
 
 MM, PERCENT = 1e3, 1e2

@@ -17,13 +17,13 @@ from rejoint.control.controller import Controller
 from rejoint.control.policy import load_policy
 from rejoint.control.robot import Robot
 from rejoint.logs.runlog import RunLog, read_log, write_log
+from rejoint.pages.report.motion import bounds, encoder_path
+from rejoint.pages.report.palette import look_of
+from rejoint.pages.report.sections.training import read_curves
 from rejoint.research.reproduction.experiment import Bench, Drawing, Experiment, Findings, Grid, Number
 from rejoint.research.reproduction.figures import Ways, ways
 from rejoint.research.reproduction.trainings import WORN
 from rejoint.robots import open_robot
-from rejoint.runs.report.motion import bounds, encoder_path
-from rejoint.runs.report.palette import look_of
-from rejoint.runs.report.sections.training import read_curves
 from rejoint.system.files import read_json, write_json
 from rejoint.system.statistics import Estimate, Labels, cluster, clustered_share
 

@@ -9,11 +9,11 @@ import numpy as np
 
 from rejoint.arms import Arm, Array
 from rejoint.control.policy import load_policy
+from rejoint.pages.report.palette import BLUE, ORANGE, RED
 from rejoint.research.reproduction.episodes import healthy_ranges, play, worn_ranges
 from rejoint.research.reproduction.experiment import Bench, Drawing, Experiment, Findings, Number
 from rejoint.research.reproduction.figures import Curve, over_training
 from rejoint.research.reproduction.trainings import HEALTHY, WORN
-from rejoint.runs.report.palette import BLUE, ORANGE, RED
 from rejoint.system.errors import FileError
 from rejoint.system.files import read_json, write_json
 from rejoint.training.presets import PAPER

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from rejoint.arms import Arm
 from rejoint.control.comparison.result import Protocol
-from rejoint.runs.folder import RunFolder
+from rejoint.logs.runfolder.folder import RunFolder
 from rejoint.system.progress import Progress, no_progress
 
 if TYPE_CHECKING:

@@ -14,8 +14,8 @@ from matplotlib.ticker import MultipleLocator
 from PIL import Image
 
 from rejoint.arms import Array
-from rejoint.runs.report.figures import FONT, REACHED_MM, WIDE, canvas, heading, style
-from rejoint.runs.report.palette import GROUND, INK, Look
+from rejoint.pages.report.figures import FONT, REACHED_MM, WIDE, canvas, heading, style
+from rejoint.pages.report.palette import GROUND, INK, Look
 from rejoint.system.files import write_whole
 
 DPI = 120

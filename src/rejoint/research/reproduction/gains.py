@@ -8,9 +8,9 @@ import numpy as np
 
 from rejoint.arms import Array, solve_position, tcp_position
 from rejoint.control.comparison.targets import draw_targets
+from rejoint.pages.report.palette import BLUE, ORANGE, RED
 from rejoint.research.reproduction.experiment import Bench, Drawing, Experiment, Findings, Grid, Number
 from rejoint.research.reproduction.figures import Ways, ways
-from rejoint.runs.report.palette import BLUE, ORANGE, RED
 from rejoint.training.ranges import PaperRanges
 from rejoint.twin.batch import TwinBatch
 

@@ -6,11 +6,11 @@ import numpy as np
 import pyarrow.parquet as pq
 
 from rejoint.control.policy import load_policy
+from rejoint.pages.report.palette import BLUE, RED
 from rejoint.research.reproduction.episodes import Episodes, play, worn_ranges
 from rejoint.research.reproduction.experiment import Bench, Drawing, Experiment, Findings, Number
 from rejoint.research.reproduction.figures import Ways, ways
 from rejoint.research.reproduction.trainings import WORN
-from rejoint.runs.report.palette import BLUE, RED
 
 DRAWN = 12
 """paths on the figure (chosen: more hide one another)"""

@@ -12,10 +12,10 @@ from rejoint.control.comparison.targets import draw_targets
 from rejoint.control.loop import run as drive
 from rejoint.control.observation import SUCCESS_DISTANCE, layout_size
 from rejoint.control.policy import load_policy
+from rejoint.pages.report.sections.training import Curves, read_curves
 from rejoint.research.reproduction.experiment import Bench, Experiment, Findings, Grid, Number
 from rejoint.research.reproduction.trainings import LIMITED, LITERAL, LITERALLY, NOISY, WORN, recipe
 from rejoint.robots import open_robot
-from rejoint.runs.report.sections.training import Curves, read_curves
 from rejoint.training.presets import PAPER
 
 LAST = 5

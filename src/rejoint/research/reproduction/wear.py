@@ -12,11 +12,11 @@ from rejoint.control.comparison.result import Protocol
 from rejoint.control.comparison.targets import draw_targets
 from rejoint.control.default import DefaultController
 from rejoint.control.loop import run as drive
+from rejoint.pages.report.figures import Series, error_per_target
+from rejoint.pages.report.palette import BLUE, RED
 from rejoint.research.reproduction.experiment import Bench, Drawing, Experiment, Findings, Number
 from rejoint.research.reproduction.figures import postures
 from rejoint.robots import open_robot
-from rejoint.runs.report.figures import Series, error_per_target
-from rejoint.runs.report.palette import BLUE, RED
 from rejoint.system.statistics import cluster, spread
 
 DWELL = 5.0

@@ -8,13 +8,13 @@ import numpy as np
 
 from rejoint.arms import Array
 from rejoint.control.servogains import ServoGains
-from rejoint.lab.plant.stsplant import StsPlant
 from rejoint.robots.feetech.gains import FIRST, LIMIT, REGISTERS, SIZE, Gains, for_all
 from rejoint.robots.feetech.law import FULL
 from rejoint.robots.feetech.tuning import LOAD, Tuning
+from rejoint.robots.lab.plant.stsplant import StsPlant
 
 _FIELDS = {address: "integral_limit" if name == LIMIT else name for name, address in REGISTERS.items()}
-"""Fields of `rejoint.lab.plant.sts3215.SETTING` that the registers of gains are"""
+"""Fields of `rejoint.robots.lab.plant.sts3215.SETTING` that the registers of gains are"""
 
 
 class EmulatedServos:

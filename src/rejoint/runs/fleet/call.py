@@ -8,12 +8,12 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TypeAlias
 
+from rejoint.logs.runfolder.folder import RunFolder, locked
 from rejoint.runs.fleet.campaign import Campaign, Verb, state_folder
 from rejoint.runs.fleet.drive import Event, Executor, Rules, drive
 from rejoint.runs.fleet.file import Fleet, FleetArm
 from rejoint.runs.fleet.result import FleetResult, rows_of
 from rejoint.runs.fleet.work import RepairOptions
-from rejoint.runs.folder import RunFolder, locked
 from rejoint.system.extras import require
 
 MakeExecutor: TypeAlias = Callable[[Sequence[FleetArm]], AbstractContextManager[Executor]]

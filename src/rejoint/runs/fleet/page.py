@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from rejoint.pages.report.page import render
+from rejoint.pages.report.view import Cell, Page, Part, Row, Section, Table
 from rejoint.runs.fleet.result import HEADERS, FleetResult, FleetRow
-from rejoint.runs.report.page import render
-from rejoint.runs.report.view import Cell, Page, Part, Row, Section, Table
 from rejoint.system.files import write_whole
 
 TITLES = {"check": "Arms checked", "repair": "Arms repaired"}

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from rejoint.logs.history.index import CHECKS
+from rejoint.logs.runfolder.folder import RunFolder
 from rejoint.runs.fleet.campaign import Campaign, Verb, error_of, is_over, needs_repair
 from rejoint.runs.fleet.drive import End, Standing
-from rejoint.runs.folder import RunFolder
 from rejoint.runs.history.table import what_to_do
 from rejoint.runs.run import Run
 from rejoint.system.errors import RejointError
@@ -96,8 +96,8 @@ def _checked(campaign: Campaign, one: Standing) -> FleetRow:
 
 
 def _repaired(campaign: Campaign, one: Standing) -> FleetRow:
-    from rejoint.runs.report.contents import read_contents
-    from rejoint.runs.report.errors import before_after
+    from rejoint.pages.report.contents import read_contents
+    from rejoint.pages.report.errors import before_after
 
     folder = campaign.run(one.arm)
     if one.end != "done":

@@ -9,9 +9,9 @@ from pathlib import Path
 from markupsafe import Markup, escape
 
 from rejoint.logs.history.rows import HistoryRow
+from rejoint.pages.report.page import render
+from rejoint.pages.report.view import Cell, Page, Part, Picture, Row, Section, Table
 from rejoint.runs.history.table import HEADERS, ArmHistory, cells
-from rejoint.runs.report.page import render
-from rejoint.runs.report.view import Cell, Page, Part, Picture, Row, Section, Table
 from rejoint.system.files import write_whole
 
 _WIDE, _HIGH, _EDGE = 320.0, 110.0, 22.0  # [px] of a figure, and of its margin (chosen: three fit side by side)

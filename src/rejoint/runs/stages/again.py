@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from rejoint.arms import Arm
+from rejoint.logs.runfolder.folder import RunFolder
+from rejoint.logs.runfolder.kept import Kept
 from rejoint.logs.runlog import RunLog, read_log
-from rejoint.runs.folder import RunFolder
-from rejoint.runs.kept import Kept
 from rejoint.runs.run import Run, is_finished
 from rejoint.system.errors import FileError
 from rejoint.system.files import read_json, write_json, write_whole

@@ -20,7 +20,6 @@ from rejoint.diagnosis.calibration.measurementfile import read_measurements, wri
 from rejoint.diagnosis.calibration.measurements import Measurements
 from rejoint.diagnosis.calibration.postures import suggest
 from rejoint.diagnosis.calibration.procedure import measure, reversals
-from rejoint.runs.effort import metered
 from rejoint.runs.given import (
     ArmLike,
     CalibrationLike,
@@ -36,6 +35,7 @@ from rejoint.runs.given import (
     opened,
     shown,
 )
+from rejoint.runs.metering import metered
 from rejoint.runs.run import Run, exclusive
 from rejoint.runs.stages.driving import guard_limits, stance_of
 from rejoint.runs.stages.filming import film_of, write_filmed

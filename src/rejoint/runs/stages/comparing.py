@@ -17,7 +17,6 @@ from rejoint.control.comparison.result import Comparison
 from rejoint.control.robot import Robot
 from rejoint.logs.runlog import RunLog, write_log
 from rejoint.robots import open_robot
-from rejoint.runs.effort import metered
 from rejoint.runs.given import (
     Live,
     Period,
@@ -27,6 +26,7 @@ from rejoint.runs.given import (
     shown,
 )
 from rejoint.runs.history.summary import summarise
+from rejoint.runs.metering import metered
 from rejoint.runs.openloop import DEFAULT, OpenLoopTrials
 from rejoint.runs.run import Run
 from rejoint.runs.stages.driving import (

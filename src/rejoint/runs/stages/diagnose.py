@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, cast
 from rejoint.arms import Arm
 from rejoint.control.robot import Robot
 from rejoint.control.servogains import gains_in_force
+from rejoint.logs.runfolder.folder import RunFolder
 from rejoint.logs.runlog import RunLog, write_log
-from rejoint.runs.effort import metered
-from rejoint.runs.folder import RunFolder
 from rejoint.runs.given import (
     FIRST_ROBOT,
     ArmLike,
@@ -31,6 +30,7 @@ from rejoint.runs.given import (
     source_of,
 )
 from rejoint.runs.history.summary import summarise
+from rejoint.runs.metering import metered
 from rejoint.runs.run import Run, exclusive, mark_quick, remove_if_empty
 from rejoint.runs.stages.driving import start_journal
 from rejoint.system.errors import InputError

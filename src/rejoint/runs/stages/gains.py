@@ -8,7 +8,6 @@ from rejoint.control.comparison.targets import draw_targets
 from rejoint.control.gainsearch import GainsFound, search
 from rejoint.control.geared import GEARED, RIVALS
 from rejoint.control.servogains import ServoGains, Tunable, gains_in_force
-from rejoint.runs.effort import metered
 from rejoint.runs.given import (
     Live,
     Period,
@@ -19,6 +18,7 @@ from rejoint.runs.given import (
     opened,
     shown,
 )
+from rejoint.runs.metering import metered
 from rejoint.runs.run import Run, exclusive
 from rejoint.runs.stages.driving import guard_limits, recommended
 from rejoint.system.errors import FileError, InputError

@@ -10,8 +10,8 @@ from rejoint.arms import Arm
 from rejoint.diagnosis.segments import is_excitation
 from rejoint.logs.bare import require_commands
 from rejoint.logs.doubts import forced_remarks
+from rejoint.logs.runfolder.folder import LOGS
 from rejoint.logs.runlog import RunLog, read_log
-from rejoint.runs.folder import LOGS
 from rejoint.runs.given import ArmLike, LogsLike, RunLike, as_logs, as_run, run_of_logs
 from rejoint.runs.run import Run, exclusive, mark_quick
 from rejoint.system.errors import FileError, InputError

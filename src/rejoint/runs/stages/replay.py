@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 
 from rejoint.arms import Array, load_arm
 from rejoint.logs.bare import states_alone
+from rejoint.logs.runfolder.folder import RunFolder, locked
 from rejoint.logs.runlog import RunLog
-from rejoint.runs.folder import RunFolder, locked
 from rejoint.runs.given import ArmLike, LogsLike, TwinLike, as_arm, as_logs, as_twin
 
 if TYPE_CHECKING:
@@ -101,7 +101,7 @@ def replay(
 
 
 def _write(out: Path, judgement: Judgement, twin: TwinLike, logs: LogsLike) -> Path:
-    from rejoint.runs.report.replay import write_replay
+    from rejoint.pages.report.replay import write_replay
 
     named = [str(given) if isinstance(given, Path | str) else "memory" for given in (twin, logs)]
     return write_replay(out, judgement, twin=named[0], logs=named[1])

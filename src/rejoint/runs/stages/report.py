@@ -31,7 +31,7 @@ def report(run: RunLike) -> Path:
     >>> page = rejoint.report("runs/mine")
     >>> webbrowser.open(page.resolve().as_uri())
     """
-    from rejoint.runs.report.page import write_report
+    from rejoint.pages.report.page import write_report
 
     found = as_run(run)
     with exclusive(found):

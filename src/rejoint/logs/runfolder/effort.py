@@ -1,0 +1,78 @@
+"""What each stage of a repair cost: minutes of the arm's time, how far its joints travelled, how long one waited."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rejoint.logs.runfolder.folder import RunFolder
+from rejoint.system.errors import FileError
+from rejoint.system.files import read_json, write_json
+
+
+@dataclass(frozen=True, kw_only=True)
+class StageCost:
+    """What one stage cost, all its attempts together."""
+
+    name: str
+    wall: float = 0.0
+    """[s] from its beginning to its end by this computer's clock; 0 where nobody looked"""
+    moving: float = 0.0
+    """[s] of the arm's own time from the first command to the last"""
+    travel: float = 0.0
+    """[rad] that its joints turned meanwhile, all of them together, back and forth"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Effort:
+    """What the stages of a run cost, in the order in which they began."""
+
+    stages: tuple[StageCost, ...] = ()
+
+    @property
+    def wall(self) -> float:
+        """[s] of all stages together."""
+        return sum(stage.wall for stage in self.stages)
+
+    @property
+    def moving(self) -> float:
+        """[s] of all stages together."""
+        return sum(stage.moving for stage in self.stages)
+
+    @property
+    def travel(self) -> float:
+        """[rad] of all stages together."""
+        return sum(stage.travel for stage in self.stages)
+
+
+def cost(one: StageCost | Effort) -> str:
+    """Say it in words: ``3.4 min; 3.3 min of the arm's time with 23.9 turns of its joints``."""
+    time = f"{one.wall / 60:.1f} min"
+    if not one.moving:
+        return time
+    turns = f"{one.travel / (2 * np.pi):.1f} turns of its joints"
+    return f"{f'{time}; ' if one.wall else ''}{one.moving / 60:.1f} min of the arm's time with {turns}"
+
+
+def add(folder: RunFolder, cost: StageCost) -> None:
+    """Add what a stage cost to the file of the run, if it is there: no stage fails for this."""
+    if not folder.info.exists():
+        return
+    with suppress(FileError):
+        _add(folder, cost)
+
+
+def _add(folder: RunFolder, cost: StageCost) -> None:
+    stages = {stage.name: stage for stage in (read_effort(folder) or Effort()).stages}
+    sofar = stages.get(cost.name, StageCost(name=cost.name))
+    stages[cost.name] = replace(
+        sofar, wall=sofar.wall + cost.wall, moving=sofar.moving + cost.moving, travel=sofar.travel + cost.travel
+    )
+    write_json(folder.effort, Effort(stages=tuple(stages.values())))
+
+
+def read_effort(folder: RunFolder) -> Effort | None:
+    """Return what the stages of a run cost; None where nobody counted."""
+    return read_json(folder.effort, Effort) if folder.effort.exists() else None

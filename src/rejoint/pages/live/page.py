@@ -1,0 +1,221 @@
+"""The page itself, made by viser: a scene and a panel. The only module that knows it.
+
+Nothing here is called by the control loop: a thread (`rejoint.pages.live.view`) is the one caller.
+"""
+
+from __future__ import annotations
+
+import logging
+import socket
+from collections.abc import Callable
+from contextlib import AbstractContextManager, redirect_stdout
+
+import numpy as np
+import viser
+from viser import uplot
+
+from rejoint.arms import Arm, Array
+from rejoint.arms.workspace import reach
+from rejoint.pages.live.skeleton import GHOST, LINKS, TARGET, TRAIL, TRUE, Colour, Skeleton, capsule, cell_of, css
+from rejoint.system.errors import InputError
+
+GHOST_OPACITY = 0.4
+GHOST_SHARE = 0.9
+"""of the arm's thickness: where both agree, the arm is what one sees (chosen)"""
+PACES = {"real time": 1.0, "3 times as fast": 3.0, "10 times as fast": 10.0, "as fast as it goes": np.inf}
+"""at which an arm of virtual time can be watched"""
+
+
+class WebPage:
+    """One page that any number of browsers may look at."""
+
+    def __init__(self, host: str, port: int, on_hold: Callable[[], object], on_pace: Callable[[float], object]) -> None:
+        """Serve it; InputError where the port is taken or the host is none of this computer."""
+        port = _free(host, port)
+        for name in ("viser", "websockets"):  # browsers drop connections that they opened ahead: worth no traceback
+            logging.getLogger(name).setLevel(logging.CRITICAL)
+        with redirect_stdout(None):  # where results go
+            self._server = viser.ViserServer(host=host, port=port, label="rejoint", verbose=False)
+        if self._server.get_port() != port:  # somebody was quicker
+            self._server.stop()
+            raise InputError(_taken(host, port, "taken meanwhile"))
+        self.address = f"http://{host}:{port}"
+        gui, scene = self._server.gui, self._server.scene
+        gui.configure_theme(
+            control_layout="collapsible", control_width="large", show_logo=False, show_share_button=False
+        )
+        gui.set_panel_label("rejoint live")
+        scene.set_up_direction("+z")
+        scene.configure_environment_map(None)
+        scene.configure_default_lights(enabled=True, cast_shadow=True)
+        scene.add_light_ambient("/light", intensity=0.8)
+        self._parts: list[viser.SceneNodeHandle] = []
+        self._arm: list[viser.FrameHandle] = []
+        self._ghost: list[viser.FrameHandle] = []
+        self._build_panel(on_hold, on_pace)
+
+    def _build_panel(self, on_hold: Callable[[], object], on_pace: Callable[[float], object]) -> None:
+        gui = self._server.gui
+        self._head = gui.add_html("")
+        self._bar = gui.add_progress_bar(0.0, color="teal")
+        self._hold = gui.add_button("Hold the arm", color="red", hint="It stops and keeps its position, powered.")
+        self._pace = gui.add_dropdown("Emulated arm", list(PACES), initial_value="real time", visible=False)
+        self._error = gui.add_html("")
+        self._plot = gui.add_uplot(
+            tuple(np.array([row, row + 1.0]) for row in range(4)),
+            series=(
+                uplot.Series(label="s"),
+                uplot.Series(label="encoders", stroke=css(TRAIL), width=2),
+                uplot.Series(label="tool itself", stroke=css(TRUE), width=1.5),
+                uplot.Series(label="accepted", stroke=css(TARGET), width=1.5, dash=(8, 4)),
+            ),
+            scales={"x": uplot.Scale(time=False, auto=True), "y": uplot.Scale(distr=3, auto=True)},
+            axes=(uplot.Axis(), uplot.Axis(label="error in mm")),
+            legend=uplot.Legend(show=False),
+            aspect=2.2,
+            padding=(12, 12, 0, 0),
+            visible=False,
+        )
+        self._guard = gui.add_html("")
+        self._joints = gui.add_html("")
+        self._legend = gui.add_html("")
+
+        @self._hold.on_click
+        def _(_: object) -> None:
+            on_hold()
+
+        @self._pace.on_update
+        def _(_: object) -> None:
+            on_pace(PACES[str(self._pace.value)])
+
+    @property
+    def watched(self) -> bool:
+        """Whether anybody looks at the page."""
+        return bool(self._server.get_clients())
+
+    def atomic(self) -> AbstractContextManager[None]:
+        """Let what is changed inside arrive at once."""
+        return self._server.atomic()
+
+    def show(self, arm: Arm, *, within: float, paced: bool) -> None:
+        """Draw an arm in place of what is drawn; it is the same with a ``within`` [m] at which targets count."""
+        scene, size, skeleton = self._server.scene, reach(arm), Skeleton.of(arm)
+        for part in self._parts:
+            part.remove()
+        middle = 0.5 * (arm.targets.lower + arm.targets.upper)
+        look = np.array([0.45 * middle[0], 0.45 * middle[1], 0.28 * size])
+        side = np.arctan2(middle[1], middle[0]) - np.radians(52.0)
+        camera = self._server.initial_camera
+        camera.fov = np.radians(45.0)
+        camera.up = (0.0, 0.0, 1.0)
+        camera.look_at = look
+        camera.position = look + size * np.array([1.25 * np.cos(side), 1.25 * np.sin(side), 0.55])
+        cell = cell_of(size)
+        grid = scene.add_grid(
+            "/ground", width=np.ceil(2.4 * size / cell) * cell, height=np.ceil(2.4 * size / cell) * cell,
+            cell_size=cell, section_size=2 * cell, cell_color=(225, 228, 232), section_color=(200, 205, 212),
+            shadow_opacity=0.2,
+        )  # fmt: skip
+        self._arm, one = self._limbs("/arm", skeleton, LINKS, 1.0, None)
+        self._ghost, two = self._limbs("/ghost", skeleton, (GHOST, GHOST), GHOST_SHARE, GHOST_OPACITY)
+        self._target = scene.add_icosphere("/target", 0.0025 * max(size, 0.3) / 0.3, TARGET, visible=False)
+        self._near = scene.add_icosphere("/target/within", within, TARGET, opacity=0.25, cast_shadow=False)
+        self._label = scene.add_label("/target/label", "", position=(0.0, 0.0, within + 0.015), anchor="bottom-center")
+        self._true = scene.add_icosphere("/true", 0.003 * max(size, 0.3) / 0.3, TRUE, visible=False)
+        nowhere = np.zeros((1, 2, 3), dtype=np.float32)
+        self._trail = scene.add_line_segments("/trail", nowhere, TRAIL, thickness=3.0, thickness_units="screen")
+        self._way = scene.add_line_segments("/way", nowhere, TARGET, thickness=2.0, thickness_units="screen")
+        self._parts = [grid, *one, *two, self._target, self._true, self._trail, self._way]
+        self._pace.visible = paced
+
+    def _limbs(
+        self, root: str, skeleton: Skeleton, colours: tuple[Colour, Colour], share: float, opacity: float | None
+    ) -> tuple[list[viser.FrameHandle], list[viser.SceneNodeHandle]]:
+        """Nest the joint frames in one another, a capsule in each; return the frames of the joints, and the root."""
+        scene, path, frames = self._server.scene, root, []
+        base = scene.add_frame(root, show_axes=False)
+        if opacity is None:
+            height = 0.25 * skeleton.radius
+            scene.add_cylinder(
+                f"{root}/foot", 1.7 * skeleton.radius, height, colours[1], position=(0.0, 0.0, 0.5 * height)
+            )
+        for link in range(len(skeleton.end)):
+            if link:
+                path = f"{path}/{link}"
+                frames.append(scene.add_frame(path, show_axes=False, position=skeleton.place[link - 1]))
+            vertices, faces = capsule(*skeleton.shape(link), share)
+            scene.add_mesh_simple(
+                f"{path}/link", vertices.astype(np.float32), faces.astype(np.uint32), color=colours[link % 2],
+                opacity=opacity, cast_shadow=opacity is None, receive_shadow=opacity is None,
+            )  # fmt: skip
+        return frames, [base]
+
+    def pose(self, turns: Array, ghost: Array) -> None:
+        """Turn the joints of arm and ghost; both (n, 4), as `Skeleton.turns`."""
+        for frames, each in ((self._arm, turns), (self._ghost, ghost)):
+            for frame, turn in zip(frames, each, strict=True):
+                frame.wxyz = turn
+
+    def aim(self, target: Array, true: Array, text: str) -> None:
+        """Show ``target`` (3,) [m] with a ``text``, and the ``true`` place of the tool (3,) [m]; NaN hides either."""
+        for handle, point in ((self._target, target), (self._true, true)):
+            known = bool(np.isfinite(point).all())
+            if handle.visible != known:
+                handle.visible = known
+            if known:
+                handle.position = point
+        if self._label.text != text:
+            self._label.text = text
+
+    def trail(self, tool: Array, target: Array) -> None:
+        """Draw the ways (P, 3) [m] of the tool and of a target that moves."""
+        for handle, points in ((self._trail, tool), (self._way, target)):
+            if len(points) > 1:
+                handle.points = np.stack([points[:-1], points[1:]], axis=1).astype(np.float32)
+            handle.visible = len(points) > 1
+
+    def plot(self, time: Array, error: Array, true: Array, within: float) -> None:
+        """Draw errors (M,) [mm] over time (M,) [s], with the line of acceptance [mm]; true ones may be NaN."""
+        known = len(time) > 1  # a chart that once had no points never finds its scales again
+        if known:
+            true = np.where(np.isfinite(true), true, error)
+            self._plot.data = time, error, true, np.full(len(time), within)
+        if self._plot.visible != known:
+            self._plot.visible = known
+
+    def tell(self, *, head: str, share: float, error: str, guard: str, joints: str, legend: str) -> None:
+        """Write into the panel: HTML, and the ``share`` that is done."""
+        texts = (
+            (self._head, head), (self._error, error), (self._guard, guard), (self._joints, joints),
+            (self._legend, legend),
+        )  # fmt: skip
+        for handle, text in texts:
+            if handle.content != text:
+                handle.content = text
+        if abs(self._bar.value - 100.0 * share) > 0.05:
+            self._bar.value = 100.0 * share  # type: ignore[misc]  # declared read-only, and is not
+
+    def held(self, text: str) -> None:
+        """Let the button say that it was pressed."""
+        self._hold.label, self._hold.disabled = text, True
+
+    def close(self) -> None:
+        """Send what is left, and end."""
+        self._server.flush()
+        with redirect_stdout(None):
+            self._server.stop()
+
+
+def _free(host: str, port: int) -> int:
+    """Return the port if it is free, and any free one for 0; InputError if it is taken."""
+    with socket.socket() as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((host, port))
+        except OSError as error:
+            raise InputError(_taken(host, port, error.strerror or str(error))) from error
+        return int(probe.getsockname()[1])
+
+
+def _taken(host: str, port: int, why: str) -> str:
+    return f"--live {host}:{port}: {why}; end what listens there, or choose another port, such as --live {host}:0"

@@ -1,0 +1,13 @@
+"""A worn arm behind the myCobot wire protocol: the plant in wall-clock time, on TCP or a pseudo-terminal."""
+
+from rejoint.robots.lab.emulator.emulate import build_firmware, emulate
+from rejoint.robots.lab.emulator.faults import Faults, parse_faults
+from rejoint.robots.lab.emulator.firmware import Firmware
+from rejoint.robots.lab.emulator.servers import Server, serve_pty, serve_tcp
+from rejoint.robots.lab.emulator.session import Timing
+from rejoint.robots.lab.emulator.truthlog import TruthLog
+
+__all__ = [
+    "Faults", "Firmware", "Server", "Timing", "TruthLog", "build_firmware", "emulate", "parse_faults", "serve_pty",
+    "serve_tcp",
+]  # fmt: skip

@@ -1,0 +1,341 @@
+"""A batch of simulated worn arms: what a lab full of real ones would be.
+
+Shares no code with `rejoint.twin`, on purpose (see the package docstring). Arms do not collide with
+anything; mechanical stops end the travel of the joints.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+from mujoco.batch import Batch
+from numpy.typing import NDArray
+
+from rejoint.arms import Arm, Array, gravity_torque, tcp_pose, tcp_position
+from rejoint.arms.inertia import SpatialInertia, combined
+from rejoint.arms.kinematics import GRAVITY
+from rejoint.robots.lab.plant import servo
+from rejoint.robots.lab.plant.model import build_model
+from rejoint.robots.lab.plant.scaling import scale_of
+from rejoint.robots.lab.plant.streams import stream_keys
+from rejoint.robots.lab.plant.wear import PARAMETERS, Wear
+from rejoint.system.errors import InputError
+
+Mask = NDArray[np.bool_]
+Ids = NDArray[np.int64]
+
+_NO_LOAD = 1e-6
+"""[N m] gravity torque below which a link rests in the middle of its play instead of at a flank."""
+
+ARMS_PER_THREAD = 24
+"""Fewer are not worth waking another thread for at every step (chosen: the thread that waits needs twice the processor
+time of one that steps 6 arms itself, and three quarters of it for 60)"""
+
+
+class Plant:
+    """B simulated arms with clocks of their own, one per wear, each in millisecond steps.
+
+    Arm i draws its noise from the stream ``first + i`` of ``seed``, so it behaves bit for bit as it
+    would alone, ``Plant(arm, [wears[i]], seed=seed, first=first + i)``, at any number of threads.
+    """
+
+    def __init__(
+        self,
+        arm: Arm,
+        wears: Sequence[Wear],
+        *,
+        seed: int,
+        threads: int = 1,
+        first: int = 0,
+        payload: Array | float = 0.0,
+        bodies: Sequence[Arm] | None = None,
+        gravity: Array = GRAVITY,
+    ) -> None:
+        """Put the arms at rest; ``payload`` is a number or (B,) [kg], a point mass held at the TCP.
+
+        ``bodies`` are the arms (B) as they really are, where ``arm`` only describes them; ``gravity`` (3,) [m/s^2] in
+        the frame of the base is another one where that stands askew.
+        """
+        if not wears:
+            raise InputError("a plant needs at least one wear profile, got none")
+        self.arm = arm
+        self.count = len(wears)
+        self._pull = np.asarray(gravity, dtype=float)
+        self._carried = _loaded(arm, np.broadcast_to(np.asarray(payload, dtype=float), self.count), bodies)
+        self._bent = () if bodies is None else tuple(range(self.count))
+        self.joints = np.array([joint_records(arm, wear) for wear in wears])
+        """(B, n) what the joints are made of, as `servo.JOINT`"""
+        self.servos = np.zeros((self.count, arm.joints), servo.STATE)
+        """(B, n) how the servos stand, as `servo.STATE`"""
+        self._tick = np.zeros(self.count, np.int64)
+        self._key = stream_keys(seed, self.count, first=first)
+        self._due = np.full((self.count, servo.QUEUE), servo.NEVER)
+        self._queue = np.zeros((self.count, servo.QUEUE, arm.joints))
+        self._history = np.zeros((self.count, servo.HISTORY, arm.joints))
+        worth = max(1, min(threads, self.count // ARMS_PER_THREAD))
+        self.batch = Batch(build_model(arm, self._pull), self.count, worth)
+        """the bodies in MuJoCo"""
+        armature = self.batch.expand("dof_armature")
+        armature[:, 0::2] = self.joints["reflected_inertia"]
+        armature[:, 1::2] = servo.gear_armature(self.joints["link_stiffness"])
+        self._load_tools()
+        self.qpos, self.qvel = self.batch.bind("qpos"), self.batch.bind("qvel")
+        """(B, 2 n) [rad] and [rad/s]: by turns the angle of a servo's output and that of the gear behind it"""
+        self._applied = self.batch.bind("qfrc_applied")
+        self.servos["speed_limit"] = servo.ramp_speed(arm.max_speed)
+        self.servos["temperature"] = self.joints["ambient"]
+        self.reset(np.tile(arm.rest, (self.count, 1)))
+
+    @property
+    def time(self) -> Array:
+        """(B,) [s] on the arms' own clocks."""
+        return np.asarray(self._tick * servo.STEP)
+
+    @property
+    def speed(self) -> Array:
+        """(B, n) [rad/s] of the servo outputs."""
+        return self.qvel[:, 0::2].copy()
+
+    @property
+    def torque(self) -> Array:
+        """(B, n) [N m] of the motors in the last step."""
+        return self.servos["torque"].copy()
+
+    @property
+    def load(self) -> Array:
+        """(B, n) what the servos tell of their torque: a share of their limit, smoothed over 10 ms."""
+        return self.servos["load"].copy()
+
+    @property
+    def torque_limit(self) -> Array:
+        """(B, n) [N m] of the motors at standstill."""
+        return self.joints["torque_limit"].copy()
+
+    @property
+    def temperature(self) -> Array:
+        """(B, n) [deg C] of the servos."""
+        return self.servos["temperature"].copy()
+
+    @property
+    def power(self) -> Mask:
+        """(B,) whether the servos are powered."""
+        return np.asarray(self.servos["powered"].all(axis=1))
+
+    @property
+    def goal(self) -> Array:
+        """(B, n) [rad] the command that the firmware follows."""
+        return self.servos["goal"].copy()
+
+    def link_position(self) -> Array:
+        """(B, n) [rad] angles of the links themselves, behind play and flex."""
+        return self.qpos[:, 0::2] + self.qpos[:, 1::2]
+
+    def true_tcp(self) -> Array:
+        """(B, 3) [m] where the tools really are."""
+        links = self.link_position()
+        tcp = tcp_position(self.arm, links)
+        for i in self._bent:
+            tcp[i] = tcp_position(self._carried[i], links[i])
+        return tcp
+
+    def true_pose(self) -> Array:
+        """(B, 4, 4) poses of the tools as they really are."""
+        links = self.link_position()
+        pose = tcp_pose(self.arm, links)
+        for i in self._bent:
+            pose[i] = tcp_pose(self._carried[i], links[i])
+        return pose
+
+    def encoder(self, age: Array | float | None = None) -> Array:
+        """(B, n) [rad] what the encoders said ``age`` (B,) [s] ago, now if None."""
+        steps = np.rint(np.broadcast_to(0.0 if age is None else age, self.count) / servo.STEP).astype(np.int64)
+        if (steps < 0).any() or (steps >= servo.HISTORY).any():
+            raise InputError(f"encoder age must be within 0 and {(servo.HISTORY - 1) * servo.STEP} s, got {age}")
+        return self._history[np.arange(self.count), (self._tick - steps) % servo.HISTORY]
+
+    def reset(self, position: Array, where: Mask | None = None) -> None:
+        """Put the arms where their encoders read ``position`` (B, n) [rad], at rest, in balance, held there.
+
+        The firmware's reference leads by what its gain needs against gravity and its offset, so nothing moves until
+        a command arrives. Clocks and temperatures go on; commands on their way are dropped, encoders are whole again.
+        """
+        position = self._checked(position)
+        angle, gear, load = self._balance(position)
+        ids = self._selected(where)
+        self.qpos[ids, 0::2], self.qpos[ids, 1::2] = angle[ids], gear[ids]
+        self.qvel[ids], self._applied[ids] = 0.0, 0.0
+        torque = np.clip(load, -self.joints["torque_limit"], self.joints["torque_limit"])
+        step = self.arm.encoder_step
+        fresh: dict[str, Array | float] = {
+            "measured": np.rint(position / step) * step,
+            "measured_speed": 0.0,
+            "bristle": 0.0,
+            "torque": torque,
+            "load": torque / self.joints["torque_limit"],
+        }
+        for name, value in fresh.items():
+            self.servos[name][ids] = np.broadcast_to(value, position.shape)[ids]
+        self.servos["powered"][ids] = True
+        self.servos["frozen"][ids] = self.servos["blind"][ids] = False
+        self._history[ids] = self.servos["measured"][ids][:, None]
+        self._hold(ids, self._held(position, torque))
+
+    def command(self, position: Array, delay: Array | float | None = None, where: Mask | None = None) -> None:
+        """Send ``position`` (B, n) [rad]; it reaches the firmware after ``delay`` (B,) [s], never earlier."""
+        position = self._checked(position)
+        wait = np.broadcast_to(0.0 if delay is None else delay, self.count)
+        if not (np.isfinite(wait).all() and (wait >= 0).all()):
+            raise InputError(f"a command needs a delay of at least 0 s, got {delay}")
+        due = self._tick + np.ceil(wait / servo.STEP - 1e-9).astype(np.int64)
+        for i in self._selected(where):
+            slot = int(np.argmax(self._due[i]))
+            if self._due[i, slot] != servo.NEVER:
+                raise InputError(f"arm {i}: more than {servo.QUEUE} commands on their way")
+            self._due[i, slot], self._queue[i, slot] = due[i], position[i]
+
+    def advance(self, duration: Array | float, where: Mask | None = None) -> None:
+        """Let ``duration`` (B,) [s] pass, rounded to whole milliseconds per arm."""
+        wanted = np.broadcast_to(duration, self.count)
+        if not (np.isfinite(wanted).all() and (wanted >= 0).all()):
+            raise InputError(f"an arm advances by at least 0 s, got {duration}")
+        steps = np.zeros(self.count, np.int64)
+        chosen = self._selected(where)
+        steps[chosen] = np.rint(wanted[chosen] / servo.STEP).astype(np.int64)
+        done = 0
+        for until in np.unique(steps[steps > 0]):  # arms with longer durations go on without the others
+            self._run(np.flatnonzero(steps >= until), int(until) - done)
+            done = int(until)
+
+    def set_power(self, on: Mask) -> None:
+        """Switch the servos of each arm (B,). Off: limp, only friction remains. On: hold where it is."""
+        rising = np.flatnonzero(on & ~self.power)
+        self.servos["powered"] = np.asarray(on)[:, None]
+        self._hold(rising, self.encoder())
+
+    def halt(self, where: Mask | None = None) -> None:
+        """Freeze the firmware's reference where its ramp is now and drop commands on their way."""
+        self._hold(self._selected(where), self.servos["reference"])
+
+    def freeze(self, joints: Mask) -> None:
+        """From now on the encoders of ``joints`` (B, n) tell what they tell now; their servos still see."""
+        self.servos["frozen"] |= joints
+
+    def blind(self, joints: Mask) -> None:
+        """From now on the servos of ``joints`` (B, n) see what they see now: they run away once they are moved."""
+        self.servos["blind"] |= joints
+
+    def set_speed_limit(self, speed: Array | float) -> None:
+        """Limit the speed of the reference: (B,), (B, n) or a number, [rad/s], above 0."""
+        speed = np.asarray(speed, dtype=float)
+        if not (np.isfinite(speed).all() and (speed > 0).all()):
+            raise InputError(f"a speed limit must be above 0 rad/s, got {speed.tolist()}")
+        self.servos["speed_limit"] = speed[:, None] if speed.ndim == 1 else speed
+
+    def _hold(self, ids: Ids, position: Array) -> None:
+        self._due[ids] = servo.NEVER
+        self.servos["goal"][ids] = self.servos["reference"][ids] = position[ids]
+
+    def _held(self, position: Array, torque: Array) -> Array:
+        """Command (B, n) [rad] at which the servos give ``torque`` (B, n) [N m] where they read ``position``."""
+        return np.asarray(position + torque / self.joints["position_gain"] - self.joints["offset"])
+
+    def _run(self, ids: Ids, steps: int) -> None:
+        stepped = None if len(ids) == self.count else ids
+        for _ in range(steps):
+            servo.drive(
+                ids, self._tick, self._key, self.joints, self.servos, self._due, self._queue,
+                self.qpos, self.qvel, self._applied,
+            )  # fmt: skip
+            self.batch.step(stepped)
+            servo.record(ids, self._tick, self.joints, self.servos, self.qpos, self._history)
+
+    def _balance(self, position: Array) -> tuple[Array, Array, Array]:
+        """Servo angles, gear angles and motor torques (B, n) of arms at rest whose encoders read ``position``."""
+        joints, seen = self.joints, np.zeros_like(position)
+        load = self._gravity(position)
+        for _ in range(5):  # the gear turns the links by a degree or two, which hardly changes the load
+            flank = np.where(np.abs(load) > _NO_LOAD, -0.5 * joints["play"] * np.sign(load), 0.0)
+            gear = flank - load / joints["link_stiffness"]
+            seen = np.where(joints["play_in_loop"], flank, 0.0)
+            load = self._gravity(position - seen + gear)
+        return position - seen, gear, load
+
+    def _gravity(self, position: Array) -> Array:
+        load = gravity_torque(self.arm, position, self._pull)
+        for i, arm in self._carried.items():
+            load[i] = gravity_torque(arm, position[i], self._pull)
+        return load
+
+    def _load_tools(self) -> None:
+        """Give the bodies of the arms in `_carried` their own masses, and places where they have some."""
+        if not self._carried:
+            return
+        mass, com = self.batch.expand("body_mass"), self.batch.expand("body_ipos")
+        inertia, turn = self.batch.expand("body_inertia"), self.batch.expand("body_iquat")
+        for i, arm in self._carried.items():
+            for link in range(0 if self._bent else self.arm.joints - 1, self.arm.joints):
+                body = link + 1  # after the world
+                moments, axes = np.linalg.eigh(arm.inertia[link])
+                axes[:, 0] *= np.sign(np.linalg.det(axes))
+                mass[i, body], com[i, body], inertia[i, body] = arm.mass[link], arm.com[link], moments
+                mujoco.mju_mat2Quat(turn[i, body], axes.flatten())
+        if self._bent:
+            place, angle = self.batch.expand("body_pos"), self.batch.expand("body_quat")
+            for i in self._bent:
+                for link, offset in enumerate(self._carried[i].offset):
+                    place[i, link + 1] = offset[:3, 3]
+                    mujoco.mju_mat2Quat(angle[i, link + 1], offset[:3, :3].flatten())
+        self.batch.set_const(np.array(list(self._carried), dtype=np.int32))  # the masses of whole branches
+
+    def _selected(self, where: Mask | None) -> Ids:
+        return np.arange(self.count) if where is None else np.flatnonzero(where)
+
+    def _checked(self, position: Array) -> Array:
+        position = np.asarray(position, dtype=float)
+        if position.shape != (self.count, self.arm.joints) or not np.isfinite(position).all():
+            raise InputError(
+                f"expected finite joint positions of shape {(self.count, self.arm.joints)} [rad], got {position!r}"
+            )
+        return position
+
+
+def _loaded(arm: Arm, payload: Array, bodies: Sequence[Arm] | None) -> dict[int, Arm]:
+    """Return the arms of a batch that differ from ``arm``: ``bodies``, and those that carry a ``payload`` (B,) [kg].
+
+    It is a point mass joined to their last link.
+    """
+    if not (np.isfinite(payload).all() and (payload >= 0).all()):
+        raise InputError(f"a payload is at least 0 kg, got {payload.tolist()}")
+    if bodies is not None and len(bodies) != len(payload):
+        raise InputError(f"a plant of {len(payload)} arms needs as many bodies, got {len(bodies)}")
+    described, carried = arm, {} if bodies is None else dict(enumerate(bodies))
+    for i in np.flatnonzero(payload > 0.0):
+        arm = carried.get(int(i), described)
+        link = SpatialInertia(mass=float(arm.mass[-1]), com=arm.com[-1], inertia=arm.inertia[-1])
+        joined = combined([link, SpatialInertia(mass=float(payload[i]), com=arm.tip[:3, 3], inertia=np.zeros((3, 3)))])
+        carried[int(i)] = replace(
+            arm,
+            mass=np.append(arm.mass[:-1], joined.mass),
+            com=np.vstack([arm.com[:-1], joined.com]),
+            inertia=np.concatenate([arm.inertia[:-1], joined.inertia[None]]),
+        )
+    return carried
+
+
+def joint_records(arm: Arm, wear: Wear) -> NDArray[np.void]:
+    """Put together all that the joints (n,) of an arm of some wear are made of, as `servo.JOINT`."""
+    if wear.position_gain.shape != (arm.joints,):
+        raise InputError(f"wear {wear.name} is for {len(wear.position_gain)} joints, arm {arm.name} has {arm.joints}")
+    records = np.zeros(arm.joints, servo.JOINT)
+    for name in (*PARAMETERS, "offset"):
+        records[name] = getattr(wear, name)
+    records["play_in_loop"], records["encoder_step"] = wear.play_in_loop, arm.encoder_step
+    records["lower"], records["upper"] = arm.lower, arm.upper
+    records["ambient"] = wear.ambient
+    records["no_load_speed"] = servo.no_load_speed(arm.max_speed)
+    scale = scale_of(arm)
+    servo.fill_constants(records, scale.torque, scale.time)
+    return records

@@ -1,0 +1,196 @@
+"""Made-up but complete results of every stage."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from markupsafe import Markup, escape
+
+from readpage import Page
+from rejoint.arms import Displacement, solve_position
+from rejoint.control.comparison.result import (
+    Comparison,
+    ControllerRow,
+    CrossingRow,
+    GuardCount,
+    HoldRow,
+    Outcomes,
+    Protocol,
+    Stay,
+)
+from rejoint.diagnosis.calibration.calibration import Calibration
+from rejoint.diagnosis.calibration.measurements import Measurements
+from rejoint.diagnosis.calibration.parameters import DisplacementLayout
+from rejoint.logs.runlog import RunLog
+from rejoint.pages.report.contents import read_contents
+from rejoint.pages.report.gallery import Gallery
+from rejoint.pages.report.page import make_page, render
+from rejoint.pages.report.view import Picture
+from rejoint.system.statistics import Estimate, cluster, clustered_share, spread
+
+SETS, REPETITIONS, TARGETS = 2, 3, 10
+
+
+SETTLED = {
+    "default": 22e-3, "pid-sum": 9e-3, "pid-literal": 21e-3, "integrator": 2.1e-3, "feedforward": 1.5e-3,
+    "policy": 0.33e-3,
+}  # fmt: skip
+
+
+SPEED = {
+    "default": 2.5, "pid-sum": 0.8, "pid-literal": 2.2, "integrator": 1.1, "feedforward": 1.8, "policy": 4.0,
+}  # fmt: skip
+
+
+"""[1/s] at which the made-up error falls"""
+
+
+def estimate(value, share=0.1):
+    return Estimate(value, value * (1 - share), value * (1 + share))
+
+
+def joint_metrics(sample, stiffness, friction):
+    """A joint like ``sample`` with round numbers."""
+    return dataclasses.replace(
+        sample, stiffness_nm_per_rad=estimate(stiffness), hysteresis_rad=estimate(2 * friction / stiffness),
+        coulomb_nm=estimate(friction), lag_s=estimate(0.04), damping_ratio=estimate(0.7), overshoot=estimate(0.03),
+        hunting_rad=estimate(0.0004), offset_rad=Estimate(0.002, -0.001, 0.005), noise_rad=Estimate(0.0006, None, None),
+    )  # fmt: skip
+
+
+def controller_row(name, seed, true_known):
+    rng, shape = np.random.default_rng(seed), (SETS, REPETITIONS, TARGETS)
+    labels, mean = cluster(shape)[1], SETTLED[name]
+    settled = mean * rng.uniform(0.7, 1.3, shape)
+    true = settled + 7e-3 if true_known else np.full(shape, np.nan)
+    crossed = (rng.random(shape) < (1.0 if mean < 5e-3 else 0.75 if mean < 10e-3 else 0.07)).astype(float)
+    times = np.where(crossed == 1, np.log(10) / SPEED[name], 20.0)
+    stays = []
+    for within in Protocol().within:
+        there = settled < within
+        median = float(np.median(np.where(there, np.log(0.1 / within) / SPEED[name], np.inf)))
+        stays.append(
+            Stay(
+                within=within, share=clustered_share(there.ravel().astype(float), labels),
+                median=median if np.isfinite(median) else None,
+            )
+        )  # fmt: skip
+    values = {
+        "crossed": crossed, "crossing_error": np.where(crossed == 1, 8.2e-3, mean), "crossing_true": true,
+        "crossing_time": times, "settled": settled, "settled_true": true, "oscillation": 0.1 * settled,
+    }  # fmt: skip
+    flat = {key: tuple(float(v) if np.isfinite(v) else None for v in value.ravel()) for key, value in values.items()}
+    stay = tuple(tuple(np.full(settled.size, 1.0 if s.median is None else s.median).tolist()) for s in stays)
+    return ControllerRow(
+        controller=name,
+        crossing=CrossingRow(
+            success=clustered_share(crossed.ravel(), labels), error=spread(values["crossing_error"].ravel(), labels),
+            true_error=spread(true.ravel(), labels),
+            cycle_time=spread(times.sum(axis=-1).ravel(), np.arange(SETS * REPETITIONS)),
+        ),
+        hold=HoldRow(
+            settled=spread(settled.ravel(), labels), settled_true=spread(true.ravel(), labels), stays=tuple(stays),
+            oscillation=spread(0.1 * settled.ravel(), labels),
+        ),
+        guard=(GuardCount(reason="step", cycles=120, share=0.031), GuardCount(reason="lead", cycles=5, share=0.0013))
+        if name == "policy" else (),
+        failures=1 if name == "pid-literal" else 0,
+        outcomes=Outcomes(
+            shape=shape, within=Protocol().within, stay=stay, stayed=tuple(tuple(1.0 for _ in s) for s in stay), **flat
+        ),
+    )  # fmt: skip
+
+
+def make_calibration(arm):
+    """A calibration of an arm with play, and the measurements, from both sides of four postures, behind it."""
+    rng, n = np.random.default_rng(5), arm.joints
+    found = dataclasses.replace(
+        Displacement.none(arm), offset=np.full(n, 0.004), compliance=np.full(n, 0.01), play=np.full(n, 0.02)
+    )
+    position = np.repeat(arm.rest + rng.uniform(-0.6, 0.6, (4, n)), 2, axis=0)
+    point = found.tool(arm, position) + rng.normal(0.0, 1e-3, (8, 3))
+    measured = Measurements(
+        position=position, approach=position, point=point, sigma=np.full(8, 0.5e-3), posture=np.arange(8) // 2
+    )
+    left_out = np.stack([rng.uniform(6e-3, 9e-3, 8), rng.uniform(0.5e-3, 2e-3, 8)], axis=-1)
+    before, after = left_out.mean(axis=0)
+    calibration = Calibration(
+        arm=arm,
+        displacement=found,
+        covariance=1e-6 * np.eye(DisplacementLayout(joints=n).size),
+        frame=np.eye(4),
+        frame_name="base",
+        source="touch",
+        date="2026-11-20T07:30:00",
+        points=8,
+        before=before,
+        after=after,
+        used=True,
+        floor=1e-3,
+        suspects=(5,),
+        left_out=left_out,
+    )
+    return calibration, measured
+
+
+def make_comparison(arm, names=tuple(SETTLED), *, true_known=True):
+    targets = arm.targets.sample(np.random.default_rng(3), (SETS, TARGETS))
+    return Comparison(
+        robot="emulated:worn", arm=arm.name, seed=0, batched=True, true_known=true_known, repetitions=REPETITIONS,
+        targets=tuple(tuple(map(tuple, points)) for points in targets.tolist()), protocol=Protocol(), clusters="trials",
+        rows=tuple(controller_row(name, i, true_known) for i, name in enumerate(names)),
+    )  # fmt: skip
+
+
+def trial_log(arm, name, kind, targets):
+    """A made-up trial: every joint goes to its goal exponentially and stops short by about the settled error."""
+    dwell, period = (2.0, 8.0)[kind == "hold"], 0.04
+    goals = solve_position(arm, targets, np.tile(arm.rest, (len(targets), 1))).q
+    steps = int(dwell / period)
+    fade = np.exp(-SPEED[name] * period * np.arange(1, steps + 1))[:, None]
+    position, here = [], arm.rest
+    for goal in goals:
+        stop = goal + SETTLED[name] / 0.25 * np.array([0.2, 0.6, 0.4, 0.1, 0, 0])
+        position.append(stop + (here - stop) * fade)
+        here = position[-1][-1]
+    q = np.concatenate(position)
+    return RunLog(
+        arm=arm.name, joint_names=arm.joint_names, robot="emulated:worn", label=f"{kind}/{name}/0/0",
+        time=period * np.arange(1, len(q) + 1), position=q, command=q, target=np.repeat(targets, steps, axis=0),
+        true_tcp=np.full((len(q), 3), np.nan), extra={"controller": name},
+    )  # fmt: skip
+
+
+def write_curves(path):
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    k = np.arange(1, 81)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    pq.write_table(
+        pa.table({
+            "step": 16384 * k, "reward": 1 - 3 * np.exp(-k / 15), "success_rate": 1 - np.exp(-k / 20),
+            "error_mm": 50 * np.exp(-k / 12) + 0.8, "wall_s": 0.6 * k,
+        }),
+        path,
+    )  # fmt: skip
+
+
+class Sketches(Gallery):
+    """Keeps the figures to look into, and saves the time of drawing them: of a picture there is what is read out."""
+
+    def __init__(self):
+        super().__init__()
+        self.figures = {}
+
+    def show(self, key, figure, *, alt, heading="", caption=""):
+        assert key not in self.figures
+        self.figures[key] = figure
+        return Picture(svg=Markup(f'<svg aria-label="{escape(alt)}"></svg>'), heading=heading, caption=caption)
+
+
+def shown(path):
+    """The page of a run folder and its figures by key."""
+    gallery = Sketches()
+    return Page(render(make_page(read_contents(path), gallery))), gallery.figures

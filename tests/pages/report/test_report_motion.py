@@ -1,0 +1,82 @@
+"""Splitting logs into visits: hand-worked times and errors."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from rejoint.arms import load_arm, tcp_position
+from rejoint.logs.runlog import RunLog
+from rejoint.pages.report.motion import bounds, encoder_path, error_at, spread_over_time, visits
+
+
+@pytest.fixture(scope="module")
+def arm():
+    return load_arm("mycobot280")
+
+
+def log_of(arm, target, period=0.5):
+    rows = len(target)
+    position = arm.rest + 0.01 * np.arange(rows)[:, None]
+    return RunLog(
+        arm=arm.name, joint_names=arm.joint_names, robot="emulated:worn", label="hold",
+        time=10 + period * np.arange(rows),
+        position=position, command=position, target=target, true_tcp=np.full((rows, 3), np.nan),
+    )  # fmt: skip
+
+
+def test_a_visit_starts_with_the_last_row_of_the_one_before(arm):
+    a, b = np.array([0.15, 0.0, 0.2]), np.array([0.2, 0.05, 0.2])
+    log = log_of(arm, np.array([a, a, a, b, b]))
+    first, second = visits(arm, log)
+    np.testing.assert_array_equal(first.time, [0, 0.5, 1.0])
+    np.testing.assert_array_equal(second.time, [0, 0.5, 1.0])
+    tcp = tcp_position(arm, log.position)
+    np.testing.assert_allclose(first.encoder_error, np.linalg.norm(tcp[:3] - a, axis=1))
+    np.testing.assert_allclose(second.encoder_error, np.linalg.norm(tcp[2:] - b, axis=1))
+    assert np.isnan(first.true_error).all()
+    np.testing.assert_array_equal(encoder_path(arm, log), tcp)
+
+
+def test_encoders_are_judged_by_where_they_were_to_stand(arm):
+    a, b, beside = np.array([0.15, 0.0, 0.2]), np.array([0.15, 0.02, 0.2]), np.array([0.0, 0.0, 0.007])
+    log = log_of(arm, np.array([a, a, b, b, b]))
+    again = np.array([a + beside, a + beside, b + beside, b + beside, b - beside])  # aimed once more at the end
+    _, second = visits(arm, replace(log, aim=again))
+    tcp = tcp_position(arm, log.position)
+    np.testing.assert_allclose(second.aim, b - beside)
+    np.testing.assert_allclose(second.encoder_error[0], np.linalg.norm(tcp[1] - b - beside))
+    np.testing.assert_allclose(second.encoder_error[-1], np.linalg.norm(tcp[4] - b + beside))
+    np.testing.assert_allclose(second.target, b)
+
+
+def test_rows_without_a_target_belong_to_no_visit(arm):
+    nothing, a = np.full(3, np.nan), np.array([0.15, 0.0, 0.2])
+    found = visits(arm, log_of(arm, np.array([nothing, nothing, a, a, nothing])))
+    assert len(found) == 1
+    np.testing.assert_array_equal(found[0].target, a)
+    assert visits(arm, log_of(arm, np.full((3, 3), np.nan))) == ()
+
+
+def test_error_is_held_between_readings_and_unknown_after_the_end(arm):
+    log = log_of(arm, np.tile([0.15, 0.0, 0.2], (3, 1)))
+    (visit,) = visits(arm, log)
+    error = error_at(visit, np.array([0.0, 0.49, 0.5, 1.2, 1.6]))
+    expected = [*visit.encoder_error[[0, 0, 1, 2]], np.nan]
+    np.testing.assert_array_equal(error, expected)
+
+
+def test_spread_ends_when_most_visits_have_ended(arm):
+    long = visits(arm, log_of(arm, np.tile([0.15, 0.0, 0.2], (9, 1))))
+    short = visits(arm, log_of(arm, np.tile([0.15, 0.0, 0.2], (3, 1))))
+    time = np.array([0.0, 1.0, 3.0])
+    middle, low, high = spread_over_time([*long, *short, *short], time)
+    assert np.isfinite(middle[:2]).all()
+    assert np.isnan([middle[2], low[2], high[2]]).all()
+    assert (low[:2] <= middle[:2]).all()
+    assert (middle[:2] <= high[:2]).all()
+
+
+def test_bounds_hold_every_path_with_a_margin():
+    paths = [np.array([[0.0, 0.0, 0.0], [0.1, 0.2, 0.3]]), np.array([[-0.1, 0.1, 0.1]])]
+    np.testing.assert_allclose(bounds(paths, margin=0.01), [[-0.11, 0.11], [-0.01, 0.21], [-0.01, 0.31]])

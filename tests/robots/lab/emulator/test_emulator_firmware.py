@@ -1,0 +1,374 @@
+"""The firmware: limits, fresh mode and queue, stop, pause, power; and requests byte by byte."""
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from rejoint.arms import mycobot280, tcp_pose
+from rejoint.arms.wire.commands import answer
+from rejoint.arms.wire.computer import FULL_SPEED, NO_LINE, NO_SOLUTION
+from rejoint.arms.wire.frames import Frame
+from rejoint.arms.wire.orders import ORDERS, SWITCHES
+from rejoint.arms.wire.states import QUESTIONS, STATES
+from rejoint.robots.lab.emulator.firmware import COMMAND_DELAY, Firmware
+
+ARM = mycobot280()
+REST = ARM.rest
+THERE = REST + np.radians([30, 10, -10, 5, -5, 20])
+
+
+def ask(firmware, text):
+    """Request as hex without header, length and footer -> payload of the answer as hex, None for silence."""
+    data = bytes.fromhex(text)
+    reply = answer(firmware, Frame(data[0], data[1:]))
+    return None if reply is None else reply.frame.payload.hex()
+
+
+def test_golden_answers(firmware):
+    # rest posture 20, 0, -85, -5, 0, 0 deg: 2000 = 07d0, -8500 = decc, -500 = fe0c
+    assert ask(firmware, "20") == "07d00000deccfe0c00000000"
+    assert ask(firmware, "02") == "49"  # firmware 7.3
+    assert ask(firmware, "12") == "01"
+    assert ask(firmware, "4A 05") == "05f9f2"  # joint 5, -155.0 deg = -1550
+    assert ask(firmware, "4B 05") == "050640"  # 160.0 deg = 1600
+    assert ask(firmware, "50 03") == "0301"
+    assert ask(firmware, "E3") == "787878787878"  # 12.0 V
+    assert ask(firmware, "E5") == "1e1e1e1e1e1e"  # 30 deg C
+    assert ask(firmware, "15") == "00" * 7
+    assert ask(firmware, "D5") == ask(firmware, "20") + ask(firmware, "23")
+    assert ask(firmware, "23" + "0000" * 6)[:12] == "01c8fd86101e"  # upright: 45.6, -63.4, 412.6 mm
+    assert ask(firmware, "3B 03") == (2048 - round(85 / 360 * 4096)).to_bytes(2, "big").hex()
+
+
+@pytest.mark.parametrize("request_", ["40", "FF", "20 00", "22 01", "4A", "4A 09", "A0 01 01", "2A 00", "D5 01"])
+def test_what_is_unknown_or_malformed_gets_no_answer(firmware, plant, request_):
+    assert ask(firmware, request_) is None
+    firmware.advance(1.0)
+    np.testing.assert_array_equal(plant.position[0], REST)
+
+
+def test_over_the_limit_is_refused_and_named(firmware, plant):
+    """What send_radians lets through: joint 1 at 4 rad = 22918 hundredths = 0x5986."""
+    assert ask(firmware, "22 5986 0000 0000 0000 0000 0000 64") == "00"
+    assert ask(firmware, "07") == "01"
+    firmware.advance(1.0)
+    np.testing.assert_array_equal(plant.position[0], REST)
+    assert ask(firmware, "08") == "01"
+    assert ask(firmware, "07") == "00"
+
+
+def test_narrowed_limits_hold_and_never_widen(firmware):
+    assert ask(firmware, "4D 01 0064") == "01"  # joint 1 up to 10.0 deg
+    assert ask(firmware, "4B 01") == "010064"
+    assert ask(firmware, "21 01 05DC 32") == "00"  # 15 deg
+    assert ask(firmware, "21 01 0384 32") == "01"  # 9 deg
+    assert ask(firmware, "4D 01 0708") == "00"  # 180.0 deg is beyond the arm's 168
+    assert ask(firmware, "4C 01 00C8") == "00"  # a minimum of 20 above the maximum of 10
+    assert ask(firmware, "4B 01") == "010064"
+
+
+def test_in_fresh_mode_the_newest_command_wins(firmware, plant):
+    firmware.fresh = True
+    assert firmware.move_joints(THERE, 1.0)
+    firmware.advance(0.05)
+    assert firmware.move_joints(REST - 0.1, 1.0)
+    firmware.advance(3.0)
+    np.testing.assert_allclose(plant.position[0], REST - 0.1)
+    assert len(plant.writes) == 2  # goals only; the ramp is the servos' own
+
+
+def test_without_it_commands_are_done_one_after_the_other(firmware, plant):
+    stops = [THERE, REST - 0.1, REST + 0.2]
+    for stop in stops:
+        assert firmware.move_joints(stop, 1.0)
+    firmware.advance(10.0)
+    writes = np.array(plant.writes)
+    passed = [int(np.argmax(np.abs(writes - stop).max(axis=1) < 1e-9)) for stop in stops]
+    assert 0 < passed[0] < passed[1] < passed[2]
+    np.testing.assert_allclose(plant.position[0], stops[-1])
+
+
+def test_an_interpolated_move_is_straight_in_joint_space(firmware, plant):
+    firmware.move_joints(THERE, 0.5)
+    firmware.advance(5.0)
+    share = (np.array(plant.writes) - REST) / (THERE - REST)
+    np.testing.assert_allclose(share, share[:, :1] * np.ones(6), atol=1e-9)
+    assert np.all(np.diff(share[:, 0]) >= -1e-12)
+
+
+@pytest.mark.parametrize("percent", [100, 25])
+def test_speed_scales_the_ramp(firmware, plant, percent):
+    firmware.fresh = True
+    firmware.move_joints(REST + np.array([1.5, 0, 0, 0, 0, 0]), percent / 100)
+    firmware.advance(COMMAND_DELAY[1] + 0.002)
+    before = plant.position[0, 0]
+    firmware.advance(0.4)
+    assert plant.position[0, 0] - before == pytest.approx(0.4 * FULL_SPEED * percent / 100, rel=1e-6)
+
+
+def test_a_command_takes_effect_after_the_bus_latency(firmware, plant):
+    firmware.fresh = True
+    firmware.move_joints(THERE, 1.0)
+    firmware.advance(COMMAND_DELAY[0] - 0.001)
+    assert not plant.writes
+    firmware.advance(COMMAND_DELAY[1] - COMMAND_DELAY[0] + 0.003)
+    assert len(plant.writes) == 1
+
+
+@pytest.mark.parametrize("fresh", [True, False])
+def test_stop_holds_where_the_reference_is(firmware, plant, fresh):
+    firmware.fresh = fresh
+    firmware.move_joints(THERE, 1.0)
+    firmware.move_joints(THERE, 1.0)
+    firmware.advance(0.25)
+    there = plant.position.copy()
+    assert np.abs(there - REST).max() > 0.05
+    firmware.stop()
+    firmware.advance(2.0)
+    assert np.abs(plant.position - there).max() < 0.03  # at most the set-point that was on its way
+    assert not firmware.moving
+
+
+@pytest.mark.parametrize("fresh", [True, False])
+def test_pause_and_resume(firmware, plant, fresh):
+    firmware.fresh = fresh
+    firmware.move_joints(THERE, 1.0)
+    firmware.advance(0.15)
+    assert ask(firmware, "26") == "01"
+    firmware.advance(0.1)
+    there = plant.position.copy()
+    firmware.advance(1.0)
+    np.testing.assert_allclose(plant.position, there)
+    assert ask(firmware, "27") == "01"
+    ask(firmware, "28")
+    firmware.advance(3.0)
+    np.testing.assert_allclose(plant.position[0], THERE)
+
+
+def test_one_joint_can_be_braked(firmware, plant):
+    firmware.fresh = True
+    firmware.move_joints(THERE, 1.0)
+    firmware.advance(0.1)
+    assert ask(firmware, "55 01") == "01"
+    firmware.advance(3.0)
+    assert plant.position[0, 0] < REST[0] + np.radians(20)
+    np.testing.assert_allclose(plant.position[0, 1:], THERE[1:])
+
+
+def test_without_power_nothing_is_accepted(firmware, plant):
+    assert ask(firmware, "11") == "01"
+    assert not plant.on
+    assert ask(firmware, "12") == "00"
+    assert ask(firmware, "51") == "00"
+    assert not firmware.move_joints(THERE, 1.0)
+    assert ask(firmware, "57 00") == "00"
+    assert ask(firmware, "10") == "01"
+    assert plant.on
+    firmware.advance(0.5)
+    np.testing.assert_array_equal(plant.position[0], REST)
+
+
+def test_a_released_servo_gives_way_and_holds_where_it_is_put(firmware, plant):
+    assert ask(firmware, "56 02") == "01"
+    assert ask(firmware, "50 02") == "0200"
+    assert ask(firmware, "51") == "00"
+    plant.position[0, 1] += 0.3  # pushed by hand
+    firmware.advance(0.1)
+    assert plant.goal[0, 1] == pytest.approx(REST[1] + 0.3)
+    assert ask(firmware, "57 02") == "01"
+    firmware.advance(1.0)
+    expected = REST.copy()
+    expected[1] += 0.3
+    np.testing.assert_allclose(plant.position[0], expected)
+
+
+def test_calibration_makes_the_present_position_zero_without_motion(firmware, plant):
+    assert ask(firmware, "54 01") == "01"
+    assert ask(firmware, "20")[:4] == "0000"
+    assert ask(firmware, "3B 01") == "0800"
+    firmware.advance(1.0)
+    np.testing.assert_allclose(plant.position[0], REST)
+    firmware.fresh = True
+    ask(firmware, "21 01 03E8 64")  # 10 deg from the new zero
+    firmware.advance(1.0)
+    assert plant.position[0, 0] == pytest.approx(REST[0] + np.radians(10))
+
+
+def coords(firmware):
+    return np.frombuffer(bytes.fromhex(ask(firmware, "23")), ">i2").astype(int)
+
+
+@pytest.mark.parametrize("mode", ["", "00", "01"])
+@pytest.mark.parametrize("fresh", ["00", "01"])
+def test_send_coords_brings_the_tool_there(firmware, fresh, mode):
+    ask(firmware, "16" + fresh)
+    here = coords(firmware)
+    wanted = here + np.array([-150, 300, 100, 0, 0, 500])  # tenths of mm, hundredths of deg
+    assert ask(firmware, "25" + wanted.astype(">i2").tobytes().hex() + "64" + mode) == "01"
+    assert ask(firmware, "2B") == "01"
+    firmware.advance(6.0)
+    turn = (coords(firmware) - wanted + 18000) % 36000 - 18000
+    assert np.abs(turn[:3]).max() <= 3
+    assert np.abs(turn[3:]).max() <= 5
+    assert ask(firmware, "2A" + wanted.astype(">i2").tobytes().hex() + "01") == "01"
+    assert ask(firmware, "2B") == "00"
+
+
+def test_unreachable_coords_are_refused_with_the_vendors_codes(firmware, plant):
+    far = np.array([2800, 2800, 4000, 0, 0, 0], dtype=">i2").tobytes().hex()
+    assert ask(firmware, "25" + far + "64") == "00"
+    assert firmware.error == NO_SOLUTION
+    assert ask(firmware, "25" + far + "64 01") == "00"
+    assert firmware.error == NO_LINE
+    firmware.advance(1.0)
+    np.testing.assert_array_equal(plant.position[0], REST)
+
+
+@pytest.mark.parametrize(("request_", "axis", "sign"), [("32 03 01 64", 2, 1), ("32 02 00 64", 1, -1)])
+def test_a_coordinate_jog_runs_along_its_axis_until_stop(firmware, plant, request_, axis, sign):
+    start = plant.true_tcp()[0]
+    assert ask(firmware, request_) == "01"
+    firmware.advance(0.5)
+    moved = plant.true_tcp()[0] - start
+    assert sign * moved[axis] > 0.01
+    assert np.abs(np.delete(moved, axis)).max() < 1e-3
+    ask(firmware, "29")
+    firmware.advance(0.1)
+    there = plant.position.copy()
+    firmware.advance(1.0)
+    np.testing.assert_array_equal(plant.position, there)
+
+
+def test_a_turning_jog_keeps_the_tool_in_place(firmware, plant):
+    start, before = plant.true_tcp()[0], firmware.pose
+    assert ask(firmware, "31 03 01 64") == "01"  # yaw
+    firmware.advance(0.5)
+    np.testing.assert_allclose(plant.true_tcp()[0], start, atol=1e-3)
+    turn = firmware.pose[:3, :3] @ before[:3, :3].T
+    assert np.arctan2(turn[1, 0], turn[0, 0]) > np.radians(3)
+    np.testing.assert_allclose(turn[2], [0, 0, 1], atol=0.01)
+
+
+def test_a_joint_jog_ends_at_the_limit(firmware, plant):
+    ask(firmware, "30 01 01 64")
+    firmware.advance(5.0)
+    assert plant.position[0, 0] == pytest.approx(ARM.upper[0])
+
+
+def test_increments_and_single_axes(firmware, plant):
+    firmware.fresh = True
+    before = coords(firmware)
+    assert ask(firmware, "33 02 FE0C 64") == "01"  # joint 2 by -5 deg
+    firmware.advance(1.0)
+    assert plant.position[0, 1] == pytest.approx(REST[1] - np.radians(5))
+    ask(firmware, "33 02 01F4 64")
+    firmware.advance(1.0)
+    assert ask(firmware, "34 03 0064 64") == "01"  # z by 10 mm
+    firmware.advance(1.0)
+    assert coords(firmware)[2] - before[2] == pytest.approx(100, abs=3)
+    assert ask(firmware, "24 03" + int(before[2]).to_bytes(2, "big").hex() + "64") == "01"
+    firmware.advance(1.0)
+    assert coords(firmware)[2] == pytest.approx(before[2], abs=3)
+
+
+def test_encoders_drag_uses_the_given_speed(firmware, plant):
+    firmware.fresh = True
+    counts = 2048 + np.array([400, 0, -900, 0, 0, 0])
+    speeds = np.full(6, 300)
+    payload = np.concatenate([counts, speeds]).astype(">i2").tobytes().hex()
+    assert ask(firmware, "3E" + payload) == "01"
+    firmware.advance(0.1)
+    before = plant.position[0, 0]
+    firmware.advance(0.2)
+    assert plant.position[0, 0] - before == pytest.approx(0.2 * 300 * ARM.encoder_step, rel=1e-6)
+
+
+def test_inverse_kinematics_over_the_wire(firmware):
+    pose = ask(firmware, "23")
+    angles = ask(firmware, "8D" + pose + "0000" * 6)
+    solved = np.radians(np.frombuffer(bytes.fromhex(angles), ">i2") / 100)
+    np.testing.assert_allclose(tcp_pose(ARM, solved)[:3, 3], tcp_pose(ARM, REST)[:3, 3], atol=5e-4)
+
+
+def test_servo_registers_are_kept(firmware):
+    assert ask(firmware, "53 01 15") == "0a"  # default P = 10
+    assert ask(firmware, "52 01 15 20") == "01"
+    assert ask(firmware, "53 01 15") == "20"
+    assert ask(firmware, "52 02 1C 0400 01") == "01"
+    assert ask(firmware, "53 02 1C 01") == "0400"
+
+
+def test_less_than_a_millisecond_is_not_lost(firmware):
+    for _ in range(1000):
+        firmware.advance(0.0004)
+    assert firmware.time == pytest.approx(0.4, abs=1.1e-3)
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None, max_examples=300)
+@given(st.sampled_from(sorted({*STATES, *QUESTIONS, *SWITCHES, *ORDERS} - {0x8D})), st.binary(max_size=28))
+def test_no_payload_breaks_the_firmware_or_a_limit(plant, command, payload):
+    firmware = Firmware(plant, ARM)
+    reply = answer(firmware, Frame(command, payload))
+    assert reply is None or reply.frame.command == command
+    firmware.advance(0.03)
+    assert np.all((plant.goal >= ARM.lower - 1e-9) & (plant.goal <= ARM.upper + 1e-9))
+    plant.set_power(np.array([True]))
+
+
+LENGTHS = {
+    **dict.fromkeys((*SWITCHES, *STATES), (0,)),
+    **{command: lengths for command, (lengths, _) in ORDERS.items() if command not in (0x13, 0x54)},
+}
+requests = st.sampled_from(sorted(LENGTHS)).flatmap(
+    lambda command: st.builds(
+        Frame, st.just(command), st.sampled_from(LENGTHS[command]).flatmap(lambda n: st.binary(min_size=n, max_size=n))
+    )
+)
+
+
+@settings(deadline=None, max_examples=80)
+@given(st.lists(st.tuples(requests, st.integers(0, 60)), max_size=25), st.integers(0, 99))
+def test_after_any_commands_the_arm_obeys_the_next(ideal_plant, history, seed):
+    """Whatever was sent, and however fast: limits hold throughout, and a fresh command is carried out exactly."""
+    plant = ideal_plant()
+    firmware = Firmware(plant, ARM, seed=seed)
+    for request, pause_ms in history:
+        answer(firmware, request)
+        firmware.advance(pause_ms * 1e-3)
+        assert np.all((plant.goal >= ARM.lower - 1e-9) & (plant.goal <= ARM.upper + 1e-9))
+    firmware.power(True)
+    firmware.fresh = True
+    wanted = np.clip(THERE, firmware.lower, firmware.upper)
+    assert firmware.move_joints(np.clip(REST, firmware.lower, firmware.upper), 1.0)
+    assert firmware.move_joints(wanted, 1.0)
+    firmware.advance(4.0)
+    np.testing.assert_allclose(plant.position[0], wanted, atol=1e-9)
+    assert not firmware.moving
+
+
+def test_the_worn_arm_starts_at_rest_and_stays(worn):
+    before = worn.angles
+    worn.advance(2.0)
+    np.testing.assert_allclose(worn.angles, before, atol=2 * ARM.encoder_step)
+
+
+def test_a_worn_arm_falls_without_power_and_does_not_jump_when_it_returns(worn):
+    before = worn.true_tcp
+    worn.power(False)
+    worn.advance(1.5)
+    fallen = worn.angles
+    assert before[2] - worn.true_tcp[2] > 0.03
+    worn.power(True)
+    worn.advance(0.05)
+    assert np.abs(worn.angles - fallen).max() < np.radians(3)
+
+
+def test_a_worn_arm_stops_without_sagging_when_it_stood_still(worn):
+    worn.fresh = True
+    worn.move_joints(THERE, 1.0)
+    worn.advance(3.0)
+    before = worn.angles
+    worn.stop()
+    worn.advance(2.0)
+    np.testing.assert_allclose(worn.angles, before, atol=2 * ARM.encoder_step)

@@ -1,0 +1,87 @@
+"""The emulated bus in time: how long answers take, and what faults do to them, without waiting for a clock."""
+
+import numpy as np
+import pytest
+
+from rejoint.arms import load_arm
+from rejoint.robots.lab.emulator import emulate
+from rejoint.robots.lab.emulator.faults import parse_faults
+from rejoint.robots.lab.emulator.feetech.arm import build_arm
+from rejoint.robots.lab.emulator.feetech.packets import BROADCAST, READ, SYNC_READ, Packet, PacketFinder, encode
+from rejoint.robots.lab.emulator.feetech.session import ADAPTER, BusSession
+from rejoint.system.errors import InputError
+
+ARM = load_arm("so101")
+BLOCK = encode(Packet(BROADCAST, SYNC_READ, bytes([56, 15, 1, 2, 3, 4, 5, 6])))
+
+
+class Client:
+    """Asks one question after the other on a clock of its own, ``pause`` [s] apart."""
+
+    def __init__(self, requests, fault="", pause=0.02):
+        faults = parse_faults(fault, 5)
+        self.now, self.requests, self.pause = 1e6, list(requests), pause
+        self.ask_at, self.asked, self.heard = self.now, [], []
+        arm = build_arm(ARM, "so101", resistance=faults.sag)
+        self.session = BusSession(arm, faults=faults, clock=lambda: self.now, await_data=self._await)
+        self.session.converse(self)
+
+    def fileno(self):
+        return -1
+
+    def receive(self):
+        self.asked.append(self.now)
+        self.ask_at = self.now + self.pause
+        return self.requests.pop(0) if self.requests else b""
+
+    def send(self, data):
+        self.heard.append((self.now, data))
+
+    def _await(self, readable, pause):
+        if readable is not None and self.now + pause >= self.ask_at:
+            self.now = max(self.now, self.ask_at)
+            return True
+        self.now += pause
+        return False
+
+    def packets(self):
+        return [[packet.id for packet in PacketFinder().feed(data)] for _, data in self.heard]
+
+
+def test_an_answer_takes_the_time_of_its_bytes_and_of_the_adapter():
+    client = Client([BLOCK])
+    slots, last = 5 * (15 + 6 + 3), 15 + 6
+    expected = (len(BLOCK) + slots + last) * 10e-6 + 20e-6 + ADAPTER
+    assert client.heard[0][0] - client.asked[0] == pytest.approx(expected, abs=2e-5)
+    assert client.packets() == [[1, 2, 3, 4, 5, 6]]
+    assert expected < 3e-3
+
+
+def test_a_silent_servo_is_missing_for_as_long_as_it_was_asked_to_be():
+    client = Client([BLOCK] * 100, "mute=2@0.5/1")
+    missing = np.array([2 not in found for found in client.packets()])
+    times = np.array([at - client.asked[0] for at, _ in client.heard])
+    assert (missing == ((times >= 0.5) & (times < 1.5))).mean() > 0.97
+    assert missing.sum() == pytest.approx(50, abs=3)
+
+
+def test_single_packets_of_an_answer_are_lost():
+    client = Client([BLOCK] * 300, "drop=0.05", pause=0.01)
+    found = client.packets()
+    lost = 1800 - sum(map(len, found))
+    assert 50 < lost < 140
+    assert all(ids == sorted(set(ids)) for ids in found)
+
+
+def test_a_voltage_that_breaks_down_is_told_with_its_bit():
+    ask = encode(Packet(1, READ, bytes([62, 4])))
+    client = Client([ask] * 30, "voltage@0.3")
+    first, last = (PacketFinder().feed(data)[0] for _, data in (client.heard[0], client.heard[-1]))
+    assert (first.code, first.parameters[0]) == (0, 120)
+    assert (last.code, last.parameters[0], last.parameters[3]) == (1, 70, 1)
+
+
+@pytest.mark.parametrize("fault", ["mute=1@0/1", "sag=2"])
+def test_an_arm_behind_a_computer_has_no_faults_of_a_servo_bus(fault):
+    with pytest.raises(InputError, match=r"on its servos' own bus"):
+        emulate(load_arm("mycobot280"), "worn", announce=lambda _: None, faults=parse_faults(fault, 6))

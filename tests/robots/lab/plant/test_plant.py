@@ -1,0 +1,401 @@
+import dataclasses
+
+import mujoco
+import numpy as np
+import pytest
+
+from rejoint.arms import gravity_torque, mycobot280, tcp_position
+from rejoint.robots.lab.plant import plant as plants
+from rejoint.robots.lab.plant import servo
+from rejoint.robots.lab.plant.model import build_model
+from rejoint.robots.lab.plant.plant import Plant
+from rejoint.robots.lab.plant.wear import Wear, load_wear
+from rejoint.system.errors import InputError
+
+ARM = mycobot280()
+REST = ARM.rest[None]
+
+
+def wear(name: str = "worn", **changes: float) -> Wear:
+    return dataclasses.replace(load_wear(name, ARM), **{field: np.full(6, value) for field, value in changes.items()})
+
+
+def quiet(name: str = "worn", **changes: float) -> Wear:
+    return wear(name, ripple=0.0, torque_noise=0.0, **changes)
+
+
+def rows(plant: Plant, command: np.ndarray, seconds: float) -> np.ndarray:
+    """Positions (T, B, n) of the links every 10 ms on the way to a command."""
+    plant.command(command)
+    track = []
+    for _ in range(round(seconds / 0.01)):
+        plant.advance(0.01)
+        track.append(np.concatenate([plant.link_position(), plant.speed], axis=1))
+    return np.array(track)
+
+
+def energy(plant: Plant, of: Wear) -> float:
+    """Kinetic and potential energy [J] of arm 0, with the springs of gears, bristles and mechanical stops."""
+    model, data = plant.batch.get_model(0), plant.batch.get_data(0)
+    model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_ENERGY
+    mujoco.mj_forward(model, data)
+    gear = plant.qpos[0, 1::2]
+    bent = gear - np.clip(gear, -of.play / 2, of.play / 2)
+    servo_angle = plant.qpos[0, 0::2]
+    stop = servo_angle - np.clip(servo_angle, ARM.lower - np.radians(3.0), ARM.upper + np.radians(3.0))
+    bristle = of.reflected_inertia * 150.0**2 * plant.servos["bristle"][0] ** 2
+    return float(data.energy.sum() + 0.5 * (of.link_stiffness * bent**2 + 60.0 * stop**2 + bristle).sum())
+
+
+def test_the_chain_is_the_arm():
+    model = build_model(ARM)
+    data = mujoco.MjData(model)
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        data.qpos[:] = rng.uniform(-1, 1, 12)
+        mujoco.mj_forward(model, data)
+        link = data.qpos[0::2] + data.qpos[1::2]
+        np.testing.assert_allclose(data.qfrc_bias[0::2], gravity_torque(ARM, link), atol=1e-9)
+        rotation = data.xmat[-1].reshape(3, 3)
+        np.testing.assert_allclose(data.xpos[-1] + rotation @ ARM.tip[:3, 3], tcp_position(ARM, link), atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["healthy", "worn", "play-in-loop"])
+def test_with_the_motors_off_energy_is_only_lost(name):
+    of = quiet(name)
+    plant = Plant(ARM, [of], seed=0)
+    plant.set_power(np.array([False]))
+    levels = [energy(plant, of)]
+    for _ in range(100):
+        plant.advance(0.01)
+        levels.append(energy(plant, of))
+        assert (plant.torque == 0).all()
+    assert np.diff(levels).max() < 2e-4  # [J] explicit steps store the gear springs that inexactly
+    assert levels[-1] < levels[0] - 0.05
+
+
+def test_without_power_a_worn_arm_collapses_and_then_rests():
+    plant = Plant(ARM, [quiet()], seed=0)
+    plant.set_power(np.array([False]))
+    before = plant.true_tcp()[0, 2]
+    plant.advance(4.0)
+    assert plant.true_tcp()[0, 2] < before - 0.1
+    settled = plant.encoder()
+    plant.advance(0.5)
+    assert np.abs(plant.encoder() - settled).max() <= ARM.encoder_step
+    over = np.maximum(plant.link_position() - ARM.upper, ARM.lower - plant.link_position())
+    assert over.max() < np.radians(6.0)
+
+
+def test_power_on_holds_where_the_arm_is():
+    plant = Plant(ARM, [wear("healthy")], seed=0)
+    plant.set_power(np.array([False]))
+    plant.advance(0.1)
+    plant.set_power(np.array([True]))
+    held = plant.encoder()
+    plant.advance(1.0)
+    np.testing.assert_allclose(plant.goal, held)
+    assert np.abs(plant.encoder() - held).max() < np.radians(2.0)
+
+
+@pytest.mark.parametrize("name", ["healthy", "worn", "worn-true", "play-in-loop", "worn?seed=5"])
+def test_a_reset_arm_is_at_rest(name):
+    plant = Plant(ARM, [load_wear(name, ARM)], seed=0)
+    np.testing.assert_allclose(plant.encoder() - ARM.rest, 0.0, atol=np.radians(1.1))
+    tcp, before = plant.true_tcp(), plant.encoder()
+    plant.advance(2.0)
+    assert np.abs(plant.encoder() - before).max() <= 2 * ARM.encoder_step
+    assert np.linalg.norm(plant.true_tcp() - tcp) < 1.5e-3
+
+
+def test_a_held_arm_does_not_creep():
+    plant = Plant(ARM, [quiet()], seed=0)
+    rows(plant, REST + 0.2, 3.0)
+    before = plant.qpos[:, 0::2].copy()  # links without a load may still drift inside their play
+    plant.advance(5.0)
+    np.testing.assert_allclose(plant.qpos[:, 0::2], before, atol=1e-5)
+
+
+@pytest.mark.parametrize("play_deg", [0.5, 2.0])
+def test_the_play_has_the_width_it_claims(play_deg):
+    """Gravity presses joint 5 to one flank, then, with the arm turned over, to the other."""
+    of = quiet(play=np.radians(play_deg), link_stiffness=1e3)
+    posture = np.radians([0.0, 0.0, 0.0, 90.0, 0.0, 0.0])
+    sides = []
+    for sign in (-1.0, 1.0):
+        plant = Plant(ARM, [of], seed=0)
+        plant.reset(posture[None] * sign)
+        sides.append((plant.link_position() - plant.encoder())[0, 3])
+        plant.advance(1.0)
+        sides[-1] = (plant.link_position() - plant.encoder())[0, 3]
+    width = abs(sides[1] - sides[0])
+    assert width == pytest.approx(np.radians(play_deg), abs=ARM.encoder_step + 2 * 0.08 / 1e3)
+
+
+def test_the_flex_gives_way_by_torque_over_stiffness():
+    of = quiet(play=0.0, link_stiffness=20.0)
+    plant = Plant(ARM, [of], seed=0)
+    plant.advance(1.0)
+    bent = plant.qpos[0, 1::2]
+    np.testing.assert_allclose(bent, -gravity_torque(ARM, plant.link_position())[0] / 20.0, atol=2e-4)
+
+
+def test_a_servo_that_cannot_reach_saturates_at_its_torque_limit():
+    plant = Plant(ARM, [quiet()], seed=0)
+    wanted = REST.copy()
+    wanted[0, 0] = ARM.upper[0] + 1.0  # beyond the mechanical stop
+    plant.command(wanted)
+    plant.advance(6.0)
+    limit = load_wear("worn", ARM).torque_limit[0]
+    assert plant.torque[0, 0] == pytest.approx(limit, rel=1e-3)
+    assert plant.speed[0, 0] == pytest.approx(0.0, abs=1e-3)
+
+
+def test_no_motor_exceeds_its_torque_limit_at_standstill_or_when_driving():
+    of = wear()
+    plant = Plant(ARM, [of], seed=0)
+    rng = np.random.default_rng(3)
+    for _ in range(40):
+        plant.command(REST + rng.uniform(-0.5, 0.5, (1, 6)))
+        plant.advance(0.05)
+        most = of.torque_limit * (1 + np.abs(plant.speed) / 5.0 + 0.05)
+        assert (np.abs(plant.torque) <= most).all()
+
+
+@pytest.mark.parametrize("limit_deg", [30.0, 60.0])
+def test_a_motion_runs_at_the_speed_limit(limit_deg):
+    plant = Plant(ARM, [quiet("healthy")], seed=0)
+    plant.set_speed_limit(np.array([np.radians(limit_deg)]))
+    goal = REST.copy()
+    goal[0, 0] += np.radians(90.0)
+    track = rows(plant, goal, 0.9)
+    middle = track[40:80, 0, 6]
+    assert middle.mean() == pytest.approx(np.radians(limit_deg), rel=0.02)
+
+
+def test_readings_are_whole_counts_and_the_past_can_be_read():
+    plant = Plant(ARM, [wear()] * 3, seed=0)
+    plant.command(np.tile(ARM.rest, (3, 1)) + 0.3)
+    past = []
+    for _ in range(100):
+        plant.advance(0.001)
+        past.append(plant.encoder())
+    counts = np.array(past) / ARM.encoder_step
+    np.testing.assert_allclose(counts, np.rint(counts), atol=1e-9)
+    ages = np.array([0.0, 0.013, 0.050])
+    for i, age in enumerate(ages):
+        np.testing.assert_array_equal(plant.encoder(ages)[i], past[-1 - round(age * 1e3)][i])
+
+
+@pytest.mark.parametrize("delay_ms", [0, 1, 9, 13])
+def test_a_command_has_no_effect_before_its_delay(delay_ms):
+    moved, still = (Plant(ARM, [wear()], seed=0) for _ in range(2))
+    moved.command(REST + 0.3, np.array([delay_ms * 1e-3]))
+    differs = []
+    for _ in range(20):
+        moved.advance(0.001)
+        still.advance(0.001)
+        differs.append((moved.link_position() != still.link_position()).any())
+    assert not any(differs[:delay_ms])
+    assert differs[delay_ms]
+
+
+def test_a_delay_between_milliseconds_counts_as_the_later_one():
+    plant = Plant(ARM, [wear()], seed=0)
+    plant.command(REST + 0.3, np.array([0.0052]))
+    goals = []
+    for _ in range(8):
+        plant.advance(0.001)
+        goals.append(plant.goal[0, 0] == ARM.rest[0] + 0.3)
+    assert goals == [False] * 6 + [True] * 2
+
+
+def test_commands_take_effect_in_the_order_of_arrival():
+    plant = Plant(ARM, [wear()], seed=0)
+    plant.command(REST + 0.1, np.array([0.010]))
+    plant.command(REST + 0.2, np.array([0.005]))
+    plant.advance(0.008)
+    np.testing.assert_array_equal(plant.goal, REST + 0.2)
+    plant.advance(0.005)
+    np.testing.assert_array_equal(plant.goal, REST + 0.1)
+
+
+def test_more_commands_than_fit_are_refused():
+    plant = Plant(ARM, [wear()], seed=0)
+    for _ in range(servo.QUEUE):
+        plant.command(REST, 0.1)
+    with pytest.raises(InputError, match="commands on their way"):
+        plant.command(REST, 0.1)
+
+
+def test_a_halted_arm_stays_and_forgets_what_was_on_its_way():
+    plant = Plant(ARM, [wear("healthy")], seed=0)
+    goal = REST.copy()
+    goal[0, 0] += np.radians(60.0)
+    plant.command(goal)
+    plant.advance(0.25)
+    plant.command(REST, 0.01)
+    plant.halt()
+    there = plant.encoder()
+    plant.advance(2.0)
+    assert np.abs(plant.encoder() - there).max() < np.radians(6.0)
+    assert np.abs(plant.speed).max() < 1e-2
+
+
+def play(plant: Plant, where: np.ndarray | None = None, steps: int = 40) -> np.ndarray:
+    """Drive a batch about at random, each arm by its own number, and return what happened."""
+    track = []
+    for k in range(steps):
+        numbers = np.arange(plant.count) if where is None else where
+        wanted = ARM.rest + 0.3 * np.sin(0.4 * k + numbers[:, None] + np.arange(6))
+        plant.command(wanted, 0.008 + 0.001 * (numbers % 4))
+        plant.advance(0.02 + 0.001 * ((numbers + k) % 7))
+        track.append(np.concatenate([plant.qpos, plant.qvel, plant.encoder(), plant.temperature], axis=1))
+    return np.array(track)
+
+
+FAMILY = [load_wear(f"worn?seed={i}", ARM) for i in range(5)]
+
+
+def test_the_same_seed_gives_the_same_trajectory_bit_for_bit_at_any_number_of_threads(monkeypatch):
+    monkeypatch.setattr(plants, "ARMS_PER_THREAD", 1)
+    one = play(Plant(ARM, FAMILY, seed=7))
+    np.testing.assert_array_equal(play(Plant(ARM, FAMILY, seed=7, threads=2)), one)
+    other = play(Plant(ARM, FAMILY, seed=8))
+    assert (other[-1] != one[-1]).any(axis=1).all()
+
+
+def test_few_arms_are_stepped_by_one_thread(monkeypatch):
+    asked = []
+    own = plants.Batch
+    monkeypatch.setattr(plants, "Batch", lambda model, count, threads: asked.append(threads) or own(model, count, 1))
+    for count in (1, 6, 2 * plants.ARMS_PER_THREAD):
+        Plant(ARM, [FAMILY[0]] * count, seed=0, threads=2)
+    assert asked == [1, 1, 2]
+
+
+def test_an_arm_in_a_batch_is_the_same_arm_alone_bit_for_bit():
+    batch = play(Plant(ARM, FAMILY, seed=7))
+    for i in (0, 3):
+        alone = play(Plant(ARM, [FAMILY[i]], seed=7, first=i), where=np.array([i]))
+        np.testing.assert_array_equal(alone[:, 0], batch[:, i])
+
+
+def test_equal_arms_of_a_batch_have_noise_of_their_own():
+    plant = Plant(ARM, [wear()] * 2, seed=0)
+    plant.command(np.tile(ARM.rest, (2, 1)) + 0.3)
+    plant.advance(0.5)
+    assert (plant.link_position()[0] != plant.link_position()[1]).all()
+
+
+def test_arms_advance_each_by_their_own_time():
+    plant = Plant(ARM, FAMILY, seed=0)
+    still = plant.link_position()
+    plant.command(np.tile(ARM.rest, (5, 1)) + 0.3, where=np.array([True, False, True, True, True]))
+    plant.advance(np.array([0.1, 0.2, 0.0304, 0.0, 0.5]), where=np.array([True, True, True, True, False]))
+    np.testing.assert_allclose(plant.time, [0.1, 0.2, 0.03, 0.0, 0.0], atol=1e-12)
+    moved = np.abs(plant.link_position() - still).max(axis=1)
+    assert (moved[[0, 2]] > 1e-3).all()
+    assert (moved[[3, 4]] == 0).all()
+
+
+def test_reset_of_some_arms_leaves_the_others_alone():
+    plant = Plant(ARM, FAMILY, seed=0)
+    plant.command(np.tile(ARM.rest, (5, 1)) + 0.3)
+    plant.advance(0.3)
+    before = plant.batch.state.copy()
+    plant.reset(np.tile(ARM.rest, (5, 1)), np.array([False, True, False, False, False]))
+    changed = (plant.batch.state != before).any(axis=1)
+    np.testing.assert_array_equal(changed, [False, True, False, False, False])
+
+
+def test_servos_warm_up_under_load_and_stay_plausible():
+    plant = Plant(ARM, [wear()], seed=0)
+    plant.advance(30.0)
+    assert 25.0 < plant.temperature[0, 1] < 40.0
+    assert plant.temperature[0, 1] > plant.temperature[0, 5]
+
+
+@pytest.mark.parametrize(
+    ("call", "found"),
+    [
+        (lambda p: p.command(np.zeros((2, 6))), "shape"),
+        (lambda p: p.command(np.full((1, 6), np.nan)), "finite"),
+        (lambda p: p.command(np.zeros((1, 6)), -0.1), "delay"),
+        (lambda p: p.advance(-1.0), "at least 0"),
+        (lambda p: p.advance(np.nan), "at least 0"),
+        (lambda p: p.encoder(1.0), "age"),
+        (lambda p: p.encoder(-0.1), "age"),
+        (lambda p: p.set_speed_limit(0.0), "above 0"),
+        (lambda p: p.reset(np.zeros(6)), "shape"),
+    ],
+)
+def test_what_no_arm_can_do_is_refused(call, found):
+    with pytest.raises(InputError, match=found):
+        call(Plant(ARM, [wear()], seed=0))
+
+
+def test_a_plant_of_no_arms_is_refused():
+    with pytest.raises(InputError, match="at least one"):
+        Plant(ARM, [], seed=0)
+
+
+def test_a_payload_is_a_heavier_last_link():
+    grams = np.array([0.0, 0.12, 0.25])
+    pair = Plant(ARM, [quiet()] * 3, seed=0, payload=grams)
+    tracks = rows(pair, ARM.rest + np.tile([0.3, 0.2, -0.1, 0.2, 0.1, 0.0], (3, 1)), 0.5)
+    for i, mass in enumerate(grams):
+        total = ARM.mass[-1] + mass
+        com = (ARM.mass[-1] * ARM.com[-1] + mass * ARM.tip[:3, 3]) / total
+        inertia = ARM.inertia[-1].copy()
+        for m, at in ((ARM.mass[-1], ARM.com[-1]), (mass, ARM.tip[:3, 3])):
+            d = at - com
+            inertia += m * (d @ d * np.eye(3) - np.outer(d, d))
+        heavier = dataclasses.replace(
+            ARM,
+            mass=np.array([*ARM.mass[:-1], total]),
+            com=np.array([*ARM.com[:-1], com]),
+            inertia=np.array([*ARM.inertia[:-1], inertia]),
+        )
+        alone = Plant(heavier, [quiet()], seed=0, first=i)
+        alone.joints = pair.joints[i : i + 1].copy()  # the same servos, whatever the weight would suggest
+        alone.reset(REST)
+        # Other principal axes of the same inertia round otherwise, and friction amplifies that.
+        np.testing.assert_allclose(
+            rows(alone, ARM.rest[None] + np.array([[0.3, 0.2, -0.1, 0.2, 0.1, 0.0]]), 0.5)[:, 0],
+            tracks[:, i],
+            atol=1e-6,
+        )
+    assert np.abs(tracks[-1, 2] - tracks[-1, 0]).max() > 0.01
+
+
+def test_a_payload_cannot_be_negative():
+    with pytest.raises(InputError, match="payload"):
+        Plant(ARM, [wear()], seed=0, payload=-0.1)
+
+
+def test_a_frozen_encoder_tells_the_same_while_its_joint_goes_where_it_is_sent():
+    plant = Plant(ARM, [quiet("healthy")] * 2, seed=0)
+    plant.freeze(np.array([[False, True, False, False, False, False], [False] * 6]))
+    before = plant.encoder()
+    plant.command(np.tile(REST + 0.3, (2, 1)))
+    plant.advance(2.0)
+    assert plant.encoder()[0, 1] == before[0, 1]
+    np.testing.assert_allclose(plant.link_position()[0], plant.link_position()[1], atol=1e-12)
+    np.testing.assert_allclose(np.delete(plant.encoder()[0], 1), np.delete(plant.encoder()[1], 1), atol=1e-12)
+
+
+def test_a_blind_servo_runs_to_its_stop_as_soon_as_it_is_moved():
+    plant = Plant(ARM, [quiet("worn")], seed=0)
+    joint = np.arange(6) == 0
+    plant.blind(joint[None])
+    plant.advance(1.0)
+    assert plant.link_position()[0, 0] == pytest.approx(ARM.rest[0], abs=1e-2)  # nobody moves it
+    plant.command(REST + np.where(joint, 0.2, 0.0))
+    plant.advance(5.0)
+    assert plant.link_position()[0, 0] > ARM.upper[0]
+    assert plant.encoder()[0, 0] == pytest.approx(ARM.rest[0], abs=ARM.encoder_step)
+    plant.reset(REST)
+    plant.command(REST + 0.2)
+    plant.advance(1.0)
+    assert plant.encoder()[0, 0] > ARM.rest[0] + 0.05, "a reset brings a new encoder"
