@@ -129,7 +129,7 @@ def test_targets_without_a_rest_posture_are_refused(tmp_path: Path) -> None:
 unit = st.floats(-1, 1, allow_nan=False)
 
 
-@settings(max_examples=100, derandomize=True)
+@settings(max_examples=100)
 @given(st.tuples(unit, unit, unit, unit).filter(lambda q: np.linalg.norm(q) > 0.1))
 def test_quaternions_and_rotations_are_two_forms_of_one_thing(values: tuple[float, ...]) -> None:
     quaternion = np.array(values) / np.linalg.norm(values)

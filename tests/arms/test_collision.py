@@ -95,7 +95,7 @@ def test_the_plane_under_an_arm_is_its_floor_where_that_is_lower():
 
 @given(POINT, POINT, POINT, POINT)
 @example(np.array([0.0, 0.0, 1e-10]), np.zeros(3), np.zeros(3), np.zeros(3))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_segment_distance_is_the_smallest_over_all_points(a, b, c, d):
     share = np.linspace(0.0, 1.0, 81)
     one, other = a + share[:, None] * (b - a), c + share[:, None] * (d - c)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from rejoint.arms import clip_norm, mycobot280
@@ -29,7 +29,6 @@ LOOPS = (
 SEEDS = st.integers(0, 2**32 - 1)
 
 
-@settings(deadline=None)
 @given(SEEDS)
 def test_velocities_are_differences_newest_first_and_a_repeated_answer_changes_none(seed):
     rng = np.random.default_rng(seed)
@@ -53,7 +52,6 @@ def test_velocities_are_differences_newest_first_and_a_repeated_answer_changes_n
     np.testing.assert_array_equal(position[rows], there)
 
 
-@settings(deadline=None)
 @given(SEEDS)
 def test_joints_on_their_way_are_not_pushed_and_corrections_keep_their_limit(seed):
     rng = np.random.default_rng(seed)
@@ -77,7 +75,6 @@ def test_a_correction_that_is_no_number_stays_visible():
     assert np.isnan(correction).all()  # the guard must see it
 
 
-@settings(deadline=None)
 @given(SEEDS, st.sampled_from([0.0, np.nan]))
 def test_steps_and_actions_are_shaped_as_the_law_says(seed, bad):
     rng = np.random.default_rng(seed)
@@ -102,7 +99,6 @@ def test_steps_and_actions_are_shaped_as_the_law_says(seed, bad):
     np.testing.assert_array_equal(out[1], law.authority(step) * moves * np.clip(action, -1.0, 1.0))
 
 
-@settings(deadline=None)
 @given(SEEDS)
 def test_limits_are_applied_in_order(seed):
     rng = np.random.default_rng(seed)
@@ -124,7 +120,6 @@ def test_limits_are_applied_in_order(seed):
         assert (smooth[time[:, 0] == 0.0] == last[time[:, 0] == 0.0]).all()
 
 
-@settings(deadline=None)
 @given(SEEDS)
 def test_steps_end_before_the_first_share_that_is_not_clear(seed):
     rng = np.random.default_rng(seed)
@@ -140,7 +135,6 @@ def test_steps_end_before_the_first_share_that_is_not_clear(seed):
     np.testing.assert_array_equal(why, [reached[:, :6].any(axis=-1), reached[:, 6:].any(axis=-1)])
 
 
-@settings(deadline=None)
 @given(SEEDS)
 def test_the_speed_of_a_command_is_its_step_over_the_time(seed):
     rng = np.random.default_rng(seed)

@@ -45,7 +45,7 @@ rows = st.integers(1, 4)
 seeds = st.integers(0, 2**32 - 1)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(rows.flatmap(lambda b: st.tuples(*(arrays(float, (b, 6), elements=anything) for _ in range(2)))), seeds)
 def test_output_is_finite_inside_the_limits_and_near_the_last_command(noise, seed):
     command, position = noise
@@ -57,7 +57,7 @@ def test_output_is_finite_inside_the_limits_and_near_the_last_command(noise, see
     assert (out.command[out.tripped] == sent[out.tripped]).all()
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(arrays(float, (2, 6), elements=anything), arrays(float, (2, 6), elements=anything), anything, anything)
 def test_output_is_finite_even_if_memory_and_clock_are_garbage(sent, position, period, age):
     out = guard(LIMITS, np.zeros((2, 6)), sent, np.zeros((2, 6)), state(position, age=age), np.full(2, period))
@@ -73,7 +73,7 @@ def inputs(seed, count=5):
     return command, sent, state(measured)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(seeds)
 def test_idempotent_and_a_reason_for_every_change(seed):
     command, sent, now = inputs(seed)
@@ -84,7 +84,7 @@ def test_idempotent_and_a_reason_for_every_change(seed):
     assert ((once.reasons != 0) == (once.command != command).any(axis=-1)).all()
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(seeds)
 def test_floor_is_never_approached_from_below_and_holds_from_above(seed):
     command, sent, now = inputs(seed)
@@ -92,7 +92,7 @@ def test_floor_is_never_approached_from_below_and_holds_from_above(seed):
     assert (clearance(out.command) >= np.minimum(clearance(sent), 0.0) - 1e-8).all()
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(seeds)
 def test_a_batch_is_many_single_arms(seed):
     command, sent, now = inputs(seed)

@@ -43,14 +43,14 @@ def calm(position) -> JointState:
     return JointState(time=np.zeros(count), position=position, age=np.zeros(count))
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.integers(0, ARMS - 1), SEEDS, st.sampled_from([0.0, 0.1, 0.5]))
 def test_whatever_comes_in_the_laws_hold(kind, seed, garbage):
     limits = limits_of(kind)
     check(limits, draw_cases(limits, np.random.default_rng(seed), 64, garbage=garbage))
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(st.data(), st.integers(0, ARMS - 1), st.integers(1, 4))
 def test_any_numbers_at_all(data, kind, count):
     limits = limits_of(kind)
@@ -82,7 +82,7 @@ class Adversary:
         return np.where(rng.random((len(sent), 1)) < 0.01, np.nan, wanted)
 
 
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=8)
 @given(st.integers(0, ARMS - 1), SEEDS)
 def test_no_sequence_of_commands_leads_an_arm_into_trouble(kind, seed):
     # As a loop does: what went out is the next call's last command. The arms lag, sag and stumble behind.
@@ -104,7 +104,7 @@ def test_no_sequence_of_commands_leads_an_arm_into_trouble(kind, seed):
     assert seen & Reason.NOT_FINITE
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.integers(0, ARMS - 1), SEEDS)
 def test_an_arm_outside_its_limits_comes_back_and_never_goes_farther(kind, seed):
     limits, rng = limits_of(kind), np.random.default_rng(seed)
@@ -157,7 +157,7 @@ def test_an_arm_that_was_folded_away_comes_out_unhindered(arm, degrees):
     np.testing.assert_allclose(sent[0], arm.rest)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.integers(0, ARMS - 1), SEEDS)
 def test_speeds_and_periods_of_one_arm_are_not_those_of_another(kind, seed):
     limits, rng = limits_of(kind), np.random.default_rng(seed)
@@ -190,7 +190,7 @@ def test_the_laws_would_notice():
     assert not int(TRIPS) & int(Reason.ACCELERATION | Reason.COLLISION)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(SEEDS)
 def test_the_checker_s_geometry_is_that_of_the_arm(seed):
     rng = np.random.default_rng(seed)

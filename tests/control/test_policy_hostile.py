@@ -20,7 +20,7 @@ from rejoint.system.errors import ContractError, FileError
 from rejoint.training.export import export_policy
 from rejoint.training.networks import perceptron
 
-MANY = settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+MANY = settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 
 
 def outcome(path):

@@ -99,7 +99,7 @@ def test_rows_that_no_run_log_may_hold_are_left_out(tmp_path: Path) -> None:
     same(read_journal(journal.file), ROWS)
 
 
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None, max_examples=60)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow], max_examples=60)
 @given(cut=st.floats(0, 1), flips=st.lists(st.tuples(st.floats(0, 0.999), st.integers(1, 255)), max_size=3))
 def test_damage_costs_the_rows_that_it_hit_and_no_more(
     tmp_path: Path, cut: float, flips: list[tuple[float, int]]

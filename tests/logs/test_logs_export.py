@@ -59,7 +59,7 @@ def test_mcap_comes_back_bit_for_bit(tmp_path: Path, seed: int):
     assert same_bits(back.time, again.time)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(st.lists(st.integers(200_000, 500_000_000), min_size=60, max_size=60), st.integers(0, 2**32 - 1))
 def test_whole_nanoseconds_come_back_bit_for_bit(tmp_path_factory, steps: list[int], seed: int):
     folder = tmp_path_factory.mktemp("exact")

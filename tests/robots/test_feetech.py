@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from rejoint.arms import load_arm
@@ -219,7 +219,6 @@ def test_malformed_addresses_name_their_form(text):
         place_of(text)
 
 
-@settings(deadline=None)
 @given(
     angles=st.lists(st.floats(-1.5, 1.5), min_size=5, max_size=5),
     middle=st.lists(st.integers(1500, 2500), min_size=5, max_size=5),

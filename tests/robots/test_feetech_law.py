@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from rejoint.robots.feetech.gains import KNOBS, way
@@ -10,7 +10,6 @@ from rejoint.robots.feetech.law import DutyLaw
 from rejoint.robots.lab.plant.bareservo import BareServos
 
 
-@settings(deadline=None)
 @given(
     error=st.integers(-90, 90), p=st.sampled_from([8, 16, 32]), startup=st.integers(0, 40), dead=st.integers(0, 4)
 )  # fmt: skip

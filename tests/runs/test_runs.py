@@ -51,7 +51,7 @@ def test_a_log_refuses_positions_that_are_not_finite() -> None:
         replace(example(), position=np.full((5, 2), np.nan))
 
 
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None, max_examples=60)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow], max_examples=60)
 @given(cut=st.floats(0, 0.999), flips=st.lists(st.tuples(st.floats(0, 0.999), st.integers(1, 255)), max_size=3))
 def test_a_damaged_log_is_named_or_read_whole(tmp_path: Path, cut: float, flips: list[tuple[float, int]]) -> None:
     path = tmp_path / "log.parquet"

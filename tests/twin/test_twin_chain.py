@@ -153,7 +153,7 @@ def test_a_state_that_is_put_back_goes_on_to_the_bit():
     assert_array_equal(resumed.rollout(control[:, ::-1]), whole.rollout(control[:, ::-1]))
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(st.lists(st.floats(-1e3, 1e3), min_size=LANES, max_size=LANES))
 def test_sine_and_cosine_are_those_of_numpy(angles):
     angle, sine, cosine = np.array(angles), np.empty(LANES), np.empty(LANES)

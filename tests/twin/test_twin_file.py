@@ -92,7 +92,7 @@ def test_an_edited_value_is_noticed(path, tmp_path):
         read_twin(tmp_path / "t.toml")
 
 
-@settings(deadline=None, max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 @given(cut=st.floats(0.0, 0.999))
 def test_a_truncated_file_is_named(path, tmp_path, cut):
     whole = path.read_bytes().rstrip()
@@ -101,7 +101,7 @@ def test_a_truncated_file_is_named(path, tmp_path, cut):
         read_twin(tmp_path / "t.toml")
 
 
-@settings(deadline=None, max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 @given(place=st.integers(0, 10**6), byte=st.integers(0, 255))
 def test_a_changed_byte_is_named_or_harmless(path, tmp_path, place, byte):
     data = bytearray(path.read_bytes())
@@ -115,7 +115,7 @@ def test_a_changed_byte_is_named_or_harmless(path, tmp_path, place, byte):
 
 
 @given(text=st.text(max_size=200))
-@settings(deadline=None, max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 def test_any_text_is_refused_with_a_name(tmp_path, text):
     (tmp_path / "t.toml").write_text(text, encoding="utf-8")
     with pytest.raises(FileError):

@@ -25,7 +25,7 @@ def test_hand_worked_turn():
     np.testing.assert_allclose([position[0], velocity[0]], [1.0, 0.0], atol=1e-12)
 
 
-@settings(deadline=None, max_examples=50)
+@settings(max_examples=50)
 @given(start=st.floats(-2, 2), speed=st.floats(-5, 5), goal=st.floats(-2, 2), limit=st.floats(1, 100),
        first=st.floats(0, 1), second=st.floats(0, 1))  # fmt: skip
 def test_two_advances_are_one(start, speed, goal, limit, first, second):
@@ -34,7 +34,7 @@ def test_two_advances_are_one(start, speed, goal, limit, first, second):
     np.testing.assert_allclose(advance(*half, np.array([goal]), limit, second), at_once, atol=1e-6)
 
 
-@settings(deadline=None, max_examples=25)
+@settings(max_examples=25)
 @given(limit=st.floats(5.0, 100.0), seed=st.integers(0, 99))
 def test_the_acceleration_is_never_exceeded_while_commands_keep_changing(limit, seed):
     rng = np.random.default_rng(seed)

@@ -15,7 +15,7 @@ def test_hand_worked_ramp():
     np.testing.assert_allclose(seen, [0.0, 0.0, 0.2, 0.5, 0.0, -1.0, -1.0], atol=1e-12)
 
 
-@settings(deadline=None, max_examples=25)
+@settings(max_examples=25)
 @given(delay=st.floats(0.0, 0.1), speed=st.floats(0.2, 10.0), seed=st.integers(0, 99))
 def test_delay_shifts_and_the_ramp_equals_small_steps(delay, speed, seed):
     rng = np.random.default_rng(seed)

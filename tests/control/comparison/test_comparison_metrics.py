@@ -80,7 +80,7 @@ def test_wilson_agrees_with_published_values(hits, trials, low, high):
     assert (found.low, found.high) == pytest.approx((low, high), abs=1e-4)
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(st.integers(0, 2**32 - 1))
 def test_intervals_hold_their_value_and_repeat(seed):
     rng = np.random.default_rng(seed)

@@ -26,7 +26,7 @@ def measured(seed=0, rows=6, frame="base", source="touch"):
     )  # fmt: skip
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(st.integers(0, 10_000), st.integers(1, 30))
 def test_parquet_keeps_every_bit(tmp_path_factory, seed, rows):
     path = tmp_path_factory.mktemp("files") / "m.parquet"

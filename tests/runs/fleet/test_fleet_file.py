@@ -96,7 +96,7 @@ def test_what_cannot_be_used_is_named_in_one_line(tmp_path: Path, found: str, in
     assert "\n" not in str(error.value)
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 @given(data=st.data())
 def test_a_file_is_read_or_refused_whatever_is_in_it(
     tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
@@ -166,7 +166,7 @@ spans = st.builds(
 ).filter(lambda text: text[8:13] != text[14:])  # fmt: skip
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     texts=st.lists(spans, min_size=1, max_size=3), day=st.integers(0, 13),
     now=st.datetimes(datetime(2026, 11, 23), datetime(2026, 12, 7)),

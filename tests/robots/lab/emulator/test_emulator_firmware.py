@@ -305,7 +305,7 @@ def test_less_than_a_millisecond_is_not_lost(firmware):
     assert firmware.time == pytest.approx(0.4, abs=1.1e-3)
 
 
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None, max_examples=300)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow], max_examples=300)
 @given(st.sampled_from(sorted({*STATES, *QUESTIONS, *SWITCHES, *ORDERS} - {0x8D})), st.binary(max_size=28))
 def test_no_payload_breaks_the_firmware_or_a_limit(plant, command, payload):
     firmware = Firmware(plant, ARM)
@@ -327,7 +327,7 @@ requests = st.sampled_from(sorted(LENGTHS)).flatmap(
 )
 
 
-@settings(deadline=None, max_examples=80)
+@settings(max_examples=80)
 @given(st.lists(st.tuples(requests, st.integers(0, 60)), max_size=25), st.integers(0, 99))
 def test_after_any_commands_the_arm_obeys_the_next(ideal_plant, history, seed):
     """Whatever was sent, and however fast: limits hold throughout, and a fresh command is carried out exactly."""

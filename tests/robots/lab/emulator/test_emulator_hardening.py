@@ -50,7 +50,7 @@ def test_fuzzed_frames_never_raise_and_leave_a_posture(worn):
     assert answer(worn, Frame(0x20)).frame.payload
 
 
-@settings(max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=200, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 @given(st.lists(st.builds(Frame, st.integers(0, 255), st.binary(max_size=MAX_PAYLOAD)), max_size=8))
 def test_any_request_gets_an_answer_of_its_own_or_none(ideal_plant, requests):
     firmware = Firmware(ideal_plant(), ARM)

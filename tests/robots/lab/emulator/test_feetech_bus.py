@@ -170,7 +170,7 @@ def test_a_supply_with_resistance_sags_under_load():
     assert weak.servos[0]["Present_Voltage"] < 115
 
 
-@settings(deadline=None, max_examples=200)
+@settings(max_examples=200)
 @given(number=st.integers(0, 254), code=st.integers(0, 255), parameters=st.binary(max_size=40))
 def test_no_packet_ends_the_bus(number, code, parameters):
     before = bytes(BUS.arm.servos[0].cells[:5])

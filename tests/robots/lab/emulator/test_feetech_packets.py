@@ -3,7 +3,7 @@
 from itertools import pairwise
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from rejoint.robots.lab.emulator.feetech.packets import (
@@ -44,7 +44,6 @@ def test_bytes_that_lerobot_sent_are_these_packets(text):
     assert PacketFinder().feed(bytes.fromhex(text)) == [GOLDEN[text]]
 
 
-@settings(deadline=None)
 @given(value=st.integers(-2047, 2047), bit=st.sampled_from([11, 15]))
 def test_numbers_with_a_sign_come_back(value, bit):
     assert signed(magnitude(value, bit), bit) == value
@@ -55,7 +54,6 @@ def test_a_number_that_does_not_fit_is_refused():
         magnitude(2048, 11)
 
 
-@settings(deadline=None)
 @given(sent=st.lists(PACKETS, max_size=5), cuts=st.lists(st.integers(0, 200), max_size=6))
 def test_packets_come_whole_however_they_are_cut(sent, cuts):
     stream = b"".join(map(encode, sent))
@@ -67,13 +65,11 @@ def test_packets_come_whole_however_they_are_cut(sent, cuts):
     assert not decoder.pending
 
 
-@settings(deadline=None)
 @given(noise=st.binary(max_size=40).filter(lambda noise: b"\xff" not in noise), sent=PACKETS)
 def test_garbage_before_a_packet_is_skipped(noise, sent):
     assert PacketFinder().feed(noise + encode(sent)) == [sent]
 
 
-@settings(deadline=None)
 @given(noise=st.binary(max_size=60), sent=PACKETS)
 def test_after_any_garbage_and_a_pause_the_next_packet_is_found(noise, sent):
     decoder = PacketFinder()
@@ -83,7 +79,6 @@ def test_after_any_garbage_and_a_pause_the_next_packet_is_found(noise, sent):
     assert decoder.feed(encode(sent)) == [sent]
 
 
-@settings(deadline=None)
 @given(sent=PACKETS, other=PACKETS, cut=st.integers(1, 5))
 def test_a_packet_that_broke_off_costs_no_later_one_and_doubled_ones_come_twice(sent, other, cut):
     decoder = PacketFinder()
@@ -94,7 +89,6 @@ def test_a_packet_that_broke_off_costs_no_later_one_and_doubled_ones_come_twice(
     assert found.count(other) >= 2 or whole
 
 
-@settings(deadline=None)
 @given(sent=PACKETS, place=st.integers(0, 100), flip=st.integers(1, 255))
 def test_a_wrong_byte_makes_no_other_packet_with_the_same_place(sent, place, flip):
     """One wrong byte is always noticed: by the header, the length or the sum."""
@@ -103,7 +97,6 @@ def test_a_wrong_byte_makes_no_other_packet_with_the_same_place(sent, place, fli
     assert sent not in PacketFinder().feed(bytes(whole))
 
 
-@settings(deadline=None)
 @given(data=st.lists(st.binary(max_size=80), max_size=8))
 def test_nothing_ends_the_reader_and_it_keeps_no_more_than_a_packet(data):
     decoder = PacketFinder()

@@ -113,7 +113,7 @@ def test_a_profile_for_another_number_of_joints_is_refused():
         parse_wear(worn_text(), name="mine", joints=7)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(text=st.text(max_size=200))
 def test_garbage_is_a_profile_error(text):
     with pytest.raises(ProfileError):
@@ -125,7 +125,7 @@ scalars = st.one_of(
 )
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(field=st.sampled_from(PARAMETERS), value=scalars)
 def test_any_value_of_a_field_is_a_wear_or_a_profile_error(field, value):
     name = "play_deg" if field == "play" else field
@@ -139,7 +139,7 @@ def test_any_value_of_a_field_is_a_wear_or_a_profile_error(field, value):
     assert (getattr(wear, field) >= 0).all()
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(data=st.binary(max_size=100))
 def test_a_binary_file_is_a_profile_error(data, tmp_path_factory):
     path = tmp_path_factory.getbasetemp() / "binary.toml"
