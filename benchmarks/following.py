@@ -23,6 +23,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rejoint.arms import Array, mycobot280
 from rejoint.control.bands import standing_bands
@@ -34,7 +35,8 @@ from rejoint.control.lines import servo_lines
 from rejoint.control.robot import Mask
 from rejoint.control.shelf import SHELF
 from rejoint.diagnosis.record import DiagnosisLogs, record
-from rejoint.lab.plant.channel import Interval
+from rejoint.lab.plant.channel import Channel, Delays, Interval
+from rejoint.lab.plant.streams import Keys
 from rejoint.lab.plant.wear import Wear, load_wear
 from rejoint.robots.emulated import EmulatedRobot
 from rejoint.system.errors import GuardTripError
@@ -48,17 +50,32 @@ BREAKING = {"worn": ("frozen", "blind"), "healthy": ("frozen", "blind")}
 """How encoders break, by kind of arm"""
 STUCK = (5.0, 10.0, 15.0, 1000.0)
 """[deg] of lead at which a stuck joint moves"""
-WIRES: dict[str, dict[str, Interval]] = {
-    "25 ms": {"period": (0.020, 0.030)},
-    "50 ms": {"period": (0.045, 0.055), "command_latency": (0.008, 0.030), "readback_age": (0.006, 0.030)},
-}
-"""Wires by their mean control period; the slow one keeps commands and readings up to 30 ms under way"""
+SLOW: dict[str, Interval] = {
+    "period": (0.045, 0.055), "command_latency": (0.008, 0.030), "readback_age": (0.006, 0.030),
+}  # fmt: skip
+WIRES: dict[str, dict[str, Interval]] = {"25ms": {"period": (0.020, 0.030)}, "50ms": SLOW, "stalling": SLOW}
+"""Wires; the slow ones keep commands and readings up to 30 ms under way, and the last one stalls"""
+STALLS, STALL = 0.25, (0.02, 0.12)
+"""Share of the cycles in which a wire stalls, and [s] for how long (chosen: a busy computer)"""
 TARGETS, DWELL = 4, 2.5
 """Targets of a run, and [s] for each"""
 FAR = 0.030
 """[m] off its way that the tool may be before the trip"""
 MONITORS = ("diagnosed", "diagnosed, no load told", "load alone", "positions alone")
 THREADS = 2
+
+
+class Stalling(Channel):
+    """A channel that stalls: some commands come late, and their cycles are longer by as much."""
+
+    def draw(self, keys: Keys, cycle: NDArray[np.int64]) -> Delays:
+        """Delays of cycle number ``cycle`` (B,) for the arms with these stream keys (B,)."""
+        delays, other = super().draw(keys, cycle), super().draw(keys, cycle + 2**40)
+        chance, share = (
+            (value - low) / (high - low) for value, (low, high) in ((other.period, self.period), (other.age, self.age))
+        )
+        late = np.where(chance < STALLS, STALL[0] + share * (STALL[1] - STALL[0]), 0.0)
+        return Delays(delays.latency + late, delays.age, delays.period + late)
 
 
 @dataclass(frozen=True)
@@ -115,6 +132,14 @@ def draw(kind: str, count: int, seed: int) -> list[Wear]:
     return [stuck(wear, int(rng.integers(5)), float(rng.choice(STUCK))) for wear in plain]
 
 
+def opened(wears: list[Wear], wire: str, seed: int, first: int = 0) -> EmulatedRobot:
+    """Return arms behind a wire."""
+    robot = EmulatedRobot(ARM, wears, seed=seed, first=first, threads=THREADS, **WIRES[wire])
+    if wire == "stalling":
+        robot._channel = Stalling(latency=SLOW["command_latency"], age=SLOW["readback_age"], period=SLOW["period"])
+    return robot
+
+
 @dataclass(frozen=True)
 class Diagnosed:
     """What run folders hold of B arms."""
@@ -126,7 +151,7 @@ class Diagnosed:
 def recorded(wears: list[Wear], wire: str, seed: int, first: int = 0) -> list[DiagnosisLogs | None]:
     """Drive each arm through its diagnosis; None for one in which the guard ends it."""
     try:
-        return list(record(EmulatedRobot(ARM, wears, seed=seed, first=first, threads=THREADS, **WIRES[wire]), seed=0))
+        return list(record(opened(wears, wire, seed, first), seed=0))
     except GuardTripError as error:
         if len(wears) == 1:
             print(f"a diagnosis was ended: {wears[0].name}: {error}", flush=True)
@@ -166,7 +191,7 @@ class Driven:
 def drive(wears: list[Wear], name: str, wire: str, seed: int, known: Diagnosed, faults: Faults | None = None) -> Driven:
     """Drive a batch with nobody but the guard, and see what the monitors say."""
     count = len(wears)
-    robot = EmulatedRobot(ARM, wears, seed=seed, threads=THREADS, **WIRES[wire])
+    robot = opened(wears, wire, seed)
     controller = make_controller(name, ARM)
     goals = ARM.targets.sample(np.random.default_rng(seed), (count, TARGETS))
     state, sent = robot.read(), robot.read().position
@@ -234,13 +259,13 @@ def watched(wire: str, kind: str, count: int, first: int) -> list[Seen]:
 
 def say(seen: list[Seen]) -> None:
     """Print what the monitors saw."""
-    print(f"{'wire':>5} {'arms':>12} {'runs':>5}  false trips: {'; '.join(MONITORS)}")
+    print(f"{'wire':>8} {'arms':>12} {'runs':>5}  false trips: {'; '.join(MONITORS)}")
     for wire in WIRES:
         for kind in KINDS:
             runs = [one for one in seen if (one.wire, one.kind, one.fault) == (wire, kind, "none")]
             if runs:
                 wrong = np.sum([one.tripped for one in runs], axis=0).tolist()
-                print(f"{wire:>5} {kind:>12} {len(runs):>5}  {wrong}")
+                print(f"{wire:>8} {kind:>12} {len(runs):>5}  {wrong}")
     for wire in WIRES:
         for kind, fault in ((kind, fault) for kind, faults in BREAKING.items() for fault in faults):
             runs = [one for one in seen if (one.wire, one.kind, one.fault) == (wire, kind, fault)]
@@ -260,7 +285,7 @@ def main(arms: int = 64, first: int = 0, keep: Path | None = None, wires: tuple[
     warm_up(LIMITS)
     seen = []
     for wire, kind in ((wire, kind) for wire in wires for kind in KINDS):
-        kept = keep / f"{wire.split()[0]}-{kind}-{arms}-{first}.json" if keep else None
+        kept = keep / f"{wire}-{kind}-{arms}-{first}.json" if keep else None
         if kept and kept.exists():
             continue
         start, found = time.perf_counter(), watched(wire, kind, arms, first)
