@@ -54,7 +54,7 @@ SLOW: dict[str, Interval] = {
     "period": (0.045, 0.055), "command_latency": (0.008, 0.030), "readback_age": (0.006, 0.030),
 }  # fmt: skip
 WIRES: dict[str, dict[str, Interval]] = {"25ms": {"period": (0.020, 0.030)}, "50ms": SLOW, "stalling": SLOW}
-"""Wires; the slow ones keep commands and readings up to 30 ms under way, and the last one stalls"""
+"""Wires; the slow ones keep commands and readings up to 30 ms under way, and the last one stalls after the diagnosis"""
 STALLS, STALL = 0.25, (0.02, 0.12)
 """Share of the cycles in which a wire stalls, and [s] for how long (chosen: a busy computer)"""
 TARGETS, DWELL = 4, 2.5
@@ -244,7 +244,7 @@ def watched(wire: str, kind: str, count: int, first: int) -> list[Seen]:
     """Drive ``count`` arms of a kind by every controller, whole and broken."""
     seed = first + 1000 * KINDS.index(kind)
     wears, seen = draw(kind, count, seed), []
-    known = diagnosed(wears, wire, seed)
+    known = diagnosed(wears, "50ms" if wire == "stalling" else wire, seed)
     for c, name in enumerate(CONTROLLERS):
         whole = drive(wears, name, wire, seed + c, known)
         found = {"none": compare(whole, whole, np.zeros(count))}
