@@ -278,9 +278,30 @@ def test_a_joint_that_stands_is_overdue_the_sooner_the_harder_it_is_pushed(sign,
     assert (np.diff(times) <= 0.0).all()
     assert times[0] > times[-1]
     # Twice the integral of an excess of 0.5 over a band of 1 is 0.05^2 after 0.1 s, and the command has to arrive.
-    late = np.sqrt(2.0 * watching.PATIENCE**2 / 0.5)
-    assert watching.SETTLE + late <= times[1] + 1e-9
-    assert times[1] <= watching.SETTLE + late + 2.0 * period + 1e-9
+    late, arrived = np.sqrt(2.0 * watching.PATIENCE**2 / 0.5), max(watching.SETTLE, (watching.AFTER + 1) * period)
+    assert arrived + late <= times[1] + 1e-9
+    assert times[1] <= arrived + late + 2.0 * period + 1e-9
+
+
+@pytest.mark.parametrize("period", [0.02, 0.025, 0.05])
+@pytest.mark.parametrize("stall", [0.0, 0.05, 0.1, 0.2])
+@pytest.mark.parametrize("told", [True, False])
+def test_a_whole_joint_whose_command_was_acknowledged_late_is_believed(period, stall, told):
+    """The wire stalls: a command is acknowledged when the next reading is due, and its joint sets off 20 ms later."""
+    third, way, stalled = np.arange(6) == 2, np.radians(10.0), 20
+    clocks = period * np.arange(40) + stall * (np.arange(40) > stalled)
+    arrives = clocks[stalled + 1] if stall else clocks[stalled] + 0.013
+    state = JointState(time=np.zeros(1), position=REST[None], age=np.zeros(1), load=np.zeros((1, 6)) if told else None)
+    watch, gone = Following(ARM, state, REST[None], SERVOS if told else None, bands=bands_of(1.0)), 0.0
+    for k, clock in enumerate(clocks[1:], 1):
+        gone = np.clip((clock - 0.013 - arrives - 0.02) * np.radians(100.0), 0.0, way)
+        there = clock - 0.013 > arrives  # a load is 13 ms old as well, and its servo gives it at once
+        load = SERVOS.gain * third * (way * there - gone) if told else None
+        now = replace(state, time=np.full(1, clock), position=(REST + gone * third)[None],
+                      load=None if load is None else load[None])  # fmt: skip
+        sent = REST + way * third * (k > stalled)
+        assert watch.check(now, sent[None], np.zeros(1, dtype=bool)) is None, f"at {clock:.3f} s"
+    assert gone == way
 
 
 def test_readings_that_change_and_joints_of_which_nothing_is_known_are_never_overdue():

@@ -10,7 +10,12 @@ HISTORY = 8
 """Commands that are remembered (chosen: 160 ms of the shortest regular period)."""
 SETTLE = 0.08
 """[s] after which a command has reached the servo and a reading shows it: latency, a period of 25 ms, age of a reading
-and the time in which a worn joint sets off (chosen)."""
+and the time in which a worn joint sets off (chosen). Periods above 40 ms take longer, see `AFTER`."""
+AFTER = 1
+"""Commands that must have been sent after one that has certainly arrived, so that it takes two periods at least: 80 ms
+at 25 ms, 100 at 50, and as long as a wire stalls. The clock of a command is that of the reading before it, and one that
+is acknowledged late is there only when the next reading is due; once another has followed, joint and servo have had a
+period. Two would make blind servos known a period later, and prevented no more false trips by pushes (chosen)."""
 STILL = 2
 """Cycles with the same reading after which a joint is taken to stand (chosen: the load is a median of three)."""
 STRIKES = 2
@@ -42,9 +47,9 @@ FULL = 0.9
 """Share of the largest torque from which a servo gives all it has (chosen)."""
 FULL_CYCLES = 8
 """Cycles of that which show that a joint is stuck: one that turns has no full torque for long (chosen)"""
-MOST, AND = 1.4, np.radians(0.2)
+MOST, AND = 1.5, np.radians(0.2)
 """Times the push at which a joint stood in its own diagnosis, and [rad] on top (or as much again, if that is less), up
-to which it may stand (chosen: of 448 runs with nothing broken, at 25 and 50 ms, none was overdue at 1.3, one at 1.2)"""
+to which it may stand (chosen: of 1536 runs at 50 ms with nothing broken three were overdue at 1.4, one at 1.5)"""
 LATE = 2
 """Readings in a row that must be the same beyond that (chosen, as `STILL`)"""
 PATIENCE = 0.05
@@ -226,7 +231,7 @@ def watch(tracks, sent_at, sent, now, last, position, command, load, loaded, bal
         sent_at[i, 0] = last[i]
         sent[i, 0] = command[i]
         reach = 0  # the newest command that has certainly arrived
-        while reach < HISTORY - 1 and sent_at[i, reach] > now[i] - SETTLE:
+        while reach < HISTORY - 1 and (reach < AFTER or sent_at[i, reach] > now[i] - SETTLE):
             reach += 1
         unsettled = sent_at[i, reach] > now[i] - SETTLE  # what was in force before the first command is not sure
         for j in range(joints):
