@@ -33,6 +33,7 @@ from rejoint.runs.run import exclusive
 from rejoint.runs.stages.comparing import Compared, ComparisonJob
 from rejoint.runs.stages.driving import (
     Controllers,
+    all_named,
     calibration_of,
     correction_of,
     make_factories,
@@ -184,8 +185,8 @@ def compare(
         job = ComparisonJob(
             robot=robot, arm=chosen, run=about, factories=factories, targets=points, settings=settings, period=period,
             twin=known, correct=correction_of(calibration, about, chosen, address_of(robot)),
-            model=model,
-            live=live, file=str(targets) if isinstance(targets, Path | str) else "", directions=directions, turns=turns,
+            model=model, live=live, by_name=all_named(controllers), directions=directions, turns=turns,
+            file=str(targets) if isinstance(targets, Path | str) else "",
             before=before if before is not None and np.array_equal(points[0], before.targets) else None,
         )  # fmt: skip
         return job.drive(on_progress)

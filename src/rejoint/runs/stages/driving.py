@@ -220,6 +220,11 @@ def any_geared(given: Controllers) -> bool:
     return any(name in RIVALS for name in given if isinstance(name, str))
 
 
+def all_named(given: Controllers) -> bool:
+    """Tell whether all controllers are given by the names of known ones, or none is."""
+    return not isinstance(given, Mapping) and all(isinstance(one, str) and not one.endswith(".onnx") for one in given)
+
+
 def name_of(controller: ControllerLike) -> str:
     """Name of a controller in tables."""
     if isinstance(controller, str) and not controller.endswith(".onnx"):
