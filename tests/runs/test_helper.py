@@ -70,6 +70,7 @@ def started(monkeypatch):
     monkeypatch.setattr(comparing, "HelperProcess", Kept)
     monkeypatch.setattr(comparing, "LEAST", 1)
     monkeypatch.setattr(os, "cpu_count", lambda: 2)
+    monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
     return found
 
 
@@ -89,6 +90,15 @@ def test_a_comparison_with_a_helper_finds_what_it_finds_without(started, monkeyp
     assert set(found.logs) == set(alone.logs)
     for label, log in found.logs.items():
         np.testing.assert_array_equal(log.position, alone.logs[label].position)
+
+
+def test_who_is_limited_to_one_core_has_no_helper(started, monkeypatch):
+    monkeypatch.setenv("OMP_NUM_THREADS", "1")
+    compared("default", "integrator")
+    monkeypatch.delenv("OMP_NUM_THREADS")
+    monkeypatch.setattr(os, "cpu_count", lambda: 1)
+    compared("default", "integrator")
+    assert not started
 
 
 def test_controllers_that_have_no_name_are_driven_here_alone(started):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -36,7 +35,7 @@ from rejoint.runs.stages.driving import (
     guard_limits,
     stance_of,
 )
-from rejoint.runs.stages.helper import LEAST, HelperProcess, Job
+from rejoint.runs.stages.helper import LEAST, HelperProcess, Job, core_to_spare
 from rejoint.system.errors import GuardTripError
 from rejoint.system.files import digest, require_space, saving, set_aside, write_json
 from rejoint.system.progress import Progress
@@ -178,7 +177,7 @@ class ComparisonJob:
         settings, robot = self.settings, self.robot
         size = 2 * self.targets.shape[0] * self.targets.shape[1] * settings.repetitions * len(self.factories)
         plain = self.by_name and isinstance(robot, str) and self.live is None
-        if not (plain and settings.batched and size >= LEAST and (os.cpu_count() or 1) > 1):
+        if not (plain and settings.batched and size >= LEAST and core_to_spare()):
             yield None
             return
         limits = guard_limits(self.run, self.arm, address_of(robot))

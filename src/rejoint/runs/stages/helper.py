@@ -40,6 +40,11 @@ LEAST = 400
 _START = "import sys; sys.path[:] = {path!r}; from rejoint.runs.stages.helper import main; main()"
 
 
+def core_to_spare() -> bool:
+    """Tell whether this process may use a second core: Ray and others limit what they start to one by this variable."""
+    return (os.cpu_count() or 1) > 1 and os.environ.get("OMP_NUM_THREADS") != "1"
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Job:
     """What a helper must know of a comparison."""
