@@ -1,22 +1,22 @@
 """A process of its own that drives a part of a comparison in virtual time, so that a second core has work.
 
-It is given a `Job` over its standard input, then one task after the other, and answers over its standard output. It
-writes no file, and ends when its input does: with the process that started it, however that ends. It is not forked:
+It is given a `Job` over a pipe, then one task after the other, and answers over the same. It writes no file, and ends
+when the pipe does: with the process that started it, however that ends. It is not forked:
 what runs in threads here, such as the sums of a training before, would not go on there.
 """
 
 from __future__ import annotations
 
 import os
-import pickle
 import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
+from multiprocessing.connection import Connection, Pipe
 from pathlib import Path
 from queue import SimpleQueue
 from threading import Thread
-from typing import IO, Any
+from typing import Any
 
 from rejoint.arms import Arm, Array
 from rejoint.arms.orientation import Orientation
@@ -37,12 +37,15 @@ from rejoint.twin.twin import Twin
 LEAST = 400
 """Targets of all trials from which a helper is worth its start (chosen: it takes two seconds; a repair has 720)"""
 
-_START = "import sys; sys.path[:] = {path!r}; from rejoint.runs.stages.helper import main; main()"
+_START = "import sys; sys.path[:] = {path!r}; from rejoint.runs.stages.helper import main; main({line})"
 
 
 def core_to_spare() -> bool:
-    """Tell whether this process may use a second core: Ray and others limit what they start to one by this variable."""
-    return (os.cpu_count() or 1) > 1 and os.environ.get("OMP_NUM_THREADS") != "1"
+    """Tell whether this process may use a second core: Ray and others limit what they start to one by this variable.
+
+    On Windows no process is started, which inherits nothing there.
+    """
+    return os.name == "posix" and (os.cpu_count() or 1) > 1 and os.environ.get("OMP_NUM_THREADS") != "1"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -81,23 +84,24 @@ class HelperProcess:
     """A running helper; whoever starts it must `close` it."""
 
     def __init__(self, job: Job) -> None:
-        self._process = subprocess.Popen(  # noqa: S603 - this very interpreter
-            [sys.executable, "-c", _START.format(path=sys.path)],
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
-            start_new_session=True,  # Ctrl-C is for the process that started it
-        )  # fmt: skip
+        self._line, other = Pipe()
+        with other:
+            self._process = subprocess.Popen(  # noqa: S603 - this very interpreter
+                [sys.executable, "-c", _START.format(path=sys.path, line=other.fileno())],
+                stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+                pass_fds=(other.fileno(),),
+                start_new_session=True,  # Ctrl-C is for the process that started it
+            )  # fmt: skip
         self._job: Job | None = job
 
     def drive(self, task: Task, places: Places) -> Result:
         """Drive the trials of a task and wait for what comes out; HelperLostError if that fails."""
-        put, get = self._process.stdin, self._process.stdout
-        assert put is not None and get is not None  # noqa: S101, PT018 - for the type checker
         try:
             if self._job is not None:
-                _send(put, self._job)
+                self._line.send(self._job)
                 self._job = None
-            _send(put, (task, places))
-            found: Result = pickle.load(get)  # noqa: S301 - our own process
+            self._line.send((task, places))
+            found: Result = self._line.recv()
         except Exception as error:  # whatever it is, the trial is driven elsewhere
             raise HelperLostError from error
         return found
@@ -105,30 +109,23 @@ class HelperProcess:
     def close(self) -> None:
         """End it, whatever it does."""
         self._process.kill()
-        self._process.communicate()
+        self._process.wait()
 
 
-def main() -> None:
-    """Do what `HelperProcess` asks for."""
-    with os.fdopen(os.dup(1), "wb") as answers:
-        os.dup2(2, 1)  # nothing else is to stand between the answers
-        tasks: SimpleQueue[Any] = SimpleQueue()
-        Thread(target=_listen, args=(sys.stdin.buffer, tasks), daemon=True).start()
-        runner = tasks.get().runner()
-        while True:
-            (name, kind), places = tasks.get()
-            _send(answers, runner.drive_batch(runner.open_batch(places), name, kind, places))
+def main(line: int) -> None:
+    """Do what `HelperProcess` asks for at the other end of a ``line``, by its file descriptor."""
+    asked, tasks = Connection(line), SimpleQueue[Any]()
+    Thread(target=_listen, args=(asked, tasks), daemon=True).start()
+    runner = tasks.get().runner()
+    while True:
+        (name, kind), places = tasks.get()
+        asked.send(runner.drive_batch(runner.open_batch(places), name, kind, places))
 
 
-def _listen(stream: IO[bytes], tasks: SimpleQueue[Any]) -> None:
+def _listen(asked: Connection, tasks: SimpleQueue[Any]) -> None:
     """Pass on what is asked for, and end this process with the one that asks."""
     try:
         while True:
-            tasks.put(pickle.load(stream))  # noqa: S301 - from the process that started this one
-    except (OSError, EOFError, pickle.PickleError):
+            tasks.put(asked.recv())
+    except (OSError, EOFError):
         os._exit(0)
-
-
-def _send(stream: IO[bytes], what: object) -> None:
-    pickle.dump(what, stream, protocol=pickle.HIGHEST_PROTOCOL)
-    stream.flush()
