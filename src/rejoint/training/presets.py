@@ -84,8 +84,8 @@ WARM = PpoSettings(
     log_std=-1.0,  # with -1.5 and half the learning rate policies settle as near, and come no sooner than the shelf's
     critic_first=3,
 )
-"""Settings of a training that begins at the policy from the shelf (chosen on four worn arms of family 1, see
-`python -m benchmarks.warmstart`)"""
+"""Settings of a training that begins at the policy from the shelf (chosen on arms of family 1 and on that of `make
+repair`, see `python -m benchmarks.warmstart` and docs/rivals.md)"""
 
 SCRATCH = Preset(
     name="scratch",
