@@ -50,5 +50,6 @@ def test_a_repair_calibrates_where_something_measures(tmp_path, monkeypatch, rob
     assert ("calibrate" in done) is calibrated
     assert ("calibrate" in stages) is calibrated
     assert done["compare"]["calibration"] == corrected
+    assert done["compare"]["paper"] is False  # no repair needs the paper's PIDs
     if calibrated:
         assert done["calibrate"]["gauge"] is gauge

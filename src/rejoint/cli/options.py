@@ -60,7 +60,9 @@ Device = Annotated[
     str, typer.Option(help="What simulates the twins: cpu, or cuda (extra gpu); without such a GPU, the processors.")
 ]
 Json = Annotated[bool, typer.Option("--json", help="End standard output with one line of JSON.")]
-Preset = Annotated[str, typer.Option(help="Training recipe: default, or paper (the literal method).")]
+Preset = Annotated[
+    str, typer.Option(help="Training recipe: default, scratch (from random weights), or paper (the literal method).")
+]
 Calibration = Annotated[
     str | None,
     typer.Option(help="calibration.toml to correct by, or none; by default that of the run, see `rejoint calibrate`."),

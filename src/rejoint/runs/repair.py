@@ -169,9 +169,10 @@ def repair(
     arm
         arm, name or file (`load_arm` cuts one out of a URDF); by default what the address names, else a myCobot 280
     preset
-        recipe of the training: ``default``, ``paper`` (the literal method), or one of your own
+        recipe of the training: ``default``, ``scratch`` (from random weights), ``paper`` (the literal method), or one
+        of your own
     controllers
-        as for `compare`
+        as for `compare`; none given: as there, without the paper's PIDs
     targets
         as for `compare`
     period
@@ -250,8 +251,8 @@ def repair(
         targets = draw_targets(found.arm, sets=1, count=QUICK_TARGETS, seed=found.seed)
     chain.do("compare", lambda update: compare(
         robot, controllers, targets, run=found, sets=sets or few[0], repetitions=repetitions or few[1], full=full,
-        period=period, calibration=NO_GAUGE if gauge == NO_GAUGE else None, directions=emulated and not quick,
-        on_progress=update, live=live,
+        paper=False, period=period, calibration=NO_GAUGE if gauge == NO_GAUGE else None,
+        directions=emulated and not quick, on_progress=update, live=live,
     ))  # fmt: skip
     chain.do("report", lambda _: report(found))
     if only in (None, "report"):

@@ -24,6 +24,7 @@ from rejoint.training.networks import Actor, Critic
 from rejoint.training.ppo import Losses, Ppo, Rollout, join
 from rejoint.training.presets import PpoSettings
 from rejoint.training.task import ReachTask
+from rejoint.training.warmstart import WarmStart, take_over
 from rejoint.training.worker import RolloutWorker
 
 REACHED_DISTANCE = 0.010
@@ -66,13 +67,21 @@ class CurvePoint:
 class Learner:
     """Networks, algorithm and agents of one training."""
 
-    def __init__(self, tasks: Sequence[ReachTask], settings: PpoSettings, *, seed: int, threads: int = 1) -> None:
-        """Take the task of each worker; ``threads`` of them act at the same time, and as many threads learn."""
+    def __init__(
+        self, tasks: Sequence[ReachTask], settings: PpoSettings, *, seed: int, threads: int = 1,
+        start: WarmStart | None = None,
+    ) -> None:  # fmt: skip
+        """Take the task of each worker; ``threads`` of them act at the same time, and as many threads learn.
+
+        The actor begins with the weights of ``start``, or with random ones.
+        """
         torch.manual_seed(seed)
         size, self.threads = tasks[0].observer.size, threads
         self.settings, self.agents = settings, sum(task.agents for task in tasks)
         self.ends_on_success = tasks[0].settings.ends_on_success
         self.actor = Actor(size, tasks[0].arm.joints, settings.actor_layers, settings.log_std)
+        if start is not None:
+            take_over(self.actor.net, start)
         self.critic = Critic(size, tasks[0].privileged_size, tasks[0].arm.joints, settings.critic_layers)
         self.workers = [RolloutWorker(task, seed=len(tasks) * seed + k) for k, task in enumerate(tasks)]
         self.ppo = Ppo(self.actor, self.critic, settings, agents=self.agents)
@@ -90,6 +99,7 @@ class Learner:
         rate = _learning_rate(s, self.iteration)
         with products(PRECISION):
             rollout = self._roll()
+            self.actor.requires_grad_(self.iteration >= s.critic_first)
             with on_threads(self.threads):
                 losses = self.ppo.learn(rollout, rate, iteration=self.iteration)
         point = self._point(rollout, losses, rate, time.perf_counter() - start)

@@ -1,8 +1,11 @@
-"""The two recipes: ours and the paper's literal one. They share every line of machinery."""
+"""The recipes: ours, from the shelf's policy or from random weights, and the paper's literal one.
+
+They share every line of machinery.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -42,6 +45,8 @@ class PpoSettings:
     """its upper bound at the start, and at ``ceiling_falls`` of the training: the policy that is deployed
     has no noise, and must have settled without it"""
     ceiling_falls: float = 0.8
+    critic_first: int = 0
+    """updates, at first, in which the critic alone learns: one that knows nothing would spoil a good actor"""
     actor_layers: tuple[int, ...] = (128, 64)
     critic_layers: tuple[int, ...] = (128, 64)
 
@@ -63,6 +68,8 @@ class Preset:
     """[rad] standard deviation of the paper's joint noise; used by the paper's ranges only"""
     task: TaskSettings = field(default_factory=TaskSettings)
     ppo: PpoSettings = field(default_factory=PpoSettings)
+    warm: PpoSettings | None = None
+    """instead of ``ppo`` where a training on a twin begins at the policy from the shelf; None: it never does"""
 
 
 FADE = 0.0005
@@ -72,10 +79,21 @@ own leaves too little to it, with none arms hunt at a control period of 50 ms)""
 LOAD_PENALTY = 3.0
 """How far the law under our policy spares joints with weight (chosen: with it fewer holds settle above 1 mm)"""
 
-DEFAULT = Preset(
-    name="default",
+WARM = PpoSettings(
+    iterations=49,
+    log_std=-1.0,  # with -1.5 and half the learning rate policies settle as near, and come no sooner than the shelf's
+    critic_first=3,
+)
+"""Settings of a training that begins at the policy from the shelf (chosen on arms of family 1 and on that of `make
+repair`, see `python -m benchmarks.warmstart` and docs/rivals.md)"""
+
+SCRATCH = Preset(
+    name="scratch",
     task=TaskSettings(law=CommandLaw(anchor="goal", learning=FeedforwardGains(fade=FADE), load_penalty=LOAD_PENALTY)),
 )
+"""Always from random weights"""
+
+DEFAULT = replace(SCRATCH, name="default", warm=WARM)
 
 PAPER = Preset(
     name="paper",
@@ -119,7 +137,7 @@ PAPER = Preset(
 )
 """Park et al. 2024, section III-D and Table 3; what the paper leaves open is marked."""
 
-PRESETS = {preset.name: preset for preset in (DEFAULT, PAPER)}
+PRESETS = {preset.name: preset for preset in (DEFAULT, SCRATCH, PAPER)}
 
 
 def load_preset(name: str) -> Preset:

@@ -24,9 +24,10 @@ from rejoint.system.progress import Progress, no_progress
 from rejoint.system.version import __version__
 from rejoint.training.export import export_policy
 from rejoint.training.learner import CurvePoint, Learner
-from rejoint.training.presets import Preset, load_preset
+from rejoint.training.presets import PpoSettings, Preset, load_preset
 from rejoint.training.ranges import BroadRanges, PaperRanges, Ranges, identified_ranges
 from rejoint.training.task import ReachTask
+from rejoint.training.warmstart import WarmStart, shelf_start
 from rejoint.twin.parameters import nominal_parameters
 from rejoint.twin.twin import Twin
 
@@ -67,9 +68,13 @@ class TrainingOptions:
     def recipe(self) -> Preset:
         """The preset with the numbers of agents and iterations asked for."""
         preset = self.preset if isinstance(self.preset, Preset) else load_preset(self.preset)
-        agents = preset.ppo.agents if self.agents is None else self.agents
-        iterations = preset.ppo.iterations if self.iterations is None else self.iterations
-        return replace(preset, ppo=replace(preset.ppo, agents=agents, iterations=iterations))
+        warm = None if preset.warm is None else self._sized(preset.warm)
+        return replace(preset, ppo=self._sized(preset.ppo), warm=warm)
+
+    def _sized(self, settings: PpoSettings) -> PpoSettings:
+        agents = settings.agents if self.agents is None else self.agents
+        iterations = settings.iterations if self.iterations is None else self.iterations
+        return replace(settings, agents=agents, iterations=iterations)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,10 +115,13 @@ def train(
     """
     options = TrainingOptions() if options is None else options
     recipe, files = know_stiffness(options.recipe, arm, twin), Outputs(out)
-    learner = make_learner(arm, twin, recipe, options)
-    identity = _identity(arm, twin, recipe, options.seed)
+    start = None if twin is None else shelf_start(arm, recipe)
+    if start is not None and recipe.warm is not None:
+        recipe = replace(recipe, ppo=recipe.warm)
+    learner = make_learner(arm, twin, recipe, options, start)
+    identity = _identity(arm, twin, recipe, options.seed, start)
     if options.resume and not _resumed(learner, files.checkpoint, identity):
-        learner = make_learner(arm, twin, recipe, options)  # a damaged one may have been taken over in part
+        learner = make_learner(arm, twin, recipe, options, start)  # a damaged one may have been taken over in part
     total = recipe.ppo.iterations
     contract = replace(policy_contract(arm, twin, recipe, options.seed), servo_gains=options.servo_gains)
     with _tensorboard(files.folder) as writer:
@@ -164,7 +172,9 @@ def write_curves(path: Path, curve: Sequence[CurvePoint]) -> None:
     write_whole(path, lambda temporary: pq.write_table(table, temporary, write_page_checksum=True))
 
 
-def make_learner(arm: Arm, twin: Twin | None, recipe: Preset, options: TrainingOptions) -> Learner:
+def make_learner(
+    arm: Arm, twin: Twin | None, recipe: Preset, options: TrainingOptions, start: WarmStart | None = None
+) -> Learner:
     """Set up what a training works on, at its beginning."""
     ranges, workers = options.ranges or training_ranges(arm, twin, recipe), min(WORKERS, recipe.ppo.agents)
     sizes = [len(part) for part in np.array_split(np.arange(recipe.ppo.agents), workers)]
@@ -180,7 +190,7 @@ def make_learner(arm: Arm, twin: Twin | None, recipe: Preset, options: TrainingO
         )
         for k, size in enumerate(sizes)
     ]
-    return Learner(tasks, recipe.ppo, seed=options.seed, threads=min(options.threads, workers))
+    return Learner(tasks, recipe.ppo, seed=options.seed, threads=min(options.threads, workers), start=start)
 
 
 def know_stiffness(recipe: Preset, arm: Arm, twin: Twin | None) -> Preset:
@@ -198,13 +208,14 @@ def know_stiffness(recipe: Preset, arm: Arm, twin: Twin | None) -> Preset:
     return replace(recipe, task=replace(recipe.task, law=law))
 
 
-def _identity(arm: Arm, twin: Twin | None, recipe: Preset, seed: int) -> dict[str, Any]:
+def _identity(arm: Arm, twin: Twin | None, recipe: Preset, seed: int, start: WarmStart | None) -> dict[str, Any]:
     """Name what a checkpoint must agree in to be continued."""
     return {
         "arm": arm_digest(arm),
         "twin": "" if twin is None else twin.digest(),
         "recipe": asdict(recipe),
         "seed": seed,
+        "start": "" if start is None else start.digest,
         "software": __version__,
     }
 

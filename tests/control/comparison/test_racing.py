@@ -9,7 +9,7 @@ import pytest
 from test_compare import ARM, PROTOCOL, SaggingRobot, factories
 
 import rejoint
-from rejoint.control.catalogue import contenders
+from rejoint.control.catalogue import ON_REQUEST, contenders
 from rejoint.control.comparison import racing
 from rejoint.control.comparison.compare import Settings, compare
 from rejoint.control.comparison.elimination import MISSES
@@ -316,6 +316,12 @@ def test_a_real_arm_is_driven_with_the_policy_from_the_shelf_until_it_has_its_ow
     assert real == ("default", "integrator", "feedforward", "policy", "predictive")
     assert "shelf" in contenders(real=True, shelf=True, policy=False, twin=True)
     assert {"shelf", "policy"} < set(contenders(real=False, shelf=True, policy=True, twin=True)), "side by side: all"
+
+
+def test_the_paper_s_pids_are_driven_side_by_side_or_where_they_are_asked_for():
+    known = {"shelf": True, "policy": True, "twin": True}
+    assert set(contenders(real=False, **known)) - set(contenders(real=True, **known)) == {"shelf", *ON_REQUEST}
+    assert set(contenders(real=False, **known)) - set(contenders(real=False, **known, paper=False)) == set(ON_REQUEST)
 
 
 def test_an_interrupted_race_goes_on_where_it_was(tmp_path):

@@ -25,6 +25,7 @@ from rejoint.control.comparison.onearm import OneArm
 from rejoint.control.comparison.protocols import KINDS, Kind, schedule
 from rejoint.control.comparison.racing import Race
 from rejoint.control.comparison.result import Comparison, Protocol
+from rejoint.control.comparison.sharing import Helper, Shared
 from rejoint.control.comparison.summary import Tally, cut_to_driven, summarise
 from rejoint.control.controller import Controller
 from rejoint.control.correction import Correction
@@ -110,6 +111,7 @@ def compare(
     measured: Sequence[Driven] = (),
     source: str = "",
     turns: Orientation | None = None,
+    helper: Helper | None = None,
 ) -> Comparison:
     """Compare ``controllers`` by name on ``targets`` (S, K, 3) [m], with the tools turned as in ``turns`` (S, K).
 
@@ -119,7 +121,7 @@ def compare(
     A single arm that does not stand at rest as its ``stance`` says is not driven: NotReadyError.
     In a race, what is ``measured`` already is not driven either; ``source`` says in a few words where.
     A ``correction`` aims for all controllers alike. Where nobody knows where the tool is, a ``model`` says how far it
-    is from its targets.
+    is from its targets. Of a batch, a ``helper`` drives a part of the trials in another process.
     """
     targets = np.asarray(targets, dtype=float)
     if targets.ndim != 3 or targets.shape[2] != 3 or 0 in targets.shape or not np.isfinite(targets).all():
@@ -133,7 +135,7 @@ def compare(
         tallies={name: Tally(shape, settings.protocol, raced=settings.race is not None) for name in controllers},
         ledger=ledger or Ledger.nowhere(), limits=limits, stance=stance, correction=correction, model=model,
         progress=Targets(on_progress, len(controllers) * trips * int(np.prod(shape))), on_trial=on_trial,
-        measured=tuple(measured), source=source, turns=turns,
+        measured=tuple(measured), source=source, turns=turns, helper=helper,
     )  # fmt: skip
     robot = session.run_batched() if settings.batched else session.run_interleaved()
     tallies = {name: session.tallies[name] for name in session.controllers}
@@ -169,21 +171,44 @@ class TrialRunner:
     measured: tuple[Driven, ...]
     source: str
     turns: Orientation | None = None
+    helper: Helper | None = None
     left_out: list[str] = field(default_factory=list)
 
     def run_batched(self) -> Robot:
-        """Run every controller's trials as one batch; returns the last robot, closed."""
+        """Run every controller's trials as one batch; returns a robot, closed."""
         sets, repetitions, _ = self.shape
         places = tuple((s, r) for s in range(sets) for r in range(repetitions))
-        for name, factory in self.controllers.items():
-            for kind in KINDS:
-                robot = self.open_robot(len(places), self.settings.seed)
-                try:
-                    if self.known(name, kind, places) is None:
-                        self.take(self.drive(robot, factory(robot.arm), name, kind, places)[0])
-                finally:
-                    robot.close()
+        tasks = [(name, kind) for name in self.controllers for kind in KINDS if self.known(name, kind, places) is None]
+        shared, robot = Shared(tasks, self.helper, places), None
+        for name, kind in shared.here():
+            robot = self.open_batch(places)
+            self.take(self.drive_batch(robot, name, kind, places)[0])
+            for found in shared.arrived():
+                self._take_over(*found)
+        for found in shared.arrived():
+            self._take_over(*found)
+        if robot is None:
+            robot = self.open_batch(places)
+            robot.close()
         return robot
+
+    def open_batch(self, places: Places) -> Robot:
+        """Open a robot with an arm for each trial, as every controller and protocol gets it anew."""
+        return self.open_robot(len(places), self.settings.seed)
+
+    def drive_batch(self, robot: Robot, name: str, kind: Kind, places: Places) -> tuple[Driven, Recording]:
+        """Run one protocol for all trials of a controller, side by side, and close their ``robot``."""
+        try:
+            return self.drive(robot, self.controllers[name](robot.arm), name, kind, places)
+        finally:
+            robot.close()
+
+    def _take_over(self, driven: Driven, recording: Recording) -> None:
+        """Take over what a helper has driven."""
+        self._tell(driven.controller, driven.kind, driven.places, recording)
+        self.tallies[driven.controller].add(driven)
+        self.ledger.add(driven)
+        self.progress.skip(len(driven.places) * driven.targets)
 
     def run_interleaved(self) -> Robot:
         """Run the trials one after the other on one arm; returns it, closed."""
@@ -235,12 +260,17 @@ class TrialRunner:
             )
         if isinstance(controller, Watched):
             recording, failed = controller.mark(recording), controller.failed
-        if self.on_trial is not None:
-            for b, (s, r) in enumerate(places):
-                trial = Trial(controller=name, kind=kind, target_set=s, repetition=r, recording=recording, arm_index=b)
-                self.on_trial(replace(trial, first=first))
+        self._tell(name, kind, places, recording, first)
         driven = measure(
             robot.arm, recording, targets, self.settings.protocol, controller=name, kind=kind, places=places,
             failed=failed, model=self.model, first=first, both=both,
         )  # fmt: skip
         return driven, recording
+
+    def _tell(self, name: str, kind: Kind, places: Places, recording: Recording, first: int = 0) -> None:
+        """Hand every trial of a recording to who keeps their logs."""
+        if self.on_trial is None:
+            return
+        for b, (s, r) in enumerate(places):
+            trial = Trial(controller=name, kind=kind, target_set=s, repetition=r, recording=recording, arm_index=b)
+            self.on_trial(replace(trial, first=first))

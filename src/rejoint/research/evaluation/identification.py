@@ -74,7 +74,7 @@ def evaluate_identification(
         contestants = _contestants(arm, known, policies)
         for k, one in enumerate(contestants):
             on_progress((i + 0.8 + 0.2 * k / len(contestants)) / total, f"arm {seed}: {one.name}")
-            outcome = try_on(arm, _bench(arm, seed, settings), one.make, settings, lambda done: None)  # noqa: ARG005
+            outcome = try_on(arm, bench_of(arm, seed, settings), one.make, settings, lambda done: None)  # noqa: ARG005
             merged.setdefault(one.name, []).append(one_arm(outcome))
     outcomes = {(VARIANT, name): _together(parts) for name, parts in merged.items()}
     meanings = {VARIANT: "worn arms, each with a twin of its own"}
@@ -115,7 +115,8 @@ def _contestants(arm: Arm, known: KnownArm, policies: Sequence[Path]) -> list[Co
     ]  # fmt: skip
 
 
-def _bench(arm: Arm, wear_seed: int, settings: TrialSettings) -> TrialArms:
+def bench_of(arm: Arm, wear_seed: int, settings: TrialSettings) -> TrialArms:
+    """Put together the copies of the arm ``worn?seed=``, with other noise and other targets each."""
     worn, family = find_variant("worn"), settings.family
 
     def open_copies() -> EmulatedRobot:

@@ -33,6 +33,7 @@ from rejoint.runs.run import exclusive
 from rejoint.runs.stages.comparing import Compared, ComparisonJob
 from rejoint.runs.stages.driving import (
     Controllers,
+    all_named,
     calibration_of,
     correction_of,
     make_factories,
@@ -70,6 +71,7 @@ def compare(
     directions: bool = False,
     seed: int | None = None,
     full: bool = False,
+    paper: bool | None = None,
     on_progress: Progress = no_progress,
     say: Say = silent,
     live: Live | None = None,
@@ -128,6 +130,8 @@ def compare(
         of targets and an emulated arm's noise; by default that of the run, else 0
     full
         no race: a real arm is driven to all targets with every controller that does not miss three in a row
+    paper
+        whether the paper's PIDs take part where no controllers are given; by default on emulated arms
     on_progress
         called with the share that is done and what is being tried
     say
@@ -165,8 +169,9 @@ def compare(
         known = as_twin(twin) if twin is not None else None if about is None else about.twin
         say_heavy(chosen, known, points, say, turns)
         factories = make_factories(
-            controllers, chosen, period_of(robot, period), run=about, twin=known, real=real, posed=turns is not None
-        )
+            controllers, chosen, period_of(robot, period), run=about, twin=known, real=real, posed=turns is not None,
+            paper=paper,
+        )  # fmt: skip
         settings = Settings(
             repetitions=repetitions or (REPETITIONS if race is None else 1), seed=seed, batched=not real,
             protocol=protocol or (Protocol() if race is None else RACE_PROTOCOL), leave_out=not controllers, race=race,
@@ -180,8 +185,8 @@ def compare(
         job = ComparisonJob(
             robot=robot, arm=chosen, run=about, factories=factories, targets=points, settings=settings, period=period,
             twin=known, correct=correction_of(calibration, about, chosen, address_of(robot)),
-            model=model,
-            live=live, file=str(targets) if isinstance(targets, Path | str) else "", directions=directions, turns=turns,
+            model=model, live=live, by_name=all_named(controllers), directions=directions, turns=turns,
+            file=str(targets) if isinstance(targets, Path | str) else "",
             before=before if before is not None and np.array_equal(points[0], before.targets) else None,
         )  # fmt: skip
         return job.drive(on_progress)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -34,6 +35,7 @@ from rejoint.runs.stages.driving import (
     guard_limits,
     stance_of,
 )
+from rejoint.runs.stages.helper import LEAST, HelperProcess, Job, core_to_spare
 from rejoint.system.errors import GuardTripError
 from rejoint.system.files import digest, require_space, saving, set_aside, write_json
 from rejoint.system.progress import Progress
@@ -87,6 +89,8 @@ class ComparisonJob:
     turns: Orientation | None = None
     """(S, K) how the tools are to be turned at the targets; None where that does not matter"""
     live: Live | None = None
+    by_name: bool = False
+    """whether another process can make the controllers, from their names"""
 
     def drive(self, on_progress: Progress) -> Compared:
         """Compare; in a run, go on after the trials that are done there, and write what comes out."""
@@ -124,7 +128,7 @@ class ComparisonJob:
                 if self.run is not None:
                     write_log(self.run.folder.log(trial.label), logs[trial.label])
 
-        with noted(), metered(self.run.folder if self.run else None, "compare") as meter:
+        with noted(), metered(self.run.folder if self.run else None, "compare") as meter, self._helped() as helper:
 
             def watched(count: int, seed: int) -> Robot:
                 return meter.watch(self._open(count, seed))
@@ -134,6 +138,7 @@ class ComparisonJob:
                 ledger=ledger, limits=guard_limits(self.run, self.arm, address_of(self.robot)),
                 stance=stance_of(self.twin), correction=self.correct, model=self.model,
                 measured=() if before is None else (before.driven,), source=SOURCE, turns=self.turns,
+                helper=helper,
             )  # fmt: skip
             result = self._beside(result, before, self._open if self.settings.batched else watched)
         if before is not None and self.run is not None:
@@ -165,6 +170,26 @@ class ComparisonJob:
             told = f"What is driven beside a comparison was ended early, and the rest of it left out: {error}."
             result = replace(result, left_out=(*result.left_out, told))
         return result
+
+    @contextmanager
+    def _helped(self) -> Iterator[HelperProcess | None]:
+        """Have a second process beside this one, where it can drive the same trials and there is enough to do."""
+        settings, robot = self.settings, self.robot
+        size = 2 * self.targets.shape[0] * self.targets.shape[1] * settings.repetitions * len(self.factories)
+        plain = self.by_name and isinstance(robot, str) and self.live is None
+        if not (plain and settings.batched and size >= LEAST and core_to_spare()):
+            yield None
+            return
+        limits = guard_limits(self.run, self.arm, address_of(robot))
+        helper = HelperProcess(Job(
+            robot=str(robot), arm=self.arm, run=None if self.run is None else self.run.path, twin=self.twin,
+            period=self.period, names=tuple(self.factories), targets=self.targets, turns=self.turns,
+            settings=settings, limits=limits, correct=self.correct,
+        ))  # fmt: skip
+        try:
+            yield helper
+        finally:
+            helper.close()
 
     def _open(self, count: int, seed: int) -> Robot:
         if not isinstance(self.robot, str):

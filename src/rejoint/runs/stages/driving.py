@@ -153,17 +153,17 @@ def _own_policy(run: Run) -> str:
 
 def make_factories(
     given: Controllers, arm: Arm, period: Period | None, *, run: Run | None = None, twin: Twin | None = None,
-    real: bool = False, posed: bool = False,
+    real: bool = False, posed: bool = False, paper: bool | None = None,
 ) -> dict[str, Factory]:  # fmt: skip
     """Return what makes each controller, by its name; the feed-forward believes the stiffness of ``twin``.
 
-    Nothing given means the `contenders` for a ``real`` arm or one in virtual time. A name, a policy or a control
-    period that does not fit is refused here, before anything moves. For ``posed`` targets, which have an orientation,
-    those take part that turn the tool.
+    Nothing given means the `contenders` for a ``real`` arm or one in virtual time, with the ``paper``'s PIDs or not.
+    A name, a policy or a control period that does not fit is refused here, before anything moves. For ``posed``
+    targets, which have an orientation, those take part that turn the tool.
     """
     usual = np.nan if period is None else sum(period) / 2
     if not given:
-        given = _contenders(arm, usual, run, twin, real=real, posed=posed)
+        given = _contenders(arm, usual, run, twin, real=real, posed=posed, paper=paper)
     named = given if isinstance(given, Mapping) else _unique(given)
     factories = {name: _factory(one, run, twin, usual) for name, one in named.items()}
     for name, make in factories.items():
@@ -178,7 +178,7 @@ def make_factories(
 
 
 def _contenders(
-    arm: Arm, period: float, run: Run | None, twin: Twin | None, *, real: bool, posed: bool
+    arm: Arm, period: float, run: Run | None, twin: Twin | None, *, real: bool, posed: bool, paper: bool | None = None
 ) -> tuple[str, ...]:
     """Name who takes part in a comparison: what the run has made, under tuned gains where it was made for those.
 
@@ -187,7 +187,7 @@ def _contenders(
     own, tuned = run is not None and run.folder.policy.exists() and not posed, tuned_gains(run) is not None
     plain = contenders(
         real=real, shelf=not posed and _on_shelf(arm, period), policy=own,
-        twin=twin is not None and not tuned and not posed,
+        twin=twin is not None and not tuned and not posed, paper=paper,
     )  # fmt: skip
     if not tuned:
         return plain
@@ -218,6 +218,11 @@ def _on_shelf(arm: Arm, period: float) -> bool:
 def any_geared(given: Controllers) -> bool:
     """Tell whether any of the controllers needs a search for gains."""
     return any(name in RIVALS for name in given if isinstance(name, str))
+
+
+def all_named(given: Controllers) -> bool:
+    """Tell whether all controllers are given by the names of known ones, or none is."""
+    return not isinstance(given, Mapping) and all(isinstance(one, str) and not one.endswith(".onnx") for one in given)
 
 
 def name_of(controller: ControllerLike) -> str:

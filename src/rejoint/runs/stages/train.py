@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from rejoint.twin.twin import Twin
 
 QUICK_UPDATES, QUICK_AGENTS = 3, 16
-"""Size of a training for a first try (chosen: seconds; its policy is hardly better than the law that it corrects)"""
+"""Size of a training for a first try (chosen: seconds; its policy is hardly better than what it began with)"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -61,7 +61,9 @@ def train(
     run
         run, or its folder, into which ``policy.onnx`` and ``training/`` are written; either a run or a twin is given
     preset
-        recipe: ``default``, ``paper`` (the literal method), or one of your own
+        recipe: ``default``, ``scratch``, ``paper`` (the literal method), or one of your own. By the default one, a
+        training on a twin begins at the policy that comes with the package, where there is one for this arm; by
+        ``scratch`` it begins at random weights, as by all others
     trainer
         what trains instead of proximal policy optimisation
     seed
@@ -71,7 +73,7 @@ def train(
     resume
         whether to go on from a checkpoint of this very training in the run
     quick
-        train for seconds only, for a first try: the policy is hardly better than without training
+        train for seconds only, for a first try: the policy is hardly better than what it began with
     device
         what simulates the twins: ``cpu``, ``cuda`` or ``cuda:1``. Where there is no such GPU, a warning says so, and
         the processors do. A policy from a GPU differs in its last digits

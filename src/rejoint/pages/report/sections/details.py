@@ -193,4 +193,4 @@ def _milliseconds(period: tuple[float, float]) -> str:
 def _recipe(contents: Contents) -> str:
     """Return the options of `rejoint train` that name the recipe of the policy at hand, where it is not the default."""
     name = "" if contents.contract is None else contents.contract.preset
-    return f" --preset {name}" if name == "paper" else f" --learner {name}" if name in LEARNERS else ""
+    return f" --preset {name}" if name in ("paper", "scratch") else f" --learner {name}" if name in LEARNERS else ""

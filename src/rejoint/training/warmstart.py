@@ -1,0 +1,76 @@
+"""Where a training on a twin begins: at the policy that the shelf has for this build, or at random weights.
+
+The shelf's policy knows worn arms in general; what is left to learn is this one. Only its actor is taken over: a critic
+sees what no file of a policy holds, and learns anew.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import onnx
+import torch
+from numpy.typing import NDArray
+from onnx import numpy_helper
+from torch import nn
+
+from rejoint.arms import Arm
+from rejoint.control.contract import PolicyContract
+from rejoint.control.shelf import shelf_policy
+from rejoint.system.errors import ContractError
+from rejoint.system.files import digest
+from rejoint.training.presets import Preset
+
+Weights = tuple[NDArray[np.float32], ...]
+"""Of a perceptron: of each layer first its matrix, then what it adds"""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class WarmStart:
+    """A network to begin with."""
+
+    weights: Weights
+    digest: str
+    """of the file that it is from"""
+
+
+def shelf_start(arm: Arm, recipe: Preset) -> WarmStart | None:
+    """Return the network that the shelf has for trainings of ``arm`` by this ``recipe``; None where none suits.
+
+    It suits where it was trained for the same arm, observation and control periods, and for the same law but for what
+    that law believes of the single arm: its stiffness, and whether its motors cross backlash slowly.
+    """
+    if recipe.warm is None:
+        return None
+    try:
+        policy = shelf_policy(arm)
+    except ContractError:
+        return None
+    weights = network_weights(policy.content)
+    shapes = [matrix.shape for matrix in weights[::2]]
+    sizes = (policy.contract.observation_size, *recipe.warm.actor_layers, arm.joints)
+    if not _same_task(policy.contract, recipe) or shapes != list(zip(sizes[1:], sizes[:-1], strict=True)):
+        return None
+    return WarmStart(weights=weights, digest=digest(policy.content).decode())
+
+
+def network_weights(content: bytes) -> Weights:
+    """Read the weights out of the ``content`` of a policy file that `Policy.load` has judged: a chain of layers."""
+    graph = onnx.load_from_string(content).graph
+    known = {weight.name: numpy_helper.to_array(weight) for weight in graph.initializer}
+    return tuple(known[name] for node in graph.node if node.op_type == "Gemm" for name in node.input[1:])
+
+
+def take_over(network: nn.Sequential, start: WarmStart) -> None:
+    """Give a perceptron the weights to begin with."""
+    with torch.no_grad():
+        for parameter, values in zip(network.parameters(), start.weights, strict=True):
+            parameter.copy_(torch.from_numpy(values.copy()))
+
+
+def _same_task(contract: PolicyContract, recipe: Preset) -> bool:
+    task, law = recipe.task, contract.law
+    own = replace(task.law, stiffness=law.stiffness, decay_start=law.decay_start)
+    periods = contract.min_period <= task.min_period and task.max_period <= contract.max_period
+    return contract.layout == task.layout and law == own and periods

@@ -1,0 +1,139 @@
+"""The second process of a comparison: it drives the same to the bit, and ends with whoever started it."""
+
+import os
+import subprocess
+import sys
+import time
+from dataclasses import fields
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import rejoint
+from rejoint.arms import mycobot280
+from rejoint.control.comparison.compare import Settings
+from rejoint.control.comparison.result import Protocol
+from rejoint.control.comparison.sharing import HelperLostError
+from rejoint.control.guard import GuardLimits
+from rejoint.control.integrator import IntegratorController
+from rejoint.runs.stages import comparing
+from rejoint.runs.stages.helper import HelperProcess, Job
+
+ARM = mycobot280()
+QUICK = Protocol(dwell=1.0, hold=0.8, window=0.4)
+JOB = Job(
+    robot="emulated:worn", arm=ARM, run=None, twin=None, period=None, names=("default", "integrator", "shelf"),
+    targets=ARM.targets.sample(np.random.default_rng(3), (1, 2)), turns=None,
+    settings=Settings(repetitions=2, seed=1, batched=True, protocol=QUICK), limits=GuardLimits.of(ARM), correct=None,
+)  # fmt: skip
+PLACES = ((0, 0), (0, 1))
+
+
+@pytest.fixture
+def helper():
+    found = HelperProcess(JOB)
+    yield found
+    found.close()
+
+
+def test_it_drives_the_same_to_the_bit(helper):
+    runner = JOB.runner()
+    for task in (("integrator", "hold"), ("shelf", "crossing")):
+        driven, recording = helper.drive(task, PLACES)
+        own, seen = runner.drive_batch(runner.open_batch(PLACES), *task, PLACES)
+        assert (driven.key, driven.cycles, driven.reasons) == (own.key, own.cycles, own.reasons)
+        for field in fields(seen):
+            np.testing.assert_array_equal(getattr(recording, field.name), getattr(seen, field.name))
+
+
+def test_one_that_is_gone_or_cannot_is_lost(helper):
+    with pytest.raises(HelperLostError):
+        helper.drive(("nobody", "hold"), PLACES)
+    gone = HelperProcess(JOB)
+    gone.close()
+    with pytest.raises(HelperLostError):
+        gone.drive(("default", "hold"), PLACES)
+    gone.close()
+
+
+@pytest.fixture
+def started(monkeypatch):
+    """Make every comparison large enough for a helper, and keep the helpers that are started."""
+    found = []
+
+    class Kept(HelperProcess):
+        def __init__(self, job: Job) -> None:
+            super().__init__(job)
+            found.append(self)
+
+    monkeypatch.setattr(comparing, "HelperProcess", Kept)
+    monkeypatch.setattr(comparing, "LEAST", 1)
+    monkeypatch.setattr(os, "cpu_count", lambda: 2)
+    monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
+    return found
+
+
+def compared(*controllers):
+    return rejoint.compare("emulated:worn", controllers, sets=1, repetitions=1, protocol=QUICK)
+
+
+def test_a_comparison_with_a_helper_finds_what_it_finds_without(started, monkeypatch):
+    found = compared("default", "integrator")
+    (helper,) = started
+    assert helper._process.poll() is not None  # it has ended with the comparison
+    monkeypatch.setattr(comparing, "LEAST", 10**6)
+    alone = compared("default", "integrator")
+    assert len(started) == 1
+    assert found.comparison == alone.comparison
+    assert len(found.logs) == 4
+    assert set(found.logs) == set(alone.logs)
+    for label, log in found.logs.items():
+        np.testing.assert_array_equal(log.position, alone.logs[label].position)
+
+
+def test_who_is_limited_to_one_core_has_no_helper(started, monkeypatch):
+    monkeypatch.setenv("OMP_NUM_THREADS", "1")
+    compared("default", "integrator")
+    monkeypatch.delenv("OMP_NUM_THREADS")
+    monkeypatch.setattr(os, "cpu_count", lambda: 1)
+    compared("default", "integrator")
+    assert not started
+
+
+def test_controllers_that_have_no_name_are_driven_here_alone(started):
+    compared("default", IntegratorController)
+    rejoint.compare("emulated:worn", {"mine": "integrator"}, sets=1, repetitions=1, protocol=QUICK)
+    assert not started
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
+def test_it_ends_with_the_process_that_started_it_however_that_ends():
+    lines = (
+        "import sys; sys.path[:0] = sys.argv[1:]",
+        "from test_helper import JOB, PLACES, HelperProcess",
+        "helper = HelperProcess(JOB)",
+        "helper.drive(('default', 'hold'), PLACES)",
+        "print(helper._process.pid, flush=True)",
+        "sys.stdin.read()",
+    )
+    here = str(Path(__file__).parent)
+    words = [sys.executable, "-c", "\n".join(lines), here, *sys.path]
+    with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+        helper = int(process.stdout.readline())
+        os.kill(helper, 0)  # it is there
+        process.kill()
+    deadline = time.monotonic() + 20.0
+    while time.monotonic() < deadline and alive(helper):
+        time.sleep(0.05)
+    assert not alive(helper)
+
+
+def alive(pid: int) -> bool:
+    """Whether there is such a process, and no remains of one that nobody has asked about."""
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    state = subprocess.run(["ps", "-o", "stat=", "-p", str(pid)], capture_output=True, text=True, check=False).stdout
+    return bool(state.strip()) and not state.startswith("Z")

@@ -1,0 +1,128 @@
+"""Trainings that begin at the policy from the shelf."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from test_ranges import make_twin
+
+from rejoint.arms import load_arm
+from rejoint.control.contract import probe_observations
+from rejoint.control.policy import Policy
+from rejoint.control.shelf import shelf_path, shelf_policy
+from rejoint.logs.runfolder.outputs import Outputs
+from rejoint.system.errors import FileError
+from rejoint.training.presets import DEFAULT, PAPER, SCRATCH, Preset
+from rejoint.training.train import TrainingOptions, know_stiffness, train
+from rejoint.training.warmstart import network_weights, shelf_start
+
+ARM = load_arm("mycobot280")
+FIRST = DEFAULT.warm.critic_first
+
+
+def options(**changes) -> TrainingOptions:
+    return TrainingOptions(**{"agents": 8, "threads": 1, "iterations": FIRST + 1, "checkpoint_every": 1} | changes)
+
+
+def answers(path) -> np.ndarray:
+    return np.array(Policy.load(path).contract.probe)
+
+
+@pytest.mark.parametrize("name", ["mycobot280", "so101"])
+def test_the_weights_of_a_file_give_the_answers_that_it_records(name):
+    policy = shelf_policy(load_arm(name))
+    values = probe_observations(policy.contract.observation_size)
+    weights = network_weights(policy.content)
+    for matrix, more in zip(weights[:-2:2], weights[1:-2:2], strict=True):
+        values = values @ matrix.T + more
+        values = np.where(values > 0.0, values, np.expm1(values))  # ELU
+    values = np.clip(values @ weights[-2].T + weights[-1], -1.0, 1.0)
+    np.testing.assert_allclose(values, policy.contract.probe, atol=1e-5)
+
+
+def test_a_training_on_a_twin_begins_at_the_shelf_and_lets_the_critic_learn_first(tmp_path):
+    kept = answers(shelf_path(ARM.name))
+    train(ARM, make_twin(), out=tmp_path / "first", options=options(iterations=FIRST))
+    np.testing.assert_array_equal(answers(tmp_path / "first" / "policy.onnx"), kept)
+    train(ARM, make_twin(), out=tmp_path / "then", options=options())
+    moved = np.abs(answers(tmp_path / "then" / "policy.onnx") - kept)
+    assert 1e-4 < moved.max() < 0.3
+    train(ARM, make_twin(), out=tmp_path / "random", options=options(preset="scratch", iterations=1))
+    assert np.abs(answers(tmp_path / "random" / "policy.onnx")).max() < 0.1  # hardly more than the law alone
+
+
+def test_without_a_twin_a_training_begins_at_random(tmp_path):
+    train(ARM, None, out=tmp_path, options=options(iterations=1))
+    assert np.abs(answers(tmp_path / "policy.onnx")).max() < 0.1
+
+
+def test_it_is_a_function_of_its_seed_also_when_interrupted(tmp_path):
+    class InterruptedTrainingError(Exception):
+        pass
+
+    def interrupt(share, what):
+        raise InterruptedTrainingError
+
+    twin = make_twin()
+    whole = train(ARM, twin, out=tmp_path / "whole", options=options())
+    with pytest.raises(InterruptedTrainingError):
+        train(ARM, twin, out=tmp_path / "cut", options=options(), on_progress=interrupt)
+    assert Outputs(tmp_path / "cut").checkpoint.exists()
+    seen = []
+    resumed = train(
+        ARM, twin, out=tmp_path / "cut", options=options(resume=True), on_progress=lambda *r: seen.append(r)
+    )
+    assert len(seen) == FIRST  # the first update is not done again
+    assert resumed.policy.read_bytes() == whole.policy.read_bytes()
+    other = train(ARM, twin, out=tmp_path / "other", options=options(seed=1))
+    assert other.policy.read_bytes() != whole.policy.read_bytes()
+
+
+def changed(**law) -> Preset:
+    return dataclasses.replace(
+        DEFAULT, task=dataclasses.replace(DEFAULT.task, law=dataclasses.replace(DEFAULT.task.law, **law))
+    )
+
+
+@pytest.mark.parametrize(
+    "recipe",
+    [
+        SCRATCH,
+        PAPER,
+        changed(step_gain=0.9),
+        changed(load_penalty=2.0),
+        dataclasses.replace(DEFAULT, task=dataclasses.replace(DEFAULT.task, layout="equation-16")),
+        dataclasses.replace(DEFAULT, task=dataclasses.replace(DEFAULT.task, max_period=0.1)),
+        dataclasses.replace(DEFAULT, warm=dataclasses.replace(DEFAULT.warm, actor_layers=(64, 64))),
+    ],
+)
+def test_a_recipe_that_the_shelf_was_not_trained_by_begins_at_random(recipe):
+    assert shelf_start(ARM, DEFAULT) is not None
+    assert shelf_start(ARM, recipe) is None
+
+
+def test_what_a_law_believes_of_a_single_arm_does_not_matter():
+    twin = make_twin()
+    damped = dataclasses.replace(twin.parameters, damping=4.0 * twin.parameters.damping)
+    for known in (twin, dataclasses.replace(twin, parameters=damped)):
+        recipe = know_stiffness(DEFAULT, ARM, known)
+        assert recipe.task.law != DEFAULT.task.law
+        assert shelf_start(ARM, recipe) is not None
+    so101 = load_arm("so101")
+    assert shelf_start(so101, DEFAULT) is not None
+    assert shelf_start(so101, DEFAULT).digest != shelf_start(ARM, DEFAULT).digest
+
+
+def test_an_arm_that_the_shelf_does_not_know_begins_at_random():
+    assert shelf_start(dataclasses.replace(ARM, name="another"), DEFAULT) is None
+    assert shelf_start(dataclasses.replace(ARM, mass=1.1 * ARM.mass), DEFAULT) is None
+
+
+def test_a_damaged_shelf_is_named(tmp_path, monkeypatch):
+    broken = tmp_path / "mycobot280.onnx"
+    data = bytearray(shelf_path(ARM.name).read_bytes())
+    data[len(data) // 2] ^= 1
+    broken.write_bytes(data)
+    monkeypatch.setattr("rejoint.control.shelf.shelf_path", lambda _: broken)
+    with pytest.raises(FileError, match=r"mycobot280\.onnx"):
+        shelf_start(ARM, DEFAULT)
