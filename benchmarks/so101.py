@@ -1,7 +1,7 @@
 """Emulated SO-101 on the law of their servos, in virtual time: `python -m benchmarks.so101 shelf|push|loads|tuned`.
 
 `shelf`: the policy from the shelf against the classical controllers, on twenty arms that it never met, at two P.
-`push`: a friction push with dither over the integrator, under gains that a search found; it knows the true friction.
+`push`: shares of the friction push and of its dither, under gains that a search found.
 `loads`: what a servo's load does for the identification of arms whose links are 15 % heavier than described.
 `tuned`: what controllers gain from the gains of a search, with the twin of the gains before made as stiff as then.
 """
@@ -19,8 +19,8 @@ from rejoint.control.default import DefaultController
 from rejoint.control.feedforward import FeedforwardController
 from rejoint.control.gainsearch import search
 from rejoint.control.integrator import IntegratorController
-from rejoint.control.law import dls_step, limit_position
 from rejoint.control.loop import Schedule, run
+from rejoint.control.push import PushController, PushGains
 from rejoint.control.shelf import shelf_controller
 from rejoint.diagnosis.record import record
 from rejoint.lab.plant.wear import load_wear
@@ -33,7 +33,6 @@ from rejoint.twin.predictive import PredictiveController
 ARM, PROTOCOL = load_arm("so101"), Protocol()
 KINDS = ("worn", "so101")
 """Wear profiles: a worn small arm, and an SO-101 as one was found"""
-GOLDEN = np.pi * (3 - np.sqrt(5))
 
 
 def arms(count, first):
@@ -84,51 +83,31 @@ def shelf():
             tell(f"P = {p}, {name}", held(robot(names, [{"p": p}] * len(names)), controller, points), 10)
 
 
-class Push:
-    """Adds to ``inner`` a share of each joint's friction, as lead, towards the target while the joint stands.
-
-    Dither comes on top; both fade with the measured speed.
-    """
-
-    name = "push"
-
-    def __init__(self, inner, push, dither):
-        self.inner, self.push, self.dither, self.sent, self.last = inner, push, dither, None, None
-
-    def reset(self, inputs, where):
-        """Pass a new target on."""
-        self.sent = inputs.sent.copy() if self.sent is None else self.sent
-        self.inner.reset(replace(inputs, sent=self.sent), where)
-
-    def command(self, inputs):
-        """Return the command of the inner controller, pushed."""
-        here, time = inputs.state.position, inputs.state.time[:, None]
-        before, then, speed = (here, time - 1.0, 0.0 * here) if self.last is None else self.last
-        speed = 0.5 * speed + 0.5 * (here - before) / np.maximum(time - then, 1e-3)
-        self.last = here.copy(), time.copy(), speed
-        self.sent = self.inner.command(replace(inputs, sent=self.sent))
-        seen = dls_step(ARM, here, inputs.target)
-        away = np.linalg.norm(seen.error, axis=-1, keepdims=True)
-        push = self.push * np.tanh(seen.step / (1.5 * ARM.encoder_step)) * away / (away + 3e-4)
-        wave = self.dither * np.sin(2 * np.pi * 8.0 * time + GOLDEN * np.arange(ARM.joints)) * (away > 3e-4)
-        return limit_position(ARM, self.sent + (push + wave) * np.exp(-((speed / 0.05) ** 2)))
-
-
 def searched(names):
     """Return what the search for gains finds for each arm."""
     points = draw_targets(ARM, sets=1, count=4, seed=0)[0]
     return [search(robot([name], seed=11), points) for name in names]
 
 
+def known():
+    """Return arms of both kinds, the gains that a search finds for each, and its twin under these."""
+    names = arms(4, 1)
+    for name, found in zip(names, searched(names), strict=True):
+        twin = identify(ARM, [record(robot([name], seed=21), seed=0)[0].excitation])
+        yield name, found, twin
+
+
 def push():
-    names, points = arms(4, 1), targets(8, 8, 100)
-    gains = [found.under for found in searched(names)]
-    wears = [load_wear(name, ARM) for name in names]
-    p = np.array([own["p"] for own in gains])
-    lead = np.array([wear.coulomb / wear.position_gain for wear in wears]) * 32 / p  # [rad]
-    for share, dither in ((0, 0), (0.3, 0), (0.5, 0), (1, 0), (0, 0.3), (0, 0.7), (0.3, 0.3)):
-        controller = Push(IntegratorController(ARM), share * lead, dither * lead)
-        tell(f"push {share}, dither {dither}", held(robot(names, gains), controller, points), 4)
+    points, rows = targets(8, 8, 100), {}
+    for arm, (name, found, twin) in enumerate(known()):
+        believed = twin_under(twin, found.found, found.under).parameters
+        for share, dither in ((0, 0), (0.3, 0), (0.5, 0), (0.8, 0), (0, 0.3), (0.3, 0.3), (0.3, 0.5), (0.5, 0.3)):
+            gains = PushGains(push=share, dither=dither)
+            controller = PushController(ARM, believed.stiffness, believed.coulomb, gains)
+            seen = held(robot([name], [found.under], seed=50 + arm), controller, points[arm : arm + 1])
+            rows.setdefault((share, dither), []).append(seen)
+    for (share, dither), found in rows.items():
+        tell(f"push {share}, dither {dither}", [np.concatenate(one) for one in zip(*found, strict=True)], 4)
 
 
 def loads():
@@ -156,17 +135,15 @@ def loads():
 
 
 def tuned():
-    names, points = arms(4, 1), targets(8, 6, 3)
-    rows = {}
-    for arm, (name, found) in enumerate(zip(names, searched(names), strict=True)):
-        twin = identify(ARM, [record(robot([name], seed=21), seed=0)[0].excitation])
+    points, rows = targets(8, 6, 3), {}
+    for arm, (name, found, twin) in enumerate(known()):
         for under, gains in (("before", found.found), ("tuned", found.under)):
-            known = twin_under(twin, found.found, gains)
-            stiffness = known.parameters.stiffness
+            believed = twin_under(twin, found.found, gains)
+            stiffness, friction = believed.parameters.stiffness, believed.parameters.coulomb
             for label, controller in {
                 "integrator": IntegratorController(ARM), "feedforward": FeedforwardController(ARM, stiffness),
-                "shelf": shelf_controller(ARM),
-                "predictive": PredictiveController.of(ARM, known, shelf_controller(ARM)),
+                "push": PushController(ARM, stiffness, friction), "shelf": shelf_controller(ARM),
+                "predictive": PredictiveController.of(ARM, believed, shelf_controller(ARM)),
             }.items():  # fmt: skip
                 settled, _, stay = held(robot([name], [gains], seed=50 + arm), controller, points[arm : arm + 1])
                 rows.setdefault((label, under), []).append([np.nanmean(settled), np.median(stay)])
