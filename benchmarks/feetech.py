@@ -191,7 +191,9 @@ def _arm():
 
 
 if __name__ == "__main__":
-    if sys.argv[1] == "gains":
+    if len(sys.argv) == 1:
+        main()
+    elif sys.argv[1] == "gains":
         gains()
     elif sys.argv[1] == "joints":
         joints(*sys.argv[2:])

@@ -1,7 +1,7 @@
 """One look per controller, the same in every figure, table and theme.
 
-Colours are the colour-blind-safe set of Okabe and Ito, "Color Universal Design" (2008), with indigo, teal and olive beside,
-on a light ground; the dark variants are lightened by eye to keep a contrast of at least 4.5 : 1. No figure relies
+Colours are the colour-blind-safe set of Okabe and Ito, "Color Universal Design" (2008), and indigo, teal and olive, on
+a light ground; the dark variants are lightened by eye to keep a contrast of at least 4.5 : 1. No figure relies
 on colour alone: marker, dash and hatch differ as well.
 """
 
