@@ -98,16 +98,23 @@ def known():
 
 
 def push():
-    points, rows = targets(8, 8, 100), {}
+    points, rows = targets(8, 24, 100), {}
     for arm, (name, found, twin) in enumerate(known()):
         believed = twin_under(twin, found.found, found.under).parameters
-        for share, dither in ((0, 0), (0.3, 0), (0.5, 0), (0.8, 0), (0, 0.3), (0.3, 0.3), (0.3, 0.5), (0.5, 0.3)):
+        for share, dither in ((0, 0), (0.5, 0), (0, 0.3), (0.3, 0.3), (0.5, 0.3), (0.8, 0.3)):
             gains = PushGains(push=share, dither=dither)
             controller = PushController(ARM, believed.stiffness, believed.coulomb, gains)
             seen = held(robot([name], [found.under], seed=50 + arm), controller, points[arm : arm + 1])
             rows.setdefault((share, dither), []).append(seen)
-    for (share, dither), found in rows.items():
-        tell(f"push {share}, dither {dither}", [np.concatenate(one) for one in zip(*found, strict=True)], 4)
+    table = {pair: [np.concatenate(one) for one in zip(*found, strict=True)] for pair, found in rows.items()}
+    for (share, dither), found in table.items():
+        tell(f"push {share}, dither {dither}", found, 4)
+        nearer = (found[0] - table[0, 0][0]).reshape(len(KINDS), -1)
+        error = nearer.std(axis=1) / np.sqrt(nearer.shape[1])
+        print(
+            "  settled beside none: "
+            + ", ".join(f"{d:+.3f} +- {e:.3f}" for d, e in zip(nearer.mean(1), error, strict=True))
+        )
 
 
 def loads():
