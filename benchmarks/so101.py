@@ -2,7 +2,8 @@
 
 `shelf`: the policy from the shelf against the classical controllers, on twenty arms that it never met, at two P.
 `push`: shares of the friction push and of its dither, under gains that a search found.
-`loads`: what a servo's load does for the identification of arms whose links are 15 % heavier than described.
+`loads`: what a servo's load, and its current, do for the identification of arms whose links are 15 % heavier than
+described; a number behind it is the `OWN` of `rejoint.twin.loads`, by which motors of one type are believed to differ.
 `tuned`: what controllers gain from the gains of a search, with the twin of the gains before made as stiff as then.
 """
 
@@ -23,14 +24,18 @@ from rejoint.control.loop import Schedule, run
 from rejoint.control.push import PushController, PushGains
 from rejoint.control.shelf import shelf_controller
 from rejoint.diagnosis.record import record
+from rejoint.lab.plant.sts3215 import STALL_CURRENT
 from rejoint.lab.plant.wear import load_wear
 from rejoint.robots.emulated import EmulatedRobot
 from rejoint.runs.stages.driving import twin_under
+from rejoint.twin import loads as told_by_loads
 from rejoint.twin.identify import identify
 from rejoint.twin.parameters import Layout, pack
 from rejoint.twin.predictive import PredictiveController
 
 ARM, PROTOCOL = load_arm("so101"), Protocol()
+MOTOR_CONSTANTS = (1.08, 1.178, 1.275, 3.60)
+"""[N m/A] of an STS3215: its data sheet (C018), Rhoban/bam's fits m1 and m6 (7.4 V), kscalelabs/sysid (12 V)"""
 KINDS = ("worn", "so101")
 """Wear profiles: a worn small arm, and an SO-101 as one was found"""
 
@@ -117,7 +122,22 @@ def push():
         )
 
 
-def loads():
+def with_current(values, covariance):
+    """Return what is believed of a twin (k,), (k, k) once currents are read by a published motor constant.
+
+    Where a joint stands, its current is its duty times voltage over the winding's resistance. So it tells nothing that
+    the duty does not, but for the torque at stall, as well as the constant is known that turns a current into one.
+    """
+    place, known = Layout(ARM.joints).at("torque_limit"), np.log(MOTOR_CONSTANTS)
+    row = np.eye(len(values))[place]
+    error = known.std(ddof=1) ** 2 + told_by_loads.OWN**2 * np.eye(ARM.joints)
+    share = covariance @ row.T @ np.linalg.inv(row @ covariance @ row.T + error)
+    seen = known.mean() + np.log(STALL_CURRENT)
+    return values + share @ (seen - row @ values), covariance - share @ row @ covariance
+
+
+def loads(own=told_by_loads.OWN):
+    told_by_loads.OWN = float(own)
     heavier = replace(ARM, mass=1.15 * ARM.mass, inertia=1.15 * ARM.inertia)
     names, layout = arms(3, 1), Layout(ARM.joints)
     logs = [one.excitation for one in record(robot(names, seed=31, bodies=[heavier] * len(names)), seed=0)]
@@ -125,18 +145,24 @@ def loads():
     for name, log in zip(names, logs, strict=True):
         gain, kind = load_wear(name, ARM).position_gain, name.partition("?")[0]
         truth = {"stiffness": gain, "torque_limit": 0.97 * gain / (0.163 * 32)}
-        for load in ("without", "with"):
-            twin = identify(ARM, [log if load == "with" else replace(log, servo_load=None)])
-            values, sigma = pack(twin.parameters), np.sqrt(np.diag(twin.covariance))
+        plain, loaded = (identify(ARM, [one]) for one in (replace(log, servo_load=None), log))
+        believed = {
+            "no load": (pack(plain.parameters), plain.covariance),
+            "load": (pack(loaded.parameters), loaded.covariance),
+            "load, current": with_current(pack(loaded.parameters), loaded.covariance),
+        }
+        for told, (values, covariance) in believed.items():
+            sigma = np.sqrt(np.diag(covariance))
             for what, true in truth.items():
                 place = layout.at(what)
-                found.setdefault((kind, what, load), []).append((values[place] - np.log(true), sigma[place]))
-    for (kind, what, load), rows in found.items():
-        error, sigma = np.concatenate([np.array(row) for row in rows], axis=1)
+                found.setdefault((kind, what, told), []).append((values[place] - np.log(true), sigma[place]))
+    for (kind, what, told), rows in found.items():
+        error, sigma = np.stack([np.array(row) for row in rows], axis=1)
+        outside = np.abs(error) >= 1.96 * sigma
         print(
-            f"{kind:6s} {what:12s} {load:7s} load: logarithm off by {np.median(np.abs(error)):.2f} (median), one sigma "
+            f"{kind:6s} {what:12s} {told:13s}: logarithm off by {np.median(np.abs(error)):.2f} (median), one sigma "
             f"{np.median(sigma):.2f} (largest {sigma.max():.2f}), truth within 95 % in "
-            f"{(np.abs(error) < 1.96 * sigma).sum()} of {error.size}",
+            f"{(~outside).sum()} of {error.size}; outside: {', '.join(np.array(ARM.joint_names)[np.nonzero(outside)[1]])}",
             flush=True,
         )
 
@@ -160,4 +186,4 @@ def tuned():
 
 
 if __name__ == "__main__":
-    {"shelf": shelf, "push": push, "loads": loads, "tuned": tuned}[sys.argv[1]]()
+    {"shelf": shelf, "push": push, "loads": loads, "tuned": tuned}[sys.argv[1]](*sys.argv[2:])
