@@ -128,21 +128,21 @@ def with_current(values, covariance):
     Where a joint stands, its current is its duty times voltage over the winding's resistance. So it tells nothing that
     the duty does not, but for the torque at stall, as well as the constant is known that turns a current into one.
     """
-    place, known = Layout(ARM.joints).at("torque_limit"), np.log(MOTOR_CONSTANTS)
+    place, constant = Layout(ARM.joints).at("torque_limit"), np.log(MOTOR_CONSTANTS)
     row = np.eye(len(values))[place]
-    error = known.std(ddof=1) ** 2 + told_by_loads.OWN**2 * np.eye(ARM.joints)
+    error = constant.std(ddof=1) ** 2 + told_by_loads.OWN**2 * np.eye(ARM.joints)
     share = covariance @ row.T @ np.linalg.inv(row @ covariance @ row.T + error)
-    seen = known.mean() + np.log(STALL_CURRENT)
+    seen = constant.mean() + np.log(STALL_CURRENT)
     return values + share @ (seen - row @ values), covariance - share @ row @ covariance
 
 
 def loads(own=told_by_loads.OWN):
     told_by_loads.OWN = float(own)
     heavier = replace(ARM, mass=1.15 * ARM.mass, inertia=1.15 * ARM.inertia)
-    names, layout = arms(3, 1), Layout(ARM.joints)
-    logs = [one.excitation for one in record(robot(names, seed=31, bodies=[heavier] * len(names)), seed=0)]
+    drawn, layout = arms(3, 1), Layout(ARM.joints)
+    logs = [one.excitation for one in record(robot(drawn, seed=31, bodies=[heavier] * len(drawn)), seed=0)]
     found = {}
-    for name, log in zip(names, logs, strict=True):
+    for name, log in zip(drawn, logs, strict=True):
         gain, kind = load_wear(name, ARM).position_gain, name.partition("?")[0]
         truth = {"stiffness": gain, "torque_limit": 0.97 * gain / (0.163 * 32)}
         plain, loaded = (identify(ARM, [one]) for one in (replace(log, servo_load=None), log))
@@ -159,10 +159,11 @@ def loads(own=told_by_loads.OWN):
     for (kind, what, told), rows in found.items():
         error, sigma = np.stack([np.array(row) for row in rows], axis=1)
         outside = np.abs(error) >= 1.96 * sigma
+        names = ", ".join(np.array(ARM.joint_names)[np.nonzero(outside)[1]])
         print(
             f"{kind:6s} {what:12s} {told:13s}: logarithm off by {np.median(np.abs(error)):.2f} (median), one sigma "
             f"{np.median(sigma):.2f} (largest {sigma.max():.2f}), truth within 95 % in "
-            f"{(~outside).sum()} of {error.size}; outside: {', '.join(np.array(ARM.joint_names)[np.nonzero(outside)[1]])}",
+            f"{(~outside).sum()} of {error.size}; outside: {names or 'none'}",
             flush=True,
         )
 
