@@ -1,8 +1,9 @@
 """Emulated SO-101 on the law of their servos, in virtual time: `python -m benchmarks.so101 shelf|push|loads|tuned`.
 
 `shelf`: the policy from the shelf against the classical controllers, on twenty arms that it never met, at two P.
-`push`: a friction push with dither over the integrator, under gains that a search found; it knows the true friction.
-`loads`: what a servo's load does for the identification of arms whose links are 15 % heavier than described.
+`push`: shares of the friction push and of its dither, under gains that a search found.
+`loads`: what a servo's load, and its current, do for the identification of arms whose links are 15 % heavier than
+described; a number behind it is the `OWN` of `rejoint.twin.loads`, by which motors of one type are believed to differ.
 `tuned`: what controllers gain from the gains of a search, with the twin of the gains before made as stiff as then.
 """
 
@@ -19,21 +20,24 @@ from rejoint.control.default import DefaultController
 from rejoint.control.feedforward import FeedforwardController
 from rejoint.control.gainsearch import search
 from rejoint.control.integrator import IntegratorController
-from rejoint.control.law import dls_step, limit_position
 from rejoint.control.loop import Schedule, run
+from rejoint.control.push import PushController, PushGains
 from rejoint.control.shelf import shelf_controller
 from rejoint.diagnosis.record import record
 from rejoint.robots.emulated import EmulatedRobot
+from rejoint.robots.lab.plant.sts3215 import STALL_CURRENT
 from rejoint.robots.lab.plant.wear import load_wear
 from rejoint.runs.stages.driving import twin_under
+from rejoint.twin import loads as told_by_loads
 from rejoint.twin.identify import identify
 from rejoint.twin.parameters import Layout, pack
 from rejoint.twin.predictive import PredictiveController
 
 ARM, PROTOCOL = load_arm("so101"), Protocol()
+MOTOR_CONSTANTS = (1.08, 1.178, 1.275, 3.60)
+"""[N m/A] of an STS3215: its data sheet (C018), Rhoban/bam's fits m1 and m6 (7.4 V), kscalelabs/sysid (12 V)"""
 KINDS = ("worn", "so101")
 """Wear profiles: a worn small arm, and an SO-101 as one was found"""
-GOLDEN = np.pi * (3 - np.sqrt(5))
 
 
 def arms(count, first):
@@ -84,89 +88,96 @@ def shelf():
             tell(f"P = {p}, {name}", held(robot(names, [{"p": p}] * len(names)), controller, points), 10)
 
 
-class Push:
-    """Adds to ``inner`` a share of each joint's friction, as lead, towards the target while the joint stands.
-
-    Dither comes on top; both fade with the measured speed.
-    """
-
-    name = "push"
-
-    def __init__(self, inner, push, dither):
-        self.inner, self.push, self.dither, self.sent, self.last = inner, push, dither, None, None
-
-    def reset(self, inputs, where):
-        """Pass a new target on."""
-        self.sent = inputs.sent.copy() if self.sent is None else self.sent
-        self.inner.reset(replace(inputs, sent=self.sent), where)
-
-    def command(self, inputs):
-        """Return the command of the inner controller, pushed."""
-        here, time = inputs.state.position, inputs.state.time[:, None]
-        before, then, speed = (here, time - 1.0, 0.0 * here) if self.last is None else self.last
-        speed = 0.5 * speed + 0.5 * (here - before) / np.maximum(time - then, 1e-3)
-        self.last = here.copy(), time.copy(), speed
-        self.sent = self.inner.command(replace(inputs, sent=self.sent))
-        seen = dls_step(ARM, here, inputs.target)
-        away = np.linalg.norm(seen.error, axis=-1, keepdims=True)
-        push = self.push * np.tanh(seen.step / (1.5 * ARM.encoder_step)) * away / (away + 3e-4)
-        wave = self.dither * np.sin(2 * np.pi * 8.0 * time + GOLDEN * np.arange(ARM.joints)) * (away > 3e-4)
-        return limit_position(ARM, self.sent + (push + wave) * np.exp(-((speed / 0.05) ** 2)))
-
-
 def searched(names):
     """Return what the search for gains finds for each arm."""
     points = draw_targets(ARM, sets=1, count=4, seed=0)[0]
     return [search(robot([name], seed=11), points) for name in names]
 
 
+def known():
+    """Return arms of both kinds, the gains that a search finds for each, and its twin under these."""
+    names = arms(4, 1)
+    for name, found in zip(names, searched(names), strict=True):
+        twin = identify(ARM, [record(robot([name], seed=21), seed=0)[0].excitation])
+        yield name, found, twin
+
+
 def push():
-    names, points = arms(4, 1), targets(8, 8, 100)
-    gains = [found.under for found in searched(names)]
-    wears = [load_wear(name, ARM) for name in names]
-    p = np.array([own["p"] for own in gains])
-    lead = np.array([wear.coulomb / wear.position_gain for wear in wears]) * 32 / p  # [rad]
-    for share, dither in ((0, 0), (0.3, 0), (0.5, 0), (1, 0), (0, 0.3), (0, 0.7), (0.3, 0.3)):
-        controller = Push(IntegratorController(ARM), share * lead, dither * lead)
-        tell(f"push {share}, dither {dither}", held(robot(names, gains), controller, points), 4)
+    points, rows = targets(8, 24, 100), {}
+    for arm, (name, found, twin) in enumerate(known()):
+        believed = twin_under(twin, found.found, found.under).parameters
+        for share, dither in ((0, 0), (0.5, 0), (0, 0.3), (0.3, 0.3), (0.5, 0.3), (0.8, 0.3)):
+            gains = PushGains(push=share, dither=dither)
+            controller = PushController(ARM, believed.stiffness, believed.coulomb, gains)
+            seen = held(robot([name], [found.under], seed=50 + arm), controller, points[arm : arm + 1])
+            rows.setdefault((share, dither), []).append(seen)
+    table = {pair: [np.concatenate(one) for one in zip(*found, strict=True)] for pair, found in rows.items()}
+    for (share, dither), found in table.items():
+        tell(f"push {share}, dither {dither}", found, 4)
+        nearer = (found[0] - table[0, 0][0]).reshape(len(KINDS), -1)
+        error = nearer.std(axis=1) / np.sqrt(nearer.shape[1])
+        print(
+            "  settled beside none: "
+            + ", ".join(f"{d:+.3f} +- {e:.3f}" for d, e in zip(nearer.mean(1), error, strict=True))
+        )
 
 
-def loads():
+def with_current(values, covariance):
+    """Return what is believed of a twin (k,), (k, k) once currents are read by a published motor constant.
+
+    Where a joint stands, its current is its duty times voltage over the winding's resistance. So it tells nothing that
+    the duty does not, but for the torque at stall, as well as the constant is known that turns a current into one.
+    """
+    place, constant = Layout(ARM.joints).at("torque_limit"), np.log(MOTOR_CONSTANTS)
+    row = np.eye(len(values))[place]
+    error = constant.std(ddof=1) ** 2 + told_by_loads.OWN**2 * np.eye(ARM.joints)
+    share = covariance @ row.T @ np.linalg.inv(row @ covariance @ row.T + error)
+    seen = constant.mean() + np.log(STALL_CURRENT)
+    return values + share @ (seen - row @ values), covariance - share @ row @ covariance
+
+
+def loads(own=told_by_loads.OWN):
+    told_by_loads.OWN = float(own)
     heavier = replace(ARM, mass=1.15 * ARM.mass, inertia=1.15 * ARM.inertia)
-    names, layout = arms(3, 1), Layout(ARM.joints)
-    logs = [one.excitation for one in record(robot(names, seed=31, bodies=[heavier] * len(names)), seed=0)]
+    drawn, layout = arms(3, 1), Layout(ARM.joints)
+    logs = [one.excitation for one in record(robot(drawn, seed=31, bodies=[heavier] * len(drawn)), seed=0)]
     found = {}
-    for name, log in zip(names, logs, strict=True):
+    for name, log in zip(drawn, logs, strict=True):
         gain, kind = load_wear(name, ARM).position_gain, name.partition("?")[0]
         truth = {"stiffness": gain, "torque_limit": 0.97 * gain / (0.163 * 32)}
-        for load in ("without", "with"):
-            twin = identify(ARM, [log if load == "with" else replace(log, servo_load=None)])
-            values, sigma = pack(twin.parameters), np.sqrt(np.diag(twin.covariance))
+        plain, loaded = (identify(ARM, [one]) for one in (replace(log, servo_load=None), log))
+        believed = {
+            "no load": (pack(plain.parameters), plain.covariance),
+            "load": (pack(loaded.parameters), loaded.covariance),
+            "load, current": with_current(pack(loaded.parameters), loaded.covariance),
+        }
+        for told, (values, covariance) in believed.items():
+            sigma = np.sqrt(np.diag(covariance))
             for what, true in truth.items():
                 place = layout.at(what)
-                found.setdefault((kind, what, load), []).append((values[place] - np.log(true), sigma[place]))
-    for (kind, what, load), rows in found.items():
-        error, sigma = np.concatenate([np.array(row) for row in rows], axis=1)
+                found.setdefault((kind, what, told), []).append((values[place] - np.log(true), sigma[place]))
+    for (kind, what, told), rows in found.items():
+        error, sigma = np.stack([np.array(row) for row in rows], axis=1)
+        outside = np.abs(error) >= 1.96 * sigma
+        names = ", ".join(np.array(ARM.joint_names)[np.nonzero(outside)[1]])
         print(
-            f"{kind:6s} {what:12s} {load:7s} load: logarithm off by {np.median(np.abs(error)):.2f} (median), one sigma "
+            f"{kind:6s} {what:12s} {told:13s}: logarithm off by {np.median(np.abs(error)):.2f} (median), one sigma "
             f"{np.median(sigma):.2f} (largest {sigma.max():.2f}), truth within 95 % in "
-            f"{(np.abs(error) < 1.96 * sigma).sum()} of {error.size}",
+            f"{(~outside).sum()} of {error.size}; outside: {names or 'none'}",
             flush=True,
         )
 
 
 def tuned():
-    names, points = arms(4, 1), targets(8, 6, 3)
-    rows = {}
-    for arm, (name, found) in enumerate(zip(names, searched(names), strict=True)):
-        twin = identify(ARM, [record(robot([name], seed=21), seed=0)[0].excitation])
+    points, rows = targets(8, 6, 3), {}
+    for arm, (name, found, twin) in enumerate(known()):
         for under, gains in (("before", found.found), ("tuned", found.under)):
-            known = twin_under(twin, found.found, gains)
-            stiffness = known.parameters.stiffness
+            believed = twin_under(twin, found.found, gains)
+            stiffness, friction = believed.parameters.stiffness, believed.parameters.coulomb
             for label, controller in {
                 "integrator": IntegratorController(ARM), "feedforward": FeedforwardController(ARM, stiffness),
-                "shelf": shelf_controller(ARM),
-                "predictive": PredictiveController.of(ARM, known, shelf_controller(ARM)),
+                "push": PushController(ARM, stiffness, friction), "shelf": shelf_controller(ARM),
+                "predictive": PredictiveController.of(ARM, believed, shelf_controller(ARM)),
             }.items():  # fmt: skip
                 settled, _, stay = held(robot([name], [gains], seed=50 + arm), controller, points[arm : arm + 1])
                 rows.setdefault((label, under), []).append([np.nanmean(settled), np.median(stay)])
@@ -176,4 +187,4 @@ def tuned():
 
 
 if __name__ == "__main__":
-    {"shelf": shelf, "push": push, "loads": loads, "tuned": tuned}[sys.argv[1]]()
+    {"shelf": shelf, "push": push, "loads": loads, "tuned": tuned}[sys.argv[1]](*sys.argv[2:])

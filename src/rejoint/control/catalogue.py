@@ -11,6 +11,7 @@ from rejoint.control.default import DefaultController
 from rejoint.control.feedforward import FeedforwardController
 from rejoint.control.integrator import IntegratorController
 from rejoint.control.pid import PidController, PidGains
+from rejoint.control.push import PushController
 from rejoint.control.shelf import SHELF, shelf_controller
 from rejoint.system.errors import InputError
 
@@ -23,12 +24,14 @@ BASELINES: dict[str, Callable[[Arm], Controller]] = {
 }
 """Everything that was not learned, from the simplest to the most demanding."""
 
+PUSH = PushController.name
+"""Name of the feed-forward with a push against the friction that the arm's own twin tells"""
 POLICY = "policy"
 """Name of the policy among the controllers"""
 PREDICTIVE = "predictive"
 """Name of the controller that plans on the arm's own twin (`rejoint.twin.predictive`)"""
 
-CONTROLLERS = (*BASELINES, SHELF, POLICY, PREDICTIVE)
+CONTROLLERS = (*BASELINES, PUSH, SHELF, POLICY, PREDICTIVE)
 """Names of controllers, from the simplest to the most demanding."""
 
 ON_REQUEST = ("pid-sum", "pid-literal")
@@ -42,21 +45,23 @@ def contenders(*, real: bool, shelf: bool, policy: bool, twin: bool, paper: bool
     ``shelf``, ``policy`` and ``twin`` tell whether there is one for this arm; ``paper`` whether the paper's PIDs take
     part, by default in virtual time. A real arm is driven with the policy from
     the shelf until it has its own: to drive both takes a minute more and buys nothing (`python -m benchmarks.racing
-    --shelf`).
+    --shelf`). The push is for servos that hold still under it, and so takes part under tuned gains (`geared.UNDER`), or
+    where it is asked for.
     """
-    missing = {SHELF: not shelf or (real and policy), POLICY: not policy, PREDICTIVE: not twin}
+    missing = {PUSH: True, SHELF: not shelf or (real and policy), POLICY: not policy, PREDICTIVE: not twin}
     asked = not real if paper is None else paper
     return tuple(name for name in CONTROLLERS if not missing.get(name) and (asked or name not in ON_REQUEST))
 
 
 def make_controller(
-    name: str, arm: Arm, *, stiffness: Array | float | None = None, policy: Path | None = None
-) -> Controller:
+    name: str, arm: Arm, *, stiffness: Array | float | None = None, friction: Array | float | None = None,
+    policy: Path | None = None,
+) -> Controller:  # fmt: skip
     """Build the controller called ``name``.
 
     ``stiffness`` (n,) [N m/rad] is what the feed-forward believes of the servos, by default
-    what a worn arm of this size may have; ``policy`` is the
-    file that the name ``policy`` needs. InputError names the alternatives.
+    what a worn arm of this size may have; ``friction`` (n,) [N m] is what the push believes of the joints; ``policy``
+    is the file that the name ``policy`` needs. InputError names the alternatives.
     """
     if name == POLICY:
         if policy is None:
@@ -66,6 +71,10 @@ def make_controller(
         return load_policy(policy, arm)
     if name == PREDICTIVE:
         raise InputError("the controller 'predictive' needs the twin of the arm; fit one with: rejoint identify")
+    if name == PUSH:
+        if stiffness is None or friction is None:
+            raise InputError("the controller 'push' needs the twin of the arm; fit one with: rejoint identify")
+        return PushController(arm, stiffness, friction)
     if name == SHELF:
         return shelf_controller(arm)
     if name == "feedforward":

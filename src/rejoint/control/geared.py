@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from rejoint.arms import Array
-from rejoint.control.catalogue import POLICY, PREDICTIVE
+from rejoint.control.catalogue import POLICY, PREDICTIVE, PUSH
 from rejoint.control.controller import ControlInput, Controller, heeds_turn
 from rejoint.control.default import DefaultController
 from rejoint.control.robot import Mask
@@ -13,11 +13,11 @@ from rejoint.control.servogains import ServoGains
 
 GEARED = "servo-gains"
 """Name of the servos' own loops, tuned, with nothing above; before a plus and a name, that controller under them"""
-UNDER = ("integrator", "feedforward", POLICY, PREDICTIVE)
-"""Controllers that are driven under tuned gains as well (chosen: the best of the classical ones, and what the run has
-made for its arm)"""
+UNDER = ("integrator", "feedforward", PUSH, POLICY, PREDICTIVE)
+"""Controllers that are driven under tuned gains as well (chosen: the best of the classical ones, what owners try
+against friction, and what the run has made for its arm)"""
 RIVALS = (GEARED, *(f"{GEARED}+{name}" for name in UNDER))
-GEARED_POLICY, GEARED_PREDICTIVE = f"{GEARED}+{POLICY}", f"{GEARED}+{PREDICTIVE}"
+GEARED_PUSH, GEARED_POLICY, GEARED_PREDICTIVE = (f"{GEARED}+{name}" for name in (PUSH, POLICY, PREDICTIVE))
 
 
 def inner_name(name: str) -> str:

@@ -1,8 +1,8 @@
 """One look per controller, the same in every figure, table and theme.
 
-Colours are the colour-blind-safe set of Okabe and Ito, "Color Universal Design" (2008), with an indigo and a teal, on a
-light ground; the dark variants are lightened by eye to keep a contrast of at least 4.5 : 1. No figure
-relies on colour alone: marker, dash and hatch differ as well.
+Colours are the colour-blind-safe set of Okabe and Ito, "Color Universal Design" (2008), and indigo, teal and olive, on
+a light ground; the dark variants are lightened by eye to keep a contrast of at least 4.5 : 1. No figure relies
+on colour alone: marker, dash and hatch differ as well.
 """
 
 from __future__ import annotations
@@ -39,8 +39,9 @@ BLUE = Look(colour="#0069a8", dark="#56b4e9", marker="P", dash="-", hatch="")
 BROWN = Look(colour="#7a5c2e", dark="#c9a56b", marker="X", dash=(0, (2, 1)), hatch="+++")
 INDIGO = Look(colour="#5a52c4", dark="#a9a3f5", marker="*", dash=(0, (6, 1, 1, 1)), hatch="ooo")
 TEAL = Look(colour="#0f7c86", dark="#4cc3cd", marker="p", dash=(0, (2, 1, 4, 1)), hatch="---")
+OLIVE = Look(colour="#6f7a00", dark="#bcc73e", marker="h", dash=(0, (5, 1, 1, 1, 5, 1)), hatch="**")
 
-LOOKS = (GREY, ORANGE, RED, GREEN, PURPLE, BLUE, BROWN, INDIGO, TEAL)
+LOOKS = (GREY, ORANGE, RED, GREEN, PURPLE, BLUE, BROWN, INDIGO, TEAL, OLIVE)
 
 CONTROLLERS = {
     "default": GREY,
@@ -48,6 +49,7 @@ CONTROLLERS = {
     "pid-literal": RED,
     "integrator": GREEN,
     "feedforward": PURPLE,
+    "push": OLIVE,
     "shelf": INDIGO,
     "policy": BLUE,
     "predictive": TEAL,

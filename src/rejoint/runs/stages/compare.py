@@ -90,12 +90,12 @@ def compare(
     robot
         robot or its address
     controllers
-        names of baselines (``default``, ``pid-sum``, ``pid-literal``, ``integrator``, ``feedforward``), ``shelf``,
-        ``predictive``, policies, their files, or controllers of your own; a mapping names them. None given: all
-        baselines, on a real arm without the paper's PIDs (``pid-sum``, ``pid-literal``), the policy that comes with the
-        package (``shelf``) where it suits, on a real arm only where the run has no policy, the policy of the run, and
-        predictive control where there is a twin; after a search for gains of the servos these two under the gains
-        found, and ``servo-gains`` beside them
+        names of baselines (``default``, ``pid-sum``, ``pid-literal``, ``integrator``, ``feedforward``), ``push``,
+        ``shelf``, ``predictive``, policies, their files, or controllers of your own; a mapping names them. None given:
+        all baselines, on a real arm without the paper's PIDs (``pid-sum``, ``pid-literal``), the policy that comes with
+        the package (``shelf``) where it suits, on a real arm only where the run has no policy, the policy of the run,
+        and predictive control where there is a twin; after a search for gains of the servos these two under the gains
+        found, and ``servo-gains`` and ``servo-gains+push`` beside them
     targets
         (K, 3) or (S, K, 3) [m], or `Pose` objects, or a CSV file in mm with the header ``x,y,z`` and perhaps columns
         of an orientation, which only baselines heed; by default drawn, ten in a set; in a race the first ten are those

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, TypeAlias, cast
 
 import numpy as np
 
-from rejoint.arms import Arm
+from rejoint.arms import Arm, Array
 from rejoint.arms.loaded import bare
 from rejoint.control.bands import standing_bands
 from rejoint.control.catalogue import POLICY, PREDICTIVE, contenders, make_controller
@@ -21,7 +21,7 @@ from rejoint.control.controller import Controller, heeds_turn
 from rejoint.control.correction import Modelled
 from rejoint.control.feedforward import FeedforwardController
 from rejoint.control.gainsearch import GainsFound
-from rejoint.control.geared import GEARED, GEARED_POLICY, GEARED_PREDICTIVE, RIVALS, Geared, inner_name
+from rejoint.control.geared import GEARED, GEARED_POLICY, GEARED_PREDICTIVE, GEARED_PUSH, RIVALS, Geared, inner_name
 from rejoint.control.guard import GuardLimits
 from rejoint.control.lines import servo_lines
 from rejoint.control.robot import Robot
@@ -192,7 +192,9 @@ def _contenders(
     if not tuned:
         return plain
     geared = own and trained_for_tuned(run)
-    missing = {POLICY: geared, GEARED_POLICY: not geared, GEARED_PREDICTIVE: posed or twin is None}
+    missing = {
+        POLICY: geared, GEARED_PUSH: twin is None, GEARED_POLICY: not geared, GEARED_PREDICTIVE: posed or twin is None,
+    }  # fmt: skip
     return tuple(name for name in (*plain, *RIVALS) if not missing.get(name))
 
 
@@ -263,8 +265,7 @@ def _factory(given: ControllerLike, run: Run | None, twin: Twin | None, period: 
         return partial(_geared, given, run=run, twin=twin, period=period)
     if isinstance(given, str) and not given.endswith(".onnx"):
         file = run.folder.policy if run is not None and run.folder.policy.exists() else None
-        known = {} if twin is None else {"stiffness": twin.parameters.stiffness}
-        return lambda arm: make_controller(given, arm, policy=file, **known)
+        return lambda arm: make_controller(given, arm, policy=file, **_beliefs(twin))
     if isinstance(given, Path | str):
         return as_policy(given).controller
     if hasattr(given, "controller"):
@@ -292,9 +293,15 @@ def _geared(name: str, arm: Arm, *, run: Run | None, twin: Twin | None, period: 
     if name == GEARED_PREDICTIVE and stiffer is not None:
         controller = _predictive(arm, stiffer, period)
     else:
-        stiffness = None if stiffer is None else stiffer.parameters.stiffness
-        controller = make_controller(inner, arm, stiffness=stiffness, policy=run.folder.policy)
+        controller = make_controller(inner, arm, policy=run.folder.policy, **_beliefs(stiffer))
     return Geared(controller, found.alone if name == GEARED else found.under)
+
+
+def _beliefs(twin: Twin | None) -> dict[str, Array]:
+    """Return what controllers believe of the servos: what the twin says of them, nothing without one."""
+    if twin is None:
+        return {}
+    return {"stiffness": twin.parameters.stiffness, "friction": twin.parameters.coulomb}
 
 
 def _itself(controller: Controller, arm: Arm) -> Controller:  # noqa: ARG001 - it was made for its arm
