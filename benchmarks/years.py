@@ -4,7 +4,8 @@ An arm is checked five times in its first week and then once a month, in a room 
 from day to day. Half of the arms age by `HOURS` of use a month, the others stay as they are. What is judged is what an
 owner of a real arm would see: the encoders alone, with the true error hidden. The true errors are then compared at the
 same warmth. REJOINT_YEARS=20 takes fewer arms of each kind, REJOINT_YEARS_MONTHS=15
-fewer months, REJOINT_YEARS_FILE=FILE keeps what was measured there.
+fewer months. REJOINT_YEARS_FILE=FILE keeps what was measured there, `SIDE_BY_SIDE` arms after the other, so that the
+next call goes on; REJOINT_YEARS_ONLY=1 reports what is there already.
 """
 
 from __future__ import annotations
@@ -37,6 +38,8 @@ HOURS = 6.0
 FIRST_WEEK = [0.15 * index / (FEWEST - 1) for index in range(FEWEST)]
 DATES = [*FIRST_WEEK, *(float(month) for month in range(1, MONTHS + 1))]
 """[months] of all checks of an arm"""
+BASES = {100: HOURS, 200: 0.0}
+"""Hours of use a month, by the first seed of such arms: those that age, and those that stay as they are"""
 GROWN = 1.0
 """[mm] of true error before which an arm is to be flagged"""
 TOLERANCE = 1.5
@@ -48,19 +51,29 @@ Measured = list[list[CheckMeasures]]
 
 
 def main() -> None:
-    count = int(os.environ.get("REJOINT_YEARS", ARMS))
-    kept = os.environ.get("REJOINT_YEARS_FILE")
-    begun = time.process_time()
+    count, kept = int(os.environ.get("REJOINT_YEARS", ARMS)), os.environ.get("REJOINT_YEARS_FILE")
+    only = bool(os.environ.get("REJOINT_YEARS_ONLY"))
+    known: dict[tuple[int, int], Measured] = {}
     if kept and Path(kept).exists():
-        ageing, steady = pickle.loads(Path(kept).read_bytes())  # written below, on this machine
-    else:
-        ageing = [one for first in range(0, count, SIDE_BY_SIDE) for one in checked(first, count, HOURS, 100)]
-        steady = [one for first in range(0, count, SIDE_BY_SIDE) for one in checked(first, count, 0.0, 200)]
-        if kept:
-            Path(kept).write_bytes(pickle.dumps((ageing, steady)))
-        checks = sum(len(one) for one in [*ageing, *steady])
-        print(f"{checks} checks, {(time.process_time() - begun) / checks:.2f} s of processor each")
-    report(ageing, steady)
+        known = pickle.loads(Path(kept).read_bytes())  # written below, on this machine
+    begun, checks = time.process_time(), 0
+    for first in range(0, count, SIDE_BY_SIDE):
+        for base, hours in BASES.items():
+            if only or (base, first) in known:
+                continue
+            known[base, first] = checked(first, count, hours, base)
+            checks += sum(len(one) for one in known[base, first])
+            print(f"{checks} checks, {(time.process_time() - begun) / checks:.2f} s of processor each", flush=True)
+            if kept:
+                keep(Path(kept), known)
+    report(*([one for first in sorted(known) if first[0] == base for one in known[first]] for base in BASES))
+
+
+def keep(path: Path, known: dict[tuple[int, int], Measured]) -> None:
+    """Write what was measured, whole."""
+    part = path.with_suffix(".part")
+    part.write_bytes(pickle.dumps(known))
+    part.replace(path)
 
 
 def checked(first: int, count: int, hours: float, base: int) -> Measured:
