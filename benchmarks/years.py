@@ -5,7 +5,7 @@ from day to day. Half of the arms age by `HOURS` of use a month, the others stay
 owner of a real arm would see: the encoders alone, with the true error hidden. The true errors are then compared at the
 same warmth. REJOINT_YEARS=20 takes fewer arms of each kind, REJOINT_YEARS_MONTHS=15
 fewer months. REJOINT_YEARS_FILE=FILE keeps what was measured there, date by date, so that the next call goes on;
-REJOINT_YEARS_ONLY=1 reports those arms that are through already. REJOINT_YEARS_BASE=1000 takes other arms: those on
+REJOINT_YEARS_ONLY=1 reports what is there already. REJOINT_YEARS_BASE=1000 takes other arms: those on
 which limits are chosen are not those on which they are judged.
 """
 
@@ -17,7 +17,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import replace
 from datetime import datetime, timedelta
-from itertools import product
+from itertools import product, takewhile
 from pathlib import Path
 
 import numpy as np
@@ -63,7 +63,7 @@ def main() -> None:
         known = pickle.loads(Path(kept).read_bytes())  # written below, on this machine
     begun, checks = time.process_time(), 0
     for first in range(0, count, SIDE_BY_SIDE):
-        for (base, hours), number in product(BASES.items(), range(len(DATES))):
+        for number, (base, hours) in product(range(len(DATES)), BASES.items()):
             if only or (base, first, number) in known:
                 continue
             found = checked(range(first, min(first + SIDE_BY_SIDE, count)), number, hours, base)
@@ -71,15 +71,23 @@ def main() -> None:
             if kept:
                 keep(Path(kept), known)
             print(f"{checks} checks, {(time.process_time() - begun) / checks:.2f} s of processor each", flush=True)
-    report(*(by_arm(known, base) for base in BASES))
+    through = min(len(dates_of(known, base, 0)) for base in BASES)
+    if through <= FEWEST:
+        raise SystemExit(f"{through} dates are through, more than {FEWEST} are needed")
+    report(*(by_arm(known, base, through) for base in BASES))
 
 
-def by_arm(known: Known, base: int) -> Measured:
-    """Return the checks of all arms that are through."""
+def dates_of(known: Known, base: int, first: int) -> list[list[CheckMeasures]]:
+    """Return the checks of a batch, date by date, up to the first that is not there."""
+    return [known[base, first, n] for n in takewhile(lambda n: (base, first, n) in known, range(len(DATES)))]
+
+
+def by_arm(known: Known, base: int, through: int) -> Measured:
+    """Return the checks of all arms that have been checked at ``through`` dates, that many of each."""
     found: Measured = []
     for first in sorted({one[1] for one in known if one[0] == base}):
-        dates = [known[base, first, number] for number in range(len(DATES)) if (base, first, number) in known]
-        found += [list(one) for one in zip(*dates, strict=True)] if len(dates) == len(DATES) else []
+        dates = dates_of(known, base, first)
+        found += [list(one) for one in zip(*dates[:through], strict=True)] if len(dates) >= through else []
     return found
 
 
