@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from rejoint.arms import load_arm
 from rejoint.cli.console import Terminal
-from rejoint.cli.options import Json, Seed, controller_names
+from rejoint.cli.options import Json, OnRay, RayAddress, Seed, controller_names, require_ray
 from rejoint.runs.run import Run
 from rejoint.system.errors import InputError
 from rejoint.system.extras import require
@@ -59,13 +60,8 @@ def evaluate(
     out: Annotated[Path, typer.Option(help="Folder for results; the same command resumes there.")] = OUT,
     seed: Seed = 0,
     threads: Annotated[int, typer.Option(help="Threads of the simulation.", min=1)] = 2,
-    on: Annotated[
-        Literal["ray"] | None,
-        typer.Option(help="With --family: by Ray, each controller and condition a task; the same numbers."),
-    ] = None,
-    address: Annotated[
-        str | None, typer.Option(help="With --on ray: its cluster HOST:PORT, or auto; by default this machine alone.")
-    ] = None,
+    on: OnRay = None,
+    address: RayAddress = None,
     json: Json = False,
 ) -> None:
     """Try controllers on a hundred arms on which nothing was chosen, and on the same under harder conditions.
@@ -99,8 +95,7 @@ def evaluate(
         return
     if (follow or calibrate) and on is not None:
         raise InputError("--on ray goes with --family alone, without --follow and --calibrate; leave it out")
-    if address is not None and on is None:
-        raise InputError("--address is of a Ray cluster; give --on ray as well")
+    require_ray(on, address)
     if follow:
         _follow(terminal, arm, context, ArmFamily(arms=arms, seed=seed), out, threads)
         return
@@ -126,13 +121,14 @@ def evaluate(
 def _on_ray(update: Progress, address: str | None, threads: int) -> Callable[[Sequence[TrialCell]], None]:
     """Return what has cells tried by Ray."""
     from rejoint.research.evaluation.evaluate import TrialCell
-    from rejoint.runs.fleet.rayexecutor import each_on_ray
+    from rejoint.runs.fleet.rayexecutor import RayTasks
 
     def tried(cells: Sequence[TrialCell]) -> None:
         def done(count: int) -> None:
             update(count / len(cells), f"{count} of {len(cells)} tried")
 
-        each_on_ray(TrialCell.try_it, cells, done, address=address, cpus_each=threads)
+        with RayTasks(address) as tasks:
+            tasks.each(TrialCell.leave_outcome, cells, done, cpus_each=threads)
 
     return tried
 
@@ -143,6 +139,8 @@ def tune(
     generations: Annotated[int, typer.Option(help="Generations of CMA-ES.", min=1)] = 40,
     out: Annotated[Path, typer.Option(help="File of gains; those of other rivals in it stay.")] = Path("gains.json"),
     seed: Seed = 0,
+    on: OnRay = None,
+    address: RayAddress = None,
     json: Json = False,
 ) -> None:
     """Tune a classical rival by CMA-ES on the randomised twins that policies are trained on.
@@ -150,6 +148,7 @@ def tune(
     Example: `rejoint tune tuned-feedforward --out gains.json`, then `rejoint evaluate --family --gains gains.json`
     """
     require("rejoint tune", "train")
+    require_ray(on, address)
     from rejoint.research.rivals.catalogue import find_rival
     from rejoint.research.rivals.tuning import TuningSettings
     from rejoint.research.rivals.tuning import tune as search
@@ -163,13 +162,17 @@ def tune(
     if job is not None:
         ranges = identified_ranges(arm, read_twin(job.folder.twin, arm))
     known = read_json(out, dict[str, dict[str, float]]) if out.exists() else {}
-    with terminal.progress(f"tuning {rival}") as update:
+    with terminal.progress(f"tuning {rival}") as update, ExitStack() as stack:
 
         def report(done: int, cost: float, centre: Mapping[str, float]) -> None:  # noqa: ARG001 - too much for a line
             update(done / generations, f"cost {cost:.2f} s")
 
-        settings = TuningSettings(generations=generations, seed=seed)
-        found = search(arm, ranges, chosen.intervals, chosen.make, settings, report)
+        settings, elsewhere = TuningSettings(generations=generations, seed=seed), None
+        if on is not None:
+            from rejoint.runs.fleet.rayexecutor import RayTasks
+
+            elsewhere = stack.enter_context(RayTasks(address))
+        found = search(arm, ranges, chosen.intervals, chosen.make, settings, report, elsewhere)
     write_json(out, known | {rival: found})
     terminal.table(rival, ["gain", "value"], [[name, f"{value:.3g}"] for name, value in found.items()])
     terminal.result(f"Next: rejoint evaluate --family --controllers {rival} --gains {out}")

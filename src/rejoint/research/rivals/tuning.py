@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import TypeVar
 
 import numpy as np
@@ -21,6 +22,7 @@ from rejoint.control.comparison.result import Protocol
 from rejoint.control.controller import Controller
 from rejoint.control.loop import run
 from rejoint.research.rivals.twinrobot import TwinRobot
+from rejoint.system.elsewhere import Elsewhere
 from rejoint.training.ranges import Ranges
 
 T = TypeVar("T")
@@ -54,11 +56,12 @@ class TuningSettings:
 
 def tune(
     arm: Arm, ranges: Ranges, intervals: Mapping[str, Interval], make: MakeController, settings: TuningSettings,
-    on_generation: OnGeneration,
+    on_generation: OnGeneration, elsewhere: Elsewhere | None = None,
 ) -> dict[str, float]:  # fmt: skip
     """Search gains in ``intervals`` by name, positive ends; returns those at the centre of the last generation.
 
-    The centre and not the best candidate: the best of many on few arms was lucky.
+    The centre and not the best candidate: the best of many on few arms was lucky. With ``elsewhere`` the candidates of
+    a generation are judged there, in as many parts as are done at once; their costs are the same.
     """
     names = list(intervals)
     low, high = np.log(np.array(list(intervals.values()))).T
@@ -72,7 +75,10 @@ def tune(
 
     for generation in range(settings.generations):
         points = np.array([search.ask() for _ in range(settings.candidates)])
-        costs = candidate_costs(arm, ranges, gains(points), make, settings, generation)
+        judge = partial(candidate_costs, arm, ranges, make=make, settings=settings, draw_seed=generation)
+        parts = np.array_split(points, min(1 if elsewhere is None else elsewhere.cpus, len(points)))
+        tried = [gains(part) for part in parts]
+        costs = np.concatenate([judge(one) for one in tried] if elsewhere is None else elsewhere.each(judge, tried))
         search.tell([(point, float(cost)) for point, cost in zip(points, costs, strict=True)])
         centre = {name: float(value) for name, value in gains(np.clip(search.mean, 0.0, 1.0)).items()}
         on_generation(generation + 1, float(costs.min()), centre)
