@@ -202,6 +202,7 @@ def has_token() -> bool:
 def _started(address: str | None, cpus: int | None, resources: dict[str, float]) -> Any:  # noqa: ANN401
     """Start Ray on this machine for this process alone, or connect to a cluster; returns the module."""
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # Ray tells nobody
+    os.environ.setdefault("RAY_worker_niceness", "0")  # else 15: whatever else runs here would delay control loops
     if address is None:  # nobody else may send it work: nobody from outside, and nobody on this machine
         if "ray" not in sys.modules:  # it looks at this when it is imported
             os.environ.setdefault("RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER", "0")  # its way to listen on loopback alone
