@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -16,7 +16,7 @@ from rejoint.runs.run import Run
 from rejoint.system.errors import InputError
 from rejoint.system.extras import require
 from rejoint.system.files import read_json, write_json
-from rejoint.system.progress import Progress
+from rejoint.system.progress import Progress, part
 
 if TYPE_CHECKING:
     from rejoint.arms import Arm
@@ -134,7 +134,9 @@ def _on_ray(update: Progress, address: str | None, threads: int) -> Callable[[Se
 
 
 def tune(
-    rival: Annotated[str, typer.Argument(help="tuned-integrator, tuned-feedforward or adaptive.", metavar="RIVAL")],
+    rivals: Annotated[
+        list[str], typer.Argument(help="tuned-integrator, tuned-feedforward, adaptive.", metavar="RIVAL...")
+    ],
     run: Annotated[Path | None, typer.Option(help="Run whose twin is tuned on; without one, broad ranges.")] = None,
     generations: Annotated[int, typer.Option(help="Generations of CMA-ES.", min=1)] = 40,
     out: Annotated[Path, typer.Option(help="File of gains; those of other rivals in it stay.")] = Path("gains.json"),
@@ -143,40 +145,51 @@ def tune(
     address: RayAddress = None,
     json: Json = False,
 ) -> None:
-    """Tune a classical rival by CMA-ES on the randomised twins that policies are trained on.
+    """Tune classical rivals by CMA-ES on the randomised twins that policies are trained on.
 
     Example: `rejoint tune tuned-feedforward --out gains.json`, then `rejoint evaluate --family --gains gains.json`
     """
     require("rejoint tune", "train")
     require_ray(on, address)
     from rejoint.research.rivals.catalogue import find_rival
-    from rejoint.research.rivals.tuning import TuningSettings
-    from rejoint.research.rivals.tuning import tune as search
+    from rejoint.research.rivals.tuning import TuningSettings, tune_rival
     from rejoint.training.ranges import BroadRanges, Ranges, identified_ranges
     from rejoint.twin.file import read_twin
 
-    terminal, chosen = Terminal(json=json), find_rival(rival)
+    terminal, names = Terminal(json=json), list(dict.fromkeys(rivals))
+    for name in names:
+        find_rival(name)
     job = None if run is None else Run.open(run)
     arm = load_arm("mycobot280") if job is None else job.arm
     ranges: Ranges = BroadRanges(arm=arm)
     if job is not None:
         ranges = identified_ranges(arm, read_twin(job.folder.twin, arm))
     known = read_json(out, dict[str, dict[str, float]]) if out.exists() else {}
-    with terminal.progress(f"tuning {rival}") as update, ExitStack() as stack:
-
-        def report(done: int, cost: float, centre: Mapping[str, float]) -> None:  # noqa: ARG001 - too much for a line
-            update(done / generations, f"cost {cost:.2f} s")
-
-        settings, elsewhere = TuningSettings(generations=generations, seed=seed), None
+    work = partial(tune_rival, arm, ranges, TuningSettings(generations=generations, seed=seed))
+    count = len(names)
+    with terminal.progress(f"tuning {', '.join(names)}") as update:
         if on is not None:
             from rejoint.runs.fleet.rayexecutor import RayTasks
 
-            elsewhere = stack.enter_context(RayTasks(address))
-        found = search(arm, ranges, chosen.intervals, chosen.make, settings, report, elsewhere)
-    write_json(out, known | {rival: found})
-    terminal.table(rival, ["gain", "value"], [[name, f"{value:.3g}"] for name, value in found.items()])
-    terminal.result(f"Next: rejoint evaluate --family --controllers {rival} --gains {out}")
-    terminal.finish({"rival": rival, "gains": found, "out": str(out)})
+            with RayTasks(address) as tasks:
+                found = tasks.each(work, names, lambda done: update(done / count, f"{done} of {count} tuned"))
+        else:
+            found = [work(name, _told(part(update, k / count, (k + 1) / count), generations))
+                     for k, name in enumerate(names)]  # fmt: skip
+    tuned = dict(zip(names, found, strict=True))
+    write_json(out, known | tuned)
+    for name, gains in tuned.items():
+        terminal.table(name, ["gain", "value"], [[gain, f"{value:.3g}"] for gain, value in gains.items()])
+    terminal.result(f"Next: rejoint evaluate --family --controllers {','.join(names)} --gains {out}")
+    rows = [{"rival": name, "gains": gains, "out": str(out)} for name, gains in tuned.items()]
+    terminal.finish(rows[0] if count == 1 else rows)
+
+
+def _told(update: Progress, generations: int) -> Callable[[int, float, Mapping[str, float]], None]:
+    def report(done: int, cost: float, centre: Mapping[str, float]) -> None:  # noqa: ARG001 - too much for a line
+        update(done / generations, f"cost {cost:.2f} s")
+
+    return report
 
 
 def _calibrate(
@@ -186,7 +199,6 @@ def _calibrate(
     from rejoint.research.evaluation.calibrated import conclude, tables
     from rejoint.research.evaluation.calibrating import CONDITIONS, find_condition, try_condition
     from rejoint.research.evaluation.contestants import classical, learned
-    from rejoint.system.progress import part
     from rejoint.system.version import __version__
 
     source = context.get_parameter_source("controllers")

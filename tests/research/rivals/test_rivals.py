@@ -1,5 +1,3 @@
-import pickle
-
 import numpy as np
 import pytest
 
@@ -128,22 +126,6 @@ def test_the_tuning_finds_the_bottom_of_a_known_valley(monkeypatch):
     assert found["a"] == pytest.approx(0.5, rel=0.03)
     assert found["b"] == pytest.approx(20.0, rel=0.03)
     assert [report[0] for report in seen] == list(range(1, 31))
-
-
-def test_candidates_that_are_judged_elsewhere_cost_the_same():
-    class Travels:
-        """Stands in for other processes: what goes there and comes back is packed."""
-
-        cpus = 2
-
-        def each(self, work, items):
-            assert len(items) == self.cpus
-            return [pickle.loads(pickle.dumps(pickle.loads(pickle.dumps(work))(item))) for item in items]
-
-    rival = RIVALS["tuned-feedforward"]
-    settings = TuningSettings(generations=2, candidates=5, arms=2, targets=1, hold=1.2)
-    given = (ARM, RANGES, rival.intervals, rival.make, settings, lambda *_: None)
-    assert tune(*given, Travels()) == tune(*given)
 
 
 @pytest.mark.parametrize("name", list(RIVALS))

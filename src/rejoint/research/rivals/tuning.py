@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import partial
 from typing import TypeVar
 
 import numpy as np
@@ -21,8 +20,8 @@ from rejoint.control.comparison.protocols import Holds, measure_holds, schedule
 from rejoint.control.comparison.result import Protocol
 from rejoint.control.controller import Controller
 from rejoint.control.loop import run
+from rejoint.research.rivals.catalogue import find_rival
 from rejoint.research.rivals.twinrobot import TwinRobot
-from rejoint.system.elsewhere import Elsewhere
 from rejoint.training.ranges import Ranges
 
 T = TypeVar("T")
@@ -56,12 +55,11 @@ class TuningSettings:
 
 def tune(
     arm: Arm, ranges: Ranges, intervals: Mapping[str, Interval], make: MakeController, settings: TuningSettings,
-    on_generation: OnGeneration, elsewhere: Elsewhere | None = None,
+    on_generation: OnGeneration,
 ) -> dict[str, float]:  # fmt: skip
     """Search gains in ``intervals`` by name, positive ends; returns those at the centre of the last generation.
 
-    The centre and not the best candidate: the best of many on few arms was lucky. With ``elsewhere`` the candidates of
-    a generation are judged there, in as many parts as are done at once; their costs are the same.
+    The centre and not the best candidate: the best of many on few arms was lucky.
     """
     names = list(intervals)
     low, high = np.log(np.array(list(intervals.values()))).T
@@ -75,14 +73,19 @@ def tune(
 
     for generation in range(settings.generations):
         points = np.array([search.ask() for _ in range(settings.candidates)])
-        judge = partial(candidate_costs, arm, ranges, make=make, settings=settings, draw_seed=generation)
-        parts = np.array_split(points, min(1 if elsewhere is None else elsewhere.cpus, len(points)))
-        tried = [gains(part) for part in parts]
-        costs = np.concatenate([judge(one) for one in tried] if elsewhere is None else elsewhere.each(judge, tried))
+        costs = candidate_costs(arm, ranges, gains(points), make, settings, generation)
         search.tell([(point, float(cost)) for point, cost in zip(points, costs, strict=True)])
         centre = {name: float(value) for name, value in gains(np.clip(search.mean, 0.0, 1.0)).items()}
         on_generation(generation + 1, float(costs.min()), centre)
     return centre
+
+
+def tune_rival(
+    arm: Arm, ranges: Ranges, settings: TuningSettings, name: str, on_generation: OnGeneration = lambda *_: None
+) -> dict[str, float]:
+    """Search the gains of the rival called ``name``, as `tune`; can be done in any process."""
+    rival = find_rival(name)
+    return tune(arm, ranges, rival.intervals, rival.make, settings, on_generation)
 
 
 def candidate_costs(

@@ -150,6 +150,7 @@ class RayTasks:
         with _own_signals():
             self._ray = _started(address, None, {})
         self.cpus = max(int(self._ray.cluster_resources().get("CPU", 1)), 1)
+        self._widest = max(node["Resources"].get("CPU", 0.0) for node in self._ray.nodes() if node["Alive"])
 
     def __enter__(self) -> RayTasks:
         return self
@@ -167,7 +168,8 @@ class RayTasks:
         times. InputError says in a line what failed first.
         """
         ray = self._ray
-        task = ray.remote(num_cpus=cpus_each, max_retries=TRIES_AGAIN)(_done_or_why)
+        cpus = min(cpus_each, self._widest)  # Ray would wait for a wider computer for ever
+        task = ray.remote(num_cpus=cpus, max_retries=TRIES_AGAIN)(_done_or_why)
         waiting = {task.remote(work, item): number for number, item in enumerate(items)}
         found: dict[int, R] = {}
         try:
