@@ -23,11 +23,11 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from benchmarks.processes import below, memory
 from rejoint.logs.history.rows import SUMMARY, read_rows
 from rejoint.logs.runlog import RunLog
 
@@ -39,6 +39,8 @@ REJOINT = [sys.executable, "-m", "rejoint"]
 CODES = (0, 5, 6, 7)
 """Exit codes of calls in which nothing failed"""
 FEW = ["--quick", "--sets", "1", "--repetitions", "1", "--controllers", "integrator,policy"]
+STEPS = ("diagnosis.json", "twin.toml", "policy.onnx", "comparison.json", "finished.json")
+"""Files that the steps of a repair leave"""
 FILES = ("diagnosis.json", "twin.toml", "policy.onnx", "logs/excitation.parquet", "logs/targets.parquet")
 """of a repair that hold neither dates nor times"""
 
@@ -66,52 +68,10 @@ def write_fleet(folder: Path, count: int) -> Path:
     return path
 
 
-@dataclass(frozen=True)
-class Process:
-    """One process of this machine."""
-
-    parent: int
-    name: str
-    spent: float
-    """[s] of processor"""
-
-
-def processes() -> dict[int, Process]:
-    """All processes of this machine."""
-    found = {}
-    for entry in Path("/proc").glob("[0-9]*"):
-        try:
-            fields = (entry / "stat").read_text().rpartition(")")[2].split()
-            name = (entry / "cmdline").read_bytes().split(b"\0")[0].decode()
-        except OSError:  # it has ended
-            continue
-        spent = (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
-        found[int(entry.name)] = Process(int(fields[1]), name, spent)
-    return found
-
-
-def below(root: int) -> dict[int, Process]:
-    """Return a process and all that it has started."""
-    known = processes()
-    found = {root}
-    while more := {child for child, one in known.items() if one.parent in found} - found:
-        found |= more
-    return {one: known[one] for one in found if one in known}
-
-
-def memory(process: int) -> float:
-    """[MB] that a process has for itself: shared libraries count by their share."""
-    try:
-        text = (Path("/proc") / str(process) / "smaps_rollup").read_text()
-    except OSError:
-        return 0.0
-    return int(re.search(r"^Pss:\s+(\d+) kB", text, re.MULTILINE)[1]) / 1e3  # type: ignore[index]
-
-
 class Watch(threading.Thread):
     """Looks at a call twice a second: memory, processor, who is at work, and whom to kill.
 
-    ``kills`` are the shares of all arms that are done when a process at work is killed, ``end`` that when the call is.
+    ``kills`` are the shares of all steps that are done when a process at work is killed, ``end`` that when the call is.
     """
 
     def __init__(
@@ -159,10 +119,15 @@ def call(
     """Run the command and kill as `Watch` says, or after ``limit`` [s]; returns its time [s] and output."""
     words = [*REJOINT, "fleet", verb, str(file), *(FEW if verb == "repair" else [])]
     arms = file.read_text().count("[[arm]]")
-    pattern = f"checks/*/*/{SUMMARY}" if verb == "check" else "repairs/*/*/finished.json"
+    steps = [f"checks/*/*/{SUMMARY}"] if verb == "check" else [f"repairs/*/*/{file}" for file in STEPS]
     began = time.monotonic()
     with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as process:
-        watch = Watch(process, lambda: len(list((file.parent / "runs").glob(pattern))) / arms, kills, end)
+        runs = file.parent / "runs"
+
+        def share() -> float:
+            return sum(len(list(runs.glob(step))) for step in steps) / len(steps) / arms
+
+        watch = Watch(process, share, kills, end)
         watch.start()
         if limit is not None:
             try:
@@ -252,10 +217,15 @@ def bench(verb: str, count: int, same: int, kills: int, work: Path, rng: np.rand
     if not kills:
         return
     file, began = write_fleet(work / f"killed-{verb}", count), time.monotonic()
-    _, first, _ = call(verb, file, list(rng.uniform(0.0, 0.5, kills - kills // 2)), end=0.6)
+    _, first, before = call(verb, file, list(rng.uniform(0.0, 0.5, kills - kills // 2)), end=0.6)
     _, second, text = call(verb, file, list(rng.uniform(0.6, 0.9, kills // 2)))
     took = time.monotonic() - began
     check_same(verb, file.parent, work / f"plain-{verb}", count, same)
+    twice = [
+        step for step, n in Counter(re.findall(r"^(arm-\d+: \w+) done", before + text, re.MULTILINE)).items() if n > 1
+    ]
+    if twice:
+        raise WrongError(f"done twice: {', '.join(twice)}")
     lost = Counter(re.findall(r"^arm-\d+: (\w+) lost", text, re.MULTILINE))
     both = first.processor + second.processor
     print(
