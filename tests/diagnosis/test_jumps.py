@@ -69,7 +69,7 @@ def test_one_odd_check_is_no_moved_arm(checks: list[CheckMeasures]) -> None:
 
 @pytest.mark.parametrize("which", range(len(AGED)), ids=AGED)
 def test_wear_is_no_moved_zero_however_fast_it_comes(checks: list[CheckMeasures], which: int) -> None:
-    found = judged(*[checks[0]] * 6, *[checks[2 + which]] * 2)
+    found = judged(*[checks[0]] * 6, *[checks[2 + which]] * 3)
     assert found.moved == ()
     assert found.state == "alarm"
 
