@@ -206,8 +206,13 @@ def _started(address: str | None, cpus: int | None, resources: dict[str, float])
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # Ray tells nobody
     os.environ.setdefault("RAY_worker_niceness", "0")  # else 15: whatever else runs here would delay control loops
     if address is None:  # nobody else may send it work: nobody from outside, and nobody on this machine
-        if "ray" not in sys.modules:  # it looks at this when it is imported
+        if "ray" not in sys.modules:  # it looks at these when it is imported
             os.environ.setdefault("RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER", "0")  # its way to listen on loopback alone
+        elif os.environ.get("RAY_AUTH_MODE") != "token":
+            raise InputError(
+                "Ray was imported before rejoint could turn on its token; begin a new Python and leave that import to "
+                "rejoint, or set RAY_AUTH_MODE=token before it"
+            )
         os.environ["RAY_AUTH_MODE"] = "token"
         os.environ.setdefault("RAY_AUTH_TOKEN", secrets.token_hex(32))
     with warnings.catch_warnings():
