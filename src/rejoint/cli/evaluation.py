@@ -174,7 +174,7 @@ def tune(
             with RayTasks(address) as tasks:
                 found = tasks.each(work, names, lambda done: update(done / count, f"{done} of {count} tuned"))
         else:
-            found = [work(name, _told(part(update, k / count, (k + 1) / count), generations))
+            found = [work(name, _shown_by(part(update, k / count, (k + 1) / count), generations))
                      for k, name in enumerate(names)]  # fmt: skip
     tuned = dict(zip(names, found, strict=True))
     write_json(out, known | tuned)
@@ -185,7 +185,7 @@ def tune(
     terminal.finish(rows[0] if count == 1 else rows)
 
 
-def _told(update: Progress, generations: int) -> Callable[[int, float, Mapping[str, float]], None]:
+def _shown_by(update: Progress, generations: int) -> Callable[[int, float, Mapping[str, float]], None]:
     def report(done: int, cost: float, centre: Mapping[str, float]) -> None:  # noqa: ARG001 - too much for a line
         update(done / generations, f"cost {cost:.2f} s")
 
