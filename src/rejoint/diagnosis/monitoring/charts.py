@@ -25,10 +25,9 @@ DRIFTING = 2.7 * (WEIGHT / (2.0 - WEIGHT)) ** 0.5
 SLACK = 1.25
 """Standard deviations that a CUSUM forgives at each check: half of the shift that it is to find (chosen: with half of
 one, as is usual, a mean that rests on five checks alone gives false alarms; an arm that wears is soon three off)"""
-ALARM = 7.0
-"""CUSUM that is an alarm (chosen: shared facts on monitoring have 5 for one quantity and 6 for twenty whose mean is
-known. On 1000 quantities that do not change, drawn with two years of warmth, a slack of 1 and 5 gave 2.8 % false
-alarms, 1.25 and 7 give 0.2 %, and find what wears by a standard deviation a month one month later)"""
+ALARM = 6.0
+"""CUSUM that is an alarm (shared facts on monitoring: 6 where there are twenty quantities; of 1000 that do not change,
+drawn with two years of warmth, a slack of 1 and an alarm of 5 called out 2.8 %, these 0.5 %)"""
 CUT = 4.0
 """Standard deviations as which a larger distance counts, so that no single odd check is an alarm"""
 PRIOR_CHECKS = 6.0

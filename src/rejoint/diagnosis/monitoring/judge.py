@@ -146,8 +146,10 @@ def _quantities(visits: Sequence[PastCheck], warm: Array) -> list[tuple[str, str
         rows = [visit.measures.joints[j] for visit in visits]
         own = np.array([_nan(one.temperature_c) for one in rows])
         zero = ZERO_PER_DEGREE * row.lever_mm
+        # Where a joint comes to rest lies within the band of its friction, and may go with the whole of it.
+        band = FRICTION_PER_DEGREE * abs(float(np.median([one.hysteresis_mm for one in rows[:FEWEST]])))
         for name, share, least in (
-            ("hysteresis", FRICTION_PER_DEGREE, 0.0), ("reversal", FRICTION_PER_DEGREE, 0.0),
+            ("hysteresis", FRICTION_PER_DEGREE, 0.0), ("reversal", 0.0, band),
             ("sag", LOAD_PER_DEGREE, 0.0), ("deviation", LOAD_PER_DEGREE, zero),
         ):  # fmt: skip
             values = [getattr(one, f"{name}_mm") for one in rows]
