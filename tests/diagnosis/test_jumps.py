@@ -1,4 +1,4 @@
-"""Zeros that were moved between two checks are told from wear, on emulated arms."""
+"""What is no wear is told from it, on emulated arms: zeros that were moved between two checks, and warmth."""
 
 from dataclasses import replace
 from datetime import datetime, timedelta
@@ -84,3 +84,19 @@ def test_warmth_is_no_moved_zero() -> None:
     assert find_jump(steps, still, np.array([25.0, 25.0, 31.0]), scatter=0.06, per_degree=0.1) is None
     assert find_jump(steps, still, np.full(3, np.nan), scatter=0.06, per_degree=0.1) is None
     assert find_jump(steps, [0.5 * steps], told, scatter=0.06, per_degree=0.1) is None
+
+
+def test_where_a_joint_rests_may_go_with_the_warmth_of_its_whole_friction(checks: list[CheckMeasures]) -> None:
+    """A reversal is the small rest of a wide band: it goes with warmth by more than a small share of itself."""
+    seen = []
+    for month in (0.0, 0.05, 0.1, 0.15, *range(1, 19)):
+        warmer = 5.0 * np.sin(2.0 * np.pi * (month + 3) / 12.0)
+        rows = [
+            replace(
+                one, temperature_c=(one.temperature_c or 0.0) + warmer,
+                reversal_mm=one.reversal_mm - 0.01 * one.hysteresis_mm * warmer,
+            )
+            for one in checks[0].joints
+        ]  # fmt: skip
+        seen.append(replace(checks[0], joints=tuple(rows)))
+    assert all(judged(*seen[:stop]).state != "alarm" for stop in range(6, len(seen) + 1))
