@@ -1,11 +1,15 @@
 """Many emulated arms in one call: processes killed at random, the call itself killed once, beside two plain processes.
 
     python -m benchmarks fleet
-    python -m benchmarks.fleet --checks 300 --repairs 30 --kills 2
+    python -m benchmarks.fleet --checks 0 --repairs 30 --kills 2 --alone 6 --disturbed
+    python -m benchmarks.fleet --checks 300 --repairs 0 --kills 0 --alone 6
     python -m benchmarks.fleet --checks 0 --repairs 0 --memory 12,300
 
 Every check and every repair must end as one by one, to the bit, with nothing left and nothing done twice. Training is
-cut down (`--quick` of `rejoint repair`), so that what Ray adds counts for more than it does in a real repair.
+cut down (`--quick` of `rejoint repair`), so that what Ray adds counts for more than it does in a real repair. Beside
+the time by the clock stands that of the processors, which others on the machine do not lengthen, and the share of time
+in which a call had work for both. `--disturbed` leaves the undisturbed call out, `--alone 6`
+does six arms plainly instead of all.
 """
 
 import argparse
@@ -18,10 +22,12 @@ import tempfile
 import threading
 import time
 from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
+from benchmarks.processes import below, memory
 from rejoint.logs.history.rows import SUMMARY, read_rows
 from rejoint.logs.runlog import RunLog
 
@@ -30,7 +36,11 @@ PROCESSES = 2
 LOOK = 75.0
 """[s] for which a call is looked at that is not waited for"""
 REJOINT = [sys.executable, "-m", "rejoint"]
+CODES = (0, 5, 6, 7)
+"""Exit codes of calls in which nothing failed"""
 FEW = ["--quick", "--sets", "1", "--repetitions", "1", "--controllers", "integrator,policy"]
+STEPS = ("diagnosis.json", "twin.toml", "policy.onnx", "comparison.json", "finished.json")
+"""Files that the steps of a repair leave"""
 FILES = ("diagnosis.json", "twin.toml", "policy.onnx", "logs/excitation.parquet", "logs/targets.parquet")
 """of a repair that hold neither dates nor times"""
 
@@ -58,103 +68,122 @@ def write_fleet(folder: Path, count: int) -> Path:
     return path
 
 
-def processes() -> dict[int, tuple[int, str]]:
-    """Parent and name of every process of this machine."""
-    found = {}
-    for entry in Path("/proc").glob("[0-9]*"):
-        try:
-            parent = int((entry / "stat").read_text().rpartition(")")[2].split()[1])
-            found[int(entry.name)] = parent, (entry / "cmdline").read_bytes().split(b"\0")[0].decode()
-        except OSError:  # it has ended
-            continue
-    return found
-
-
-def below(root: int) -> dict[int, str]:
-    """Names of a process and all that it has started."""
-    known = processes()
-    found = {root}
-    while more := {child for child, (parent, _) in known.items() if parent in found} - found:
-        found |= more
-    return {one: known[one][1] for one in found if one in known}
-
-
-def memory(process: int) -> float:
-    """[MB] that a process has for itself: shared libraries count by their share."""
-    try:
-        text = (Path("/proc") / str(process) / "smaps_rollup").read_text()
-    except OSError:
-        return 0.0
-    return int(re.search(r"^Pss:\s+(\d+) kB", text, re.MULTILINE)[1]) / 1e3  # type: ignore[index]
-
-
 class Watch(threading.Thread):
-    """Looks at a call once a second: memory, and processes to kill at random moments."""
+    """Looks at a call twice a second: memory, processor, who is at work, and whom to kill.
 
-    def __init__(self, process: subprocess.Popen[str], kills: list[float]) -> None:
+    ``kills`` are the shares of all steps that are done when a process at work is killed, ``end`` that when the call is.
+    """
+
+    def __init__(
+        self, process: subprocess.Popen[str], done: Callable[[], float], kills: list[float], end: float | None
+    ) -> None:
         super().__init__(daemon=True)
-        self.process, self.kills, self.over = process, sorted(kills), threading.Event()
+        self.process, self.done, self.kills, self.end = process, done, sorted(kills), end
+        self.over = threading.Event()
         self.most, self.work, self.killed = 0.0, [0.0], 0
+        self.spent: dict[int, float] = {}
+        self.at_work: list[int] = []
 
     def run(self) -> None:
         """Look until it is over."""
-        began = time.monotonic()
         while not self.over.wait(0.5):
             tree = below(self.process.pid)
-            at_work = [one for one, name in tree.items() if re.match(r"ray::arm-\d+:", name)]
+            at_work = [one for one, process in tree.items() if re.match(r"ray::arm-\d+:", process.name)]
+            self.at_work.append(len(at_work))
+            self.spent |= {one: process.spent for one, process in tree.items()}
             sizes = {one: memory(one) for one in tree}
             self.most = max(self.most, sum(sizes.values()))
             self.work += [sizes[one] for one in at_work]
-            if self.kills and at_work and time.monotonic() - began > self.kills[0]:
+            share = self.done()
+            if self.end is not None and share >= self.end:
+                self.process.kill()
+            elif self.kills and at_work and share >= self.kills[0]:
                 self.kills.pop(0)
                 os.kill(at_work[self.killed % len(at_work)], signal.SIGKILL)
                 self.killed += 1
 
+    @property
+    def processor(self) -> float:
+        """[s] of processor that the call and all that it has started took."""
+        return sum(self.spent.values())
 
-def call(words: list[str], kills: list[float], killed_after: float | None = None) -> tuple[float, Watch, str]:
-    """Run the command, kill what works at ``kills`` [s], and the command itself; returns its time [s] and output."""
+    @property
+    def filled(self) -> float:
+        """[%] of the time for which as many were at work as can be."""
+        return 100.0 * float(np.mean(np.minimum(self.at_work, PROCESSES))) / PROCESSES
+
+
+def call(
+    verb: str, file: Path, kills: list[float], end: float | None = None, limit: float | None = None
+) -> tuple[float, Watch, str]:
+    """Run the command and kill as `Watch` says, or after ``limit`` [s]; returns its time [s] and output."""
+    words = [*REJOINT, "fleet", verb, str(file), *(FEW if verb == "repair" else [])]
+    arms = file.read_text().count("[[arm]]")
+    steps = [f"checks/*/*/{SUMMARY}"] if verb == "check" else [f"repairs/*/*/{file}" for file in STEPS]
     began = time.monotonic()
-    with subprocess.Popen([*REJOINT, *words], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as process:
-        watch = Watch(process, kills)
+    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as process:
+        runs = file.parent / "runs"
+
+        def share() -> float:
+            return sum(len(list(runs.glob(step))) for step in steps) / len(steps) / arms
+
+        watch = Watch(process, share, kills, end)
         watch.start()
-        if killed_after is not None:
+        if limit is not None:
             try:
-                process.wait(killed_after)
+                process.wait(limit)
             except subprocess.TimeoutExpired:
                 process.kill()
         text = process.stdout.read() if process.stdout else ""
     watch.over.set()
     watch.join()
-    if killed_after is None and process.returncode not in (0, 5, 6, 7):
-        raise WrongError(text)
+    if process.returncode != -signal.SIGKILL if end is not None else limit is None and process.returncode not in CODES:
+        raise WrongError(f"it ended with {process.returncode}: {text}")
     return time.monotonic() - began, watch, text
 
 
-def plain(folder: Path, verb: str, count: int) -> float:
-    """Do the same in two processes, one arm after the other in each; returns the time [s]."""
-    code = "import sys, rejoint\nfor words in sys.argv[1:]:\n name, robot = words.split('=', 1)\n"
+def plain(folder: Path, verb: str, count: int, of: int) -> tuple[float, float]:
+    """Do the same in two processes, one arm after the other in each, and what that would be for ``of`` arms.
+
+    Returns the time [s] and that of processors [s]. Where fewer than all arms are done, the first of each process has
+    its start in it, and those left out count as the others do.
+    """
+    code = "import sys, time, rejoint\nfor words in sys.argv[1:]:\n name, robot = words.split('=', 1)\n"
     code += {
         "check": f" rejoint.check(robot, history={str(folder)!r}, name=name)\n",
         "repair": f" rejoint.repair(robot, run={str(folder)!r} + '/' + name, quick=True, sets=1, repetitions=1, "
         "controllers=('integrator', 'policy'))\n",
     }[verb]
+    code += " print(time.monotonic(), time.process_time())\n"
     given = [f"{name}={address(number)}" for number, name in enumerate(names(count))]
     began = time.monotonic()
-    running = [subprocess.Popen([sys.executable, "-c", code, *given[k::PROCESSES]]) for k in range(PROCESSES)]
-    codes = [process.wait() for process in running]
-    if any(codes):
+    running = [
+        subprocess.Popen([sys.executable, "-c", code, *given[k::PROCESSES]], stdout=subprocess.PIPE, text=True)
+        for k in range(PROCESSES)
+    ]
+    told = [process.communicate()[0] for process in running]
+    if any(process.returncode for process in running):
         raise WrongError("a plain process failed")
-    return time.monotonic() - began
+    took, spent = [], []
+    for k, text in enumerate(told):
+        clock = np.array([line.split() for line in text.splitlines()], dtype=float) - [began, 0.0]
+        more = len(range(k, of, PROCESSES)) - len(clock)
+        each = (clock[-1] - clock[0]) / max(len(clock) - 1, 1)
+        took.append(clock[-1, 0] + more * each[0])
+        spent.append(clock[-1, 1] + more * each[1])
+    return max(took), sum(spent)
 
 
-def check_same(verb: str, fleet: Path, alone: Path, count: int) -> None:
-    """Raise WrongError unless each arm was done once, and as one by one."""
-    for name in names(count):
+def check_same(verb: str, fleet: Path, alone: Path, count: int, same: int) -> None:
+    """Raise WrongError unless each of ``count`` arms was done once, and the first ``same`` as one by one."""
+    for number, name in enumerate(names(count)):
         if verb == "check":
             done = list((fleet / "runs" / "checks" / name).glob(f"*/{SUMMARY}"))
-            (other,) = (alone / "checks" / name).glob(f"*/{SUMMARY}")
             if len(done) != 1:
                 raise WrongError(f"{name} was checked {len(done)} times")
+            if number >= same:
+                continue
+            (other,) = (alone / "checks" / name).glob(f"*/{SUMMARY}")
             same = read_rows(done[0])[0].true_error_mm == read_rows(other)[0].true_error_mm
             logs = [RunLog.load(path.parent / "check.parquet").position for path in (done[0], other)]
             if not same or not np.array_equal(*logs):
@@ -163,53 +192,66 @@ def check_same(verb: str, fleet: Path, alone: Path, count: int) -> None:
         folders = sorted((fleet / "runs" / "repairs" / name).iterdir())
         if len(folders) != 1 or not (folders[0] / "finished.json").exists():
             raise WrongError(f"{name}: {[folder.name for folder in folders]}, or not finished")
-        for file in FILES:
+        for file in FILES if number < same else ():
             if (folders[0] / file).read_bytes() != (alone / name / file).read_bytes():
                 raise WrongError(f"{file} of {name} is another than alone")
 
 
-def bench(verb: str, count: int, kills: int, work: Path, rng: np.random.Generator) -> None:
-    """Do it undisturbed, then with kills, then plainly; print what that took."""
-    few = FEW if verb == "repair" else []
-    alone = plain(work / f"plain-{verb}", verb, count)
-    quiet = write_fleet(work / f"quiet-{verb}", count)
-    took, watch, _ = call(["fleet", verb, str(quiet), *few], [])
-    check_same(verb, quiet.parent, work / f"plain-{verb}", count)
+def bench(verb: str, count: int, same: int, kills: int, work: Path, rng: np.random.Generator, *, quiet: bool) -> None:
+    """Do ``same`` arms plainly, all undisturbed, then with kills; print what that took."""
+    alone, spent = plain(work / f"plain-{verb}", verb, same, count)
     print(
-        f"{verb} of {count} arms: {PROCESSES} plain processes {alone:.0f} s, one fleet {took:.0f} s "
-        f"({100 * alone / took:.0f} % of their throughput); memory {watch.most:.0f} MB in all, "
-        f"{np.max(watch.work):.0f} MB for a process that works on an arm"
-    )
-    killed = write_fleet(work / f"killed-{verb}", count)
-    words = ["fleet", verb, str(killed), *few]
-    began = time.monotonic()
-    _, first, _ = call(words, list(rng.uniform(0.2, 0.5, kills - kills // 2) * took), killed_after=0.6 * took)
-    _, second, text = call(words, list(rng.uniform(0.2, 0.5, kills // 2) * took))
-    check_same(verb, killed.parent, work / f"plain-{verb}", count)
+        f"{verb} of {count} arms: {PROCESSES} plain processes {alone:.0f} s, {spent:.0f} s of processor"
+        f"{'' if same == count else f' (by {same} of the arms)'}", flush=True,
+    )  # fmt: skip
+    if quiet:
+        file = write_fleet(work / f"quiet-{verb}", count)
+        took, watch, _ = call(verb, file, [])
+        check_same(verb, file.parent, work / f"plain-{verb}", count, same)
+        print(
+            f"  one fleet {took:.0f} s ({100 * alone / took:.0f} % of their throughput), {watch.processor:.0f} s of "
+            f"processor ({100 * spent / watch.processor:.0f} %), work for all {watch.filled:.0f} % of the time; "
+            f"memory {watch.most:.0f} MB in all, {np.max(watch.work):.0f} MB for a process that works on an arm",
+            flush=True,
+        )
+    if not kills:
+        return
+    file, began = write_fleet(work / f"killed-{verb}", count), time.monotonic()
+    _, first, before = call(verb, file, list(rng.uniform(0.0, 0.5, kills - kills // 2)), end=0.6)
+    _, second, text = call(verb, file, list(rng.uniform(0.6, 0.9, kills // 2)))
+    took = time.monotonic() - began
+    check_same(verb, file.parent, work / f"plain-{verb}", count, same)
+    twice = [
+        step for step, n in Counter(re.findall(r"^(arm-\d+: \w+) done", before + text, re.MULTILINE)).items() if n > 1
+    ]
+    if twice:
+        raise WrongError(f"done twice: {', '.join(twice)}")
     lost = Counter(re.findall(r"^arm-\d+: (\w+) lost", text, re.MULTILINE))
+    both = first.processor + second.processor
     print(
-        f"  with {first.killed + second.killed} processes killed, and the command itself after {0.6 * took:.0f} s: "
-        f"{time.monotonic() - began:.0f} s; "
-        f"nothing lost, nothing twice, all as alone; the second call saw {dict(lost)} killed"
-    )
+        f"  with {first.killed + second.killed} processes killed, and the command itself with 60 % done: {took:.0f} s "
+        f"({100 * alone / took:.0f} %), {both:.0f} s of processor ({100 * spent / both:.0f} %), work for all "
+        f"{first.filled:.0f} and {second.filled:.0f} % of the time; nothing lost, nothing twice, all as alone; the "
+        f"second call saw {dict(lost)} killed; memory {max(first.most, second.most):.0f} MB in all", flush=True,
+    )  # fmt: skip
 
 
 def look(count: int, work: Path) -> None:
     """Print what memory a call for so many arms takes while it checks the first of them."""
-    _, watch, text = call(["fleet", "check", str(write_fleet(work / f"look-{count}", count))], [], killed_after=LOOK)
+    _, watch, text = call("check", write_fleet(work / f"look-{count}", count), [], limit=LOOK)
     done = len(re.findall(r"^arm-\d+: check done", text, re.MULTILINE))
     print(f"a call for {count} arms: {watch.most:.0f} MB in all in its first {LOOK:.0f} s, in which it checked {done}")
 
 
 def main(
-    checks: int = CHECKS, repairs: int = REPAIRS, kills: int = KILLS, seed: int = 0, memory_of: tuple[int, ...] = ()
-) -> None:
+    checks: int = CHECKS, repairs: int = REPAIRS, kills: int = KILLS, seed: int = 0, memory_of: tuple[int, ...] = (),
+    *, alone: int | None = None, quiet: bool = True,
+) -> None:  # fmt: skip
     rng = np.random.default_rng(seed)
     with tempfile.TemporaryDirectory() as name:
-        if checks:
-            bench("check", checks, kills, Path(name), rng)
-        if repairs:
-            bench("repair", repairs, kills, Path(name), rng)
+        for verb, count in (("check", checks), ("repair", repairs)):
+            if count:
+                bench(verb, count, min(alone or count, count), kills, Path(name), rng, quiet=quiet)
         for count in memory_of:
             look(count, Path(name))
 
@@ -219,8 +261,13 @@ if __name__ == "__main__":
     parser.add_argument("--checks", type=int, default=CHECKS)
     parser.add_argument("--repairs", type=int, default=REPAIRS)
     parser.add_argument("--kills", type=int, default=KILLS)
+    parser.add_argument("--alone", type=int, help="arms that are done plainly as well; all by default")
+    parser.add_argument("--disturbed", action="store_true", help="leave out the call in which nothing is killed")
     parser.add_argument("--memory", default="", help="numbers of arms whose calls are only looked at: 12,300")
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     sizes = tuple(int(one) for one in options.memory.split(",") if one)
-    main(options.checks, options.repairs, options.kills, options.seed, sizes)
+    main(
+        options.checks, options.repairs, options.kills, options.seed, sizes,
+        alone=options.alone, quiet=not options.disturbed,
+    )  # fmt: skip

@@ -22,10 +22,15 @@ def test_nothing_is_said_before_there_is_a_norm() -> None:
 
 
 def test_an_arm_that_does_not_change_is_hardly_ever_an_alarm() -> None:
+    """Of twenty quantities and more one may call out in fifty arm-years; two years of warmth are in all of them."""
     rng = np.random.default_rng(1)
-    values = 3.0 + SCATTER * rng.normal(size=(400, 29))
-    alarms = [chart(row, COLD[:29], scatter=SCATTER, per_degree=0.1).cusum for row in values]
-    assert (np.abs(alarms).max(axis=1) >= ALARM).mean() <= 0.03
+    alarms = 0
+    for _ in range(400):
+        warm = seasons(rng, 29)
+        value = 3.0 + SCATTER * rng.normal(size=29) + rng.uniform(-0.1, 0.1) * SCATTER / 0.25 * (warm - 23)
+        found = chart(value, warm, scatter=SCATTER, per_degree=0.1 * SCATTER / 0.25)
+        alarms += bool((np.abs(found.cusum) >= ALARM).any())
+    assert alarms <= 3
 
 
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
@@ -63,7 +68,7 @@ def test_warmth_is_no_wear_and_wear_no_warmth() -> None:
     assert alarms <= 1
     assert found >= 57
     blind = [chart(0.08 * seasons(rng, 26), COLD[:26], scatter=SCATTER, per_degree=0.1).state for _ in range(20)]
-    assert blind.count("alarm") >= 10  # what the test above would find where warmth is not told apart
+    assert blind.count("alarm") >= 5  # what the test above would find where warmth is not told apart
 
 
 def test_the_tolerance_is_reached_in_the_interval() -> None:

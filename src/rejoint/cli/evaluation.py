@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from rejoint.arms import load_arm
 from rejoint.cli.console import Terminal
-from rejoint.cli.options import Json, Seed, controller_names
+from rejoint.cli.options import Json, OnRay, RayAddress, Seed, controller_names, require_ray
 from rejoint.runs.run import Run
 from rejoint.system.errors import InputError
 from rejoint.system.extras import require
 from rejoint.system.files import read_json, write_json
-from rejoint.system.progress import Progress
+from rejoint.system.progress import Progress, part
 
 if TYPE_CHECKING:
     from rejoint.arms import Arm
@@ -59,13 +60,8 @@ def evaluate(
     out: Annotated[Path, typer.Option(help="Folder for results; the same command resumes there.")] = OUT,
     seed: Seed = 0,
     threads: Annotated[int, typer.Option(help="Threads of the simulation.", min=1)] = 2,
-    on: Annotated[
-        Literal["ray"] | None,
-        typer.Option(help="With --family: by Ray, each controller and condition a task; the same numbers."),
-    ] = None,
-    address: Annotated[
-        str | None, typer.Option(help="With --on ray: its cluster HOST:PORT, or auto; by default this machine alone.")
-    ] = None,
+    on: OnRay = None,
+    address: RayAddress = None,
     json: Json = False,
 ) -> None:
     """Try controllers on a hundred arms on which nothing was chosen, and on the same under harder conditions.
@@ -99,8 +95,7 @@ def evaluate(
         return
     if (follow or calibrate) and on is not None:
         raise InputError("--on ray goes with --family alone, without --follow and --calibrate; leave it out")
-    if address is not None and on is None:
-        raise InputError("--address is of a Ray cluster; give --on ray as well")
+    require_ray(on, address)
     if follow:
         _follow(terminal, arm, context, ArmFamily(arms=arms, seed=seed), out, threads)
         return
@@ -126,54 +121,75 @@ def evaluate(
 def _on_ray(update: Progress, address: str | None, threads: int) -> Callable[[Sequence[TrialCell]], None]:
     """Return what has cells tried by Ray."""
     from rejoint.research.evaluation.evaluate import TrialCell
-    from rejoint.runs.fleet.rayexecutor import each_on_ray
+    from rejoint.runs.fleet.rayexecutor import RayTasks
 
     def tried(cells: Sequence[TrialCell]) -> None:
         def done(count: int) -> None:
             update(count / len(cells), f"{count} of {len(cells)} tried")
 
-        each_on_ray(TrialCell.try_it, cells, done, address=address, cpus_each=threads)
+        with RayTasks(address) as tasks:
+            tasks.each(TrialCell.leave_outcome, cells, done, cpus_each=threads)
 
     return tried
 
 
 def tune(
-    rival: Annotated[str, typer.Argument(help="tuned-integrator, tuned-feedforward or adaptive.", metavar="RIVAL")],
+    rivals: Annotated[
+        list[str], typer.Argument(help="tuned-integrator, tuned-feedforward, adaptive.", metavar="RIVAL...")
+    ],
     run: Annotated[Path | None, typer.Option(help="Run whose twin is tuned on; without one, broad ranges.")] = None,
     generations: Annotated[int, typer.Option(help="Generations of CMA-ES.", min=1)] = 40,
     out: Annotated[Path, typer.Option(help="File of gains; those of other rivals in it stay.")] = Path("gains.json"),
     seed: Seed = 0,
+    on: OnRay = None,
+    address: RayAddress = None,
     json: Json = False,
 ) -> None:
-    """Tune a classical rival by CMA-ES on the randomised twins that policies are trained on.
+    """Tune classical rivals by CMA-ES on the randomised twins that policies are trained on.
 
     Example: `rejoint tune tuned-feedforward --out gains.json`, then `rejoint evaluate --family --gains gains.json`
     """
     require("rejoint tune", "train")
+    require_ray(on, address)
     from rejoint.research.rivals.catalogue import find_rival
-    from rejoint.research.rivals.tuning import TuningSettings
-    from rejoint.research.rivals.tuning import tune as search
+    from rejoint.research.rivals.tuning import TuningSettings, tune_rival
     from rejoint.training.ranges import BroadRanges, Ranges, identified_ranges
     from rejoint.twin.file import read_twin
 
-    terminal, chosen = Terminal(json=json), find_rival(rival)
+    terminal, names = Terminal(json=json), list(dict.fromkeys(rivals))
+    for name in names:
+        find_rival(name)
     job = None if run is None else Run.open(run)
     arm = load_arm("mycobot280") if job is None else job.arm
     ranges: Ranges = BroadRanges(arm=arm)
     if job is not None:
         ranges = identified_ranges(arm, read_twin(job.folder.twin, arm))
     known = read_json(out, dict[str, dict[str, float]]) if out.exists() else {}
-    with terminal.progress(f"tuning {rival}") as update:
+    work = partial(tune_rival, arm, ranges, TuningSettings(generations=generations, seed=seed))
+    count = len(names)
+    with terminal.progress(f"tuning {', '.join(names)}") as update:
+        if on is not None:
+            from rejoint.runs.fleet.rayexecutor import RayTasks
 
-        def report(done: int, cost: float, centre: Mapping[str, float]) -> None:  # noqa: ARG001 - too much for a line
-            update(done / generations, f"cost {cost:.2f} s")
+            with RayTasks(address) as tasks:
+                found = tasks.each(work, names, lambda done: update(done / count, f"{done} of {count} tuned"))
+        else:
+            found = [work(name, _shown_by(part(update, k / count, (k + 1) / count), generations))
+                     for k, name in enumerate(names)]  # fmt: skip
+    tuned = dict(zip(names, found, strict=True))
+    write_json(out, known | tuned)
+    for name, gains in tuned.items():
+        terminal.table(name, ["gain", "value"], [[gain, f"{value:.3g}"] for gain, value in gains.items()])
+    terminal.result(f"Next: rejoint evaluate --family --controllers {','.join(names)} --gains {out}")
+    rows = [{"rival": name, "gains": gains, "out": str(out)} for name, gains in tuned.items()]
+    terminal.finish(rows[0] if count == 1 else rows)
 
-        settings = TuningSettings(generations=generations, seed=seed)
-        found = search(arm, ranges, chosen.intervals, chosen.make, settings, report)
-    write_json(out, known | {rival: found})
-    terminal.table(rival, ["gain", "value"], [[name, f"{value:.3g}"] for name, value in found.items()])
-    terminal.result(f"Next: rejoint evaluate --family --controllers {rival} --gains {out}")
-    terminal.finish({"rival": rival, "gains": found, "out": str(out)})
+
+def _shown_by(update: Progress, generations: int) -> Callable[[int, float, Mapping[str, float]], None]:
+    def report(done: int, cost: float, centre: Mapping[str, float]) -> None:  # noqa: ARG001 - too much for a line
+        update(done / generations, f"cost {cost:.2f} s")
+
+    return report
 
 
 def _calibrate(
@@ -183,7 +199,6 @@ def _calibrate(
     from rejoint.research.evaluation.calibrated import conclude, tables
     from rejoint.research.evaluation.calibrating import CONDITIONS, find_condition, try_condition
     from rejoint.research.evaluation.contestants import classical, learned
-    from rejoint.system.progress import part
     from rejoint.system.version import __version__
 
     source = context.get_parameter_source("controllers")

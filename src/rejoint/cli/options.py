@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -49,6 +49,11 @@ Hold = Annotated[
 ]
 Seed = Annotated[int, typer.Option(help="Seed of everything random.", min=0)]
 RunSeed = Annotated[int | None, typer.Option("--seed", help="Seed; by default that of the run.", min=0)]
+OnRay = Annotated[Literal["ray"] | None, typer.Option("--on", help="Spread over processes by Ray; the same numbers.")]
+RayAddress = Annotated[
+    str | None,
+    typer.Option("--address", help="With --on ray: its cluster HOST:PORT, or auto; by default this machine alone."),
+]
 Quick = Annotated[bool, typer.Option("--quick", help="Do little of everything, for a first try; no result.")]
 RepairSets = Annotated[
     int | None, typer.Option("--sets", help="Target sets to compare on (3 emulated, 1 real).", min=1)
@@ -158,6 +163,12 @@ def run_of_logs(arm: Arm, logs: Path, path: Path | None, seed: int) -> OpenRun:
     """Prepare the run of a folder of logs: the one at ``path``, or the newest one of these logs, or a new one."""
     robot = f"{LOGS}{logs}"
     return OpenRun.plan(path or newest_or_new(robot, arm, seed)[0], robot, arm, seed)
+
+
+def require_ray(on: str | None, address: str | None) -> None:
+    """Raise InputError where a cluster is given without Ray."""
+    if address is not None and on is None:
+        raise InputError("--address is of a Ray cluster; give --on ray as well")
 
 
 def period_seconds(text: str | None) -> tuple[float, float] | None:

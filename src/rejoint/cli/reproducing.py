@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -9,7 +10,7 @@ import typer
 
 from rejoint.arms import mycobot280
 from rejoint.cli.console import Terminal
-from rejoint.cli.options import Json, Seed
+from rejoint.cli.options import Json, OnRay, RayAddress, Seed, require_ray
 from rejoint.system.extras import require
 
 if TYPE_CHECKING:
@@ -35,6 +36,8 @@ def reproduce(
     ] = False,
     threads: Annotated[int, typer.Option(help="Cores to use.", min=1)] = 2,
     seed: Seed = 0,
+    on: OnRay = None,
+    address: RayAddress = None,
     json: Json = False,
 ) -> None:
     """Run the experiments of Park et al. 2024 and write a page with their numbers beside ours.
@@ -44,6 +47,7 @@ def reproduce(
     Example: `rejoint reproduce table-1 fig-9 fig-10`
     """
     require("rejoint reproduce", "train", "report")
+    require_ray(on, address)
     from rejoint.research.reproduction.campaign import run_experiments
     from rejoint.research.reproduction.experiment import FULL, QUICK, Bench
     from rejoint.research.reproduction.page import write_page
@@ -56,16 +60,21 @@ def reproduce(
     chosen = choose(experiments or ())
     folder = run or Path("runs") / f"reproduction{'-quick' if quick else ''}-seed{seed}"
     page = out or (folder / "reproduction.md" if quick else PAGE)
-    with terminal.progress("reproducing") as update:
+    with terminal.progress("reproducing") as update, ExitStack() as stack:
+        elsewhere = None
+        if on is not None:
+            from rejoint.runs.fleet.rayexecutor import RayTasks
+
+            elsewhere = stack.enter_context(RayTasks(address))
         bench = Bench(
-            folder=folder, arm=mycobot280(), seed=seed, scale=QUICK if quick else FULL, threads=threads,
+            folder=folder.resolve(), arm=mycobot280(), seed=seed, scale=QUICK if quick else FULL, threads=threads,
             on_progress=update,
         )  # fmt: skip
 
         def announce(experiment: Experiment, finished: bool) -> None:
             terminal.say(f"{experiment.title}{' (already done)' if finished else ''}")
 
-        found = run_experiments(bench, chosen, again=again, on_experiment=announce)
+        found = run_experiments(bench, chosen, again=again, on_experiment=announce, elsewhere=elsewhere)
     for one, finished in zip(chosen, found, strict=True):
         _show(terminal, one, finished)
     terminal.result(str(write_page(bench, page)))

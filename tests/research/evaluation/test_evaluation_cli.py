@@ -70,3 +70,8 @@ def test_tuned_gains_are_written_beside_others(cli, tmp_path: Path, monkeypatch)
     assert stored["tuned-integrator"] == {"lead": 0.3}
     assert stored["adaptive"] == json.loads(text.splitlines()[-1])["gains"]
     assert all(np.isfinite(value) and value > 0 for value in stored["adaptive"].values())
+    code, text, err = cli("tune", "adaptive", "tuned-integrator", "--generations", "3", "--out", str(out), "--json")
+    assert code == 0, err
+    both = {one["rival"]: one["gains"] for one in json.loads(text.splitlines()[-1])}
+    assert both == {name: json.loads(out.read_text())[name] for name in ("adaptive", "tuned-integrator")}
+    assert both["adaptive"] == stored["adaptive"]  # each of them as alone

@@ -1,6 +1,7 @@
 """Single experiments, measures and figures of the reproduction, judged on what is known."""
 
 import json
+import pickle
 import sys
 
 import numpy as np
@@ -61,6 +62,32 @@ def test_a_page_says_what_was_not_run(tmp_path):
     text = write_page(bench, tmp_path / "page.md").read_text(encoding="utf-8")
     assert "Not run yet: `rejoint reproduce table-4`" in text
     assert "A quick run" in text
+
+
+def test_experiments_that_are_done_elsewhere_find_the_same(tmp_path):
+    class Travels:
+        """Stands in for other processes: what goes there is packed, and what comes back are files."""
+
+        cpus = 2
+
+        def each(self, work, items, done, **_):
+            for number, item in enumerate(items):
+                sent, one = pickle.loads(pickle.dumps((work, item)))
+                sent(one)
+                done(number + 1)
+            return [None] * len(items)
+
+    told = []
+    both = {"here": None, "elsewhere": Travels()}
+    found = {}
+    for name, elsewhere in both.items():
+        bench = Bench(
+            folder=tmp_path / name, arm=ARM, seed=0, scale=QUICK, on_progress=lambda _, text: told.append(text)
+        )
+        chosen = choose(["table-1", "fig-10"])
+        found[name] = run_experiments(bench, chosen, on_experiment=nothing, elsewhere=elsewhere)
+    assert [one.findings for one in found["elsewhere"]] == [one.findings for one in found["here"]]
+    assert "2 of 2 experiments" in told
 
 
 def test_the_command_line_lists_runs_and_refuses(tmp_path, capsys, monkeypatch):

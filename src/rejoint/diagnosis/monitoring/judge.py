@@ -10,6 +10,7 @@ import numpy as np
 
 from rejoint.arms import Array
 from rejoint.diagnosis.monitoring.charts import FEWEST, Chart, State, chart
+from rejoint.diagnosis.monitoring.jumps import find_jump
 from rejoint.diagnosis.monitoring.measures import CheckMeasures
 from rejoint.diagnosis.monitoring.remaining import remaining
 
@@ -59,6 +60,19 @@ class Change:
 
 
 @dataclass(frozen=True, kw_only=True)
+class MovedZero:
+    """The zero of a joint is not where it was: the arm was bumped, or set anew."""
+
+    joint: str
+    degrees: float
+    """with the sign of the deviation"""
+    after: datetime
+    """of the last check before"""
+    before: datetime
+    """of the first check after"""
+
+
+@dataclass(frozen=True, kw_only=True)
 class Due:
     """When the tolerance will be reached; ten and ninety per cent of the times that are possible lie before."""
 
@@ -84,7 +98,9 @@ class Outlook:
     """whether that is where the tool really is; else it is by the encoders"""
     tolerance_mm: float | None
     due: Due | None
-    """None where nothing can be said, or no wear shows"""
+    """None where nothing can be said, no wear shows, or zeros have moved"""
+    moved: tuple[MovedZero, ...] = ()
+    """joints whose zeros have moved since the norm began, the furthest first"""
 
     @property
     def over(self) -> bool:
@@ -98,15 +114,17 @@ def outlook(visits: Sequence[PastCheck], tolerance_mm: float | None = None) -> O
     drawn = [_change(visits, *one) for one in _quantities(visits, warm)]
     order: tuple[State, ...] = ("alarm", "drifting", "steady", "learning")
     changes = tuple(sorted(drawn, key=lambda one: (order.index(one.state), -abs(one.cusum))))
+    moved = _moved(visits)
+    state: State = "drifting" if moved and changes[0].state == "steady" else changes[0].state
     known = all(visit.measures.true_error_mm is not None for visit in visits)
     error = [visit.measures.true_error_mm if known else visit.measures.error_mm for visit in visits]
     now = float(error[-1] or 0.0)
     due = None
-    if tolerance_mm is not None and now < tolerance_mm:
+    if tolerance_mm is not None and now < tolerance_mm and not moved:
         due = _due(visits, np.array(error, dtype=float), warm, tolerance_mm)
     return Outlook(
-        state=changes[0].state, checks=len(visits), since=visits[0].time, changes=changes, error_mm=now,
-        error_known=known, tolerance_mm=tolerance_mm, due=due,
+        state=state, checks=len(visits), since=visits[0].time, changes=changes, error_mm=now,
+        error_known=known, tolerance_mm=tolerance_mm, due=due, moved=moved,
     )  # fmt: skip
 
 
@@ -117,7 +135,7 @@ def error_per_degree(measures: CheckMeasures) -> float:
 
 def error_scatter(error: Array) -> float:
     """[mm] standard deviation of one check's tool error where the arm does not change."""
-    return max(SCATTER_MM["error"], SCATTER_SHARE * float(np.median(error[:FEWEST])))
+    return _scatter("error", error)
 
 
 def _quantities(visits: Sequence[PastCheck], warm: Array) -> list[tuple[str, str, Array, Array, float]]:
@@ -128,8 +146,10 @@ def _quantities(visits: Sequence[PastCheck], warm: Array) -> list[tuple[str, str
         rows = [visit.measures.joints[j] for visit in visits]
         own = np.array([_nan(one.temperature_c) for one in rows])
         zero = ZERO_PER_DEGREE * row.lever_mm
+        # Where a joint comes to rest lies within the band of its friction, and may go with the whole of it.
+        band = FRICTION_PER_DEGREE * abs(float(np.median([one.hysteresis_mm for one in rows[:FEWEST]])))
         for name, share, least in (
-            ("hysteresis", FRICTION_PER_DEGREE, 0.0), ("reversal", FRICTION_PER_DEGREE, 0.0),
+            ("hysteresis", FRICTION_PER_DEGREE, 0.0), ("reversal", 0.0, band),
             ("sag", LOAD_PER_DEGREE, 0.0), ("deviation", LOAD_PER_DEGREE, zero),
         ):  # fmt: skip
             values = [getattr(one, f"{name}_mm") for one in rows]
@@ -140,9 +160,36 @@ def _quantities(visits: Sequence[PastCheck], warm: Array) -> list[tuple[str, str
     return [*found, ("", "error", error, warm, error_per_degree(first))]
 
 
+def _moved(visits: Sequence[PastCheck]) -> tuple[MovedZero, ...]:
+    """Find the joints whose zeros have moved."""
+    found = []
+    for j, row in enumerate(visits[0].measures.joints):
+        rows = [visit.measures.joints[j] for visit in visits]
+        deviation = np.array([one.deviation_mm for one in rows])
+        others = [np.array([one.reversal_mm for one in rows]), np.array([one.hysteresis_mm for one in rows])]
+        if all(one.sag_mm is not None for one in rows):
+            others.append(np.array([_nan(one.sag_mm) for one in rows]))
+        jump = find_jump(
+            deviation, others, np.array([_nan(one.temperature_c) for one in rows]),
+            scatter=_scatter("deviation", deviation), per_degree=ZERO_PER_DEGREE * row.lever_mm,
+        )  # fmt: skip
+        if jump is not None:
+            found.append(
+                MovedZero(
+                    joint=row.joint, degrees=float(np.degrees(jump.way / row.lever_mm)),
+                    after=visits[jump.at - 1].time, before=visits[jump.at].time,
+                )
+            )  # fmt: skip
+    return tuple(sorted(found, key=lambda one: -abs(one.degrees)))
+
+
+def _scatter(name: str, value: Array) -> float:
+    """[mm] standard deviation of one check's quantity where the arm does not change."""
+    return max(SCATTER_MM[name], SCATTER_SHARE * abs(float(np.median(value[:FEWEST]))))
+
+
 def _change(visits: Sequence[PastCheck], joint: str, name: str, value: Array, warm: Array, per_degree: float) -> Change:
-    scatter = max(SCATTER_MM[name], SCATTER_SHARE * abs(float(np.median(value[:FEWEST]))))
-    drawn: Chart = chart(value, warm, scatter=scatter, per_degree=per_degree)
+    drawn: Chart = chart(value, warm, scatter=_scatter(name, value), per_degree=per_degree)
     return Change(
         joint=joint, quantity=name, state=drawn.state, usual_mm=drawn.usual, now_mm=drawn.usual + drawn.change,
         since=None if drawn.since is None else visits[drawn.since].time,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from datetime import datetime
 
 from rejoint.diagnosis.monitoring.charts import FEWEST
@@ -20,6 +21,8 @@ MEANINGS = {
 def say(found: Outlook, robot: str) -> str:
     """Say in one line how an arm stands."""
     error = _error(found)
+    if found.moved:
+        return _ask(found, error, robot)
     if found.state == "learning":
         missing = FEWEST + 1 - found.checks
         again = f"check again, {missing} more time{'s' * (missing > 1)}; the first ones may follow each other at once"
@@ -38,9 +41,29 @@ def say(found: Outlook, robot: str) -> str:
     return f"{_changed(worst)} ({found.state}){also}. {error}. Do: {_act(found, worst, robot)}."
 
 
+def _ask(found: Outlook, error: str, robot: str) -> str:
+    """Ask whether somebody moved the arm: what zeros do at once is no wear."""
+    calls = [one for one in found.changes if one.state == "alarm" and one.quantity != "deviation" and one.joint]
+    also = f" Beside that {', '.join(sorted({one.joint for one in calls}))} wears (alarm)." if calls else ""
+    yes = "if so, check it again with --moved, five times"
+    return (
+        f"{cause_of(found)}, which is no wear: was the arm bumped, or set anew?{also} {error}. Do: {yes}; if not, look "
+        f"whether {found.moved[0].joint} has slipped, then rejoint repair {robot}."
+    )
+
+
 def cause_of(found: Outlook) -> str:
     """Name what changed most; empty where nothing did."""
+    if found.moved:
+        names, ways = [one.joint for one in found.moved], [f"{abs(one.degrees):.1f}" for one in found.moved]
+        zeros = f"The zero of {names[0]} has" if len(names) == 1 else f"The zeros of {_list(names)} have"
+        after, before = max(one.after for one in found.moved), max(one.before for one in found.moved)
+        return f"{zeros} moved by {_list(ways)} deg between {_day(after)} and {_day(before)}"
     return _changed(found.changes[0]) if found.state in ("drifting", "alarm") else ""
+
+
+def _list(words: Sequence[str]) -> str:
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
 
 
 def _changed(change: Change) -> str:
@@ -59,7 +82,7 @@ def _error(found: Outlook) -> str:
     if found.over:
         return f"{text}, which is reached"
     if found.due is None:
-        return text if found.state == "learning" else f"{text}: no wear seen that leads there"
+        return text if found.state == "learning" or found.moved else f"{text}: no wear seen that leads there"
     due = found.due
     if due.late is None:
         return f"{text}, reached not before {_day(due.early)}"

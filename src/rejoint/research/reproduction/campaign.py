@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 from rejoint.research.reproduction.experiment import Bench, Experiment, Finished
-from rejoint.research.reproduction.trainings import finish_trainings
+from rejoint.research.reproduction.trainings import finish_trainings, spread_trainings
+from rejoint.system.elsewhere import Elsewhere
 from rejoint.system.errors import InputError
 from rejoint.system.files import read_json, write_json
+from rejoint.system.progress import no_progress
 from rejoint.system.version import __version__
 
 
@@ -27,20 +30,32 @@ OnExperiment = Callable[[Experiment, bool], object]
 
 
 def run_experiments(
-    bench: Bench, experiments: Sequence[Experiment], *, again: bool = False, on_experiment: OnExperiment
-) -> list[Finished]:
+    bench: Bench, experiments: Sequence[Experiment], *, again: bool = False, on_experiment: OnExperiment,
+    elsewhere: Elsewhere | None = None,
+) -> list[Finished]:  # fmt: skip
     """Run what is not finished yet and return the findings of all ``experiments``.
 
     Trainings that several need are done first, side by side. With ``again`` an experiment is run anew; trainings and
-    comparisons that it is made from are kept.
+    comparisons that it is made from are kept. With ``elsewhere`` trainings, and then experiments, are done there.
     """
     _claim(bench)
     needed = [one for one in experiments if again or not finished_file(bench, one).exists()]
-    finish_trainings(bench, list(dict.fromkeys(name for one in needed for name in one.trainings)))
+    names = list(dict.fromkeys(name for one in needed for name in one.trainings))
+    left = set(needed)
+    if elsewhere is None:
+        finish_trainings(bench, names)
+    else:
+        spread_trainings(bench, names, elsewhere)
+        work, count = partial(_run, replace(bench, on_progress=no_progress)), len(needed)
+        elsewhere.each(
+            work, needed, lambda done: bench.on_progress(done / count, f"{done} of {count} experiments"),
+            cpus_each=bench.threads,
+        )  # fmt: skip
+        left = set()
     found = []
     for one in experiments:
         on_experiment(one, one not in needed)
-        found.append(_run(bench, one) if one in needed else read_json(finished_file(bench, one), Finished))
+        found.append(_run(bench, one) if one in left else read_json(finished_file(bench, one), Finished))
     return found
 
 

@@ -13,15 +13,16 @@ import signal
 from collections.abc import Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from dataclasses import replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from multiprocessing.queues import Queue
 from queue import Empty
 
 import numpy as np
 
 from rejoint.research.reproduction.experiment import SEEDS, Bench
+from rejoint.system.elsewhere import Elsewhere
 from rejoint.system.errors import RejointError
-from rejoint.system.progress import no_progress
+from rejoint.system.progress import Progress, no_progress
 from rejoint.training.presets import PAPER, Preset
 from rejoint.training.train import TrainingOptions, train
 
@@ -75,6 +76,15 @@ def finish_trainings(bench: Bench, names: Sequence[str]) -> None:
             raise
 
 
+def spread_trainings(bench: Bench, names: Sequence[str], elsewhere: Elsewhere) -> None:
+    """Run those trainings that are not finished ``elsewhere``, where the folder of the bench is as here."""
+    missing = [name for name in names if not bench.training(name).policy.exists()]
+    work = partial(_train, replace(bench, on_progress=no_progress))
+    elsewhere.each(
+        work, missing, lambda done: bench.on_progress(done / len(missing), f"{done} of {len(missing)} trainings")
+    )  # fmt: skip
+
+
 def _wait(bench: Bench, waiting: set[Future[str]], news: Queue[_News], done: dict[str, float]) -> None:
     """Tell how it goes until all are done; RejointError with what went wrong in one."""
     while waiting:
@@ -104,19 +114,21 @@ def _begin_worker(news: Queue[_News]) -> None:
 
 def _work(bench: Bench, name: str) -> str:
     """Run one training; returns what went wrong, if anything: not every error can travel between processes."""
-    (preset, offset), news = recipe(name), _channel()[0]
+    news = _channel()[0]
+    try:
+        _train(bench, name, lambda share, text: news.put((name, share, text)))
+    except RejointError as error:
+        return str(error)
+    return ""
+
+
+def _train(bench: Bench, name: str, on_progress: Progress = no_progress) -> None:
+    preset, offset = recipe(name)
     options = TrainingOptions(
         preset=preset, seed=bench.seed + offset, agents=bench.scale.agents, threads=1,
         iterations=bench.scale.updates, snapshot_every=bench.scale.snapshot_every, resume=True,
     )  # fmt: skip
-    try:
-        train(
-            bench.arm, None, out=bench.training(name).path, options=options,
-            on_progress=lambda share, text: news.put((name, share, text)),
-        )  # fmt: skip
-    except RejointError as error:
-        return str(error)
-    return ""
+    train(bench.arm, None, out=bench.training(name).path, options=options, on_progress=on_progress)
 
 
 def _report(bench: Bench, news: Queue[_News], done: dict[str, float]) -> None:

@@ -20,6 +20,7 @@ from rejoint.control.comparison.protocols import Holds, measure_holds, schedule
 from rejoint.control.comparison.result import Protocol
 from rejoint.control.controller import Controller
 from rejoint.control.loop import run
+from rejoint.research.rivals.catalogue import find_rival
 from rejoint.research.rivals.twinrobot import TwinRobot
 from rejoint.training.ranges import Ranges
 
@@ -77,6 +78,14 @@ def tune(
         centre = {name: float(value) for name, value in gains(np.clip(search.mean, 0.0, 1.0)).items()}
         on_generation(generation + 1, float(costs.min()), centre)
     return centre
+
+
+def tune_rival(
+    arm: Arm, ranges: Ranges, settings: TuningSettings, name: str, on_generation: OnGeneration = lambda *_: None
+) -> dict[str, float]:
+    """Search the gains of the rival called ``name``, as `tune`; can be done in any process."""
+    rival = find_rival(name)
+    return tune(arm, ranges, rival.intervals, rival.make, settings, on_generation)
 
 
 def candidate_costs(

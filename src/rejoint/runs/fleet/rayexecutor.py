@@ -24,9 +24,10 @@ from rejoint.runs.fleet.rayworker import PULSE, ArmHolder, Reports, work_in_task
 from rejoint.runs.fleet.work import Lost, Work, WorkOutcome
 from rejoint.system.errors import InputError, RejointError, first_line
 from rejoint.system.extras import require
-from rejoint.system.stopping import SIGNALS, pause
+from rejoint.system.stopping import SIGNALS, check, pause
 
 T = TypeVar("T")
+R = TypeVar("R")
 
 NAMESPACE = "rejoint"
 STORE = 80 * 2**20
@@ -140,42 +141,58 @@ class RayExecutor:
             )
 
 
-def each_on_ray(
-    work: Callable[[T], object], items: Sequence[T], done: Callable[[int], object], *, address: str | None = None,
-    cpus_each: float = 1.0,
-) -> None:  # fmt: skip
-    """Do work on each of some items by Ray, in any order: files in, files out, and nothing moves.
+class RayTasks:
+    """Ray for work in which nothing moves: what goes in and comes out is small, the rest are files."""
 
-    ``done`` is called with the number of items that are done. What is lost is begun again by Ray, up to three times.
-    InputError says in a line what failed first.
-    """
-    require("--on ray", "fleet")
-    if not items:
-        return
-    with _own_signals():
-        ray = _started(address, None, {})
+    def __init__(self, address: str | None = None) -> None:
+        """Start Ray, or connect to it; InputError where there is no such cluster."""
+        require("--on ray", "fleet")
+        with _own_signals():
+            self._ray = _started(address, None, {})
+        self.cpus = max(int(self._ray.cluster_resources().get("CPU", 1)), 1)
+        self._widest = max(node["Resources"].get("CPU", 0.0) for node in self._ray.nodes() if node["Alive"])
+
+    def __enter__(self) -> RayTasks:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._ray.shutdown()  # a cluster stays
+
+    def each(
+        self, work: Callable[[T], R], items: Sequence[T], done: Callable[[int], object] = lambda _: None, *,
+        cpus_each: float = 1.0,
+    ) -> list[R]:  # fmt: skip
+        """Do work on each of some items, and return what came out in their order.
+
+        ``done`` is called with the number of items that are done. What is lost is begun again by Ray, up to three
+        times. InputError says in a line what failed first.
+        """
+        ray = self._ray
+        cpus = min(cpus_each, self._widest)  # Ray would wait for a wider computer for ever
+        task = ray.remote(num_cpus=cpus, max_retries=TRIES_AGAIN)(_done_or_why)
+        waiting = {task.remote(work, item): number for number, item in enumerate(items)}
+        found: dict[int, R] = {}
+        try:
+            while waiting:
+                ready, _ = ray.wait(list(waiting), num_returns=1, timeout=PULSE)
+                for reference in ready:
+                    result, problem = ray.get(reference)
+                    if problem:
+                        raise InputError(f"on another process: {problem}")
+                    found[waiting.pop(reference)] = result
+                check()
+                done(len(found))
+        except ray.exceptions.RayError as error:
+            raise InputError(f"Ray: {_last_line(error)}") from error
+        return [found[number] for number in range(len(items))]
+
+
+def _done_or_why(work: Callable[[T], R], item: T) -> tuple[R | None, str]:
+    """Do work; returns what came out, and why it failed, as errors of ours do not travel."""
     try:
-        task = ray.remote(num_cpus=cpus_each, max_retries=TRIES_AGAIN)(_done_or_why)
-        left = [task.remote(work, item) for item in items]
-        while left:
-            ready, left = ray.wait(left, num_returns=1, timeout=PULSE)
-            for problem in ray.get(ready):
-                if problem:
-                    raise InputError(f"on another process: {problem}")
-            done(len(items) - len(left))
-    except ray.exceptions.RayError as error:
-        raise InputError(f"Ray: {_last_line(error)}") from error
-    finally:
-        ray.shutdown()
-
-
-def _done_or_why(work: Callable[[T], object], item: T) -> str:
-    """Do work; returns why it failed, as errors of ours do not travel."""
-    try:
-        work(item)
+        return work(item), ""
     except RejointError as error:
-        return str(error)
-    return ""
+        return None, str(error)
 
 
 def has_token() -> bool:
@@ -187,9 +204,15 @@ def has_token() -> bool:
 def _started(address: str | None, cpus: int | None, resources: dict[str, float]) -> Any:  # noqa: ANN401
     """Start Ray on this machine for this process alone, or connect to a cluster; returns the module."""
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # Ray tells nobody
+    os.environ.setdefault("RAY_worker_niceness", "0")  # else 15: whatever else runs here would delay control loops
     if address is None:  # nobody else may send it work: nobody from outside, and nobody on this machine
-        if "ray" not in sys.modules:  # it looks at this when it is imported
+        if "ray" not in sys.modules:  # it looks at these when it is imported
             os.environ.setdefault("RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER", "0")  # its way to listen on loopback alone
+        elif os.environ.get("RAY_AUTH_MODE") != "token":
+            raise InputError(
+                "Ray was imported before rejoint could turn on its token; begin a new Python and leave that import to "
+                "rejoint, or set RAY_AUTH_MODE=token before it"
+            )
         os.environ["RAY_AUTH_MODE"] = "token"
         os.environ.setdefault("RAY_AUTH_TOKEN", secrets.token_hex(32))
     with warnings.catch_warnings():

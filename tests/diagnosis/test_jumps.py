@@ -1,0 +1,102 @@
+"""What is no wear is told from it, on emulated arms: zeros that were moved between two checks, and warmth."""
+
+from dataclasses import replace
+from datetime import datetime, timedelta
+
+import numpy as np
+import pytest
+
+from rejoint.arms import load_arm
+from rejoint.diagnosis.monitoring.judge import Outlook, PastCheck, outlook
+from rejoint.diagnosis.monitoring.jumps import find_jump
+from rejoint.diagnosis.monitoring.measures import CheckMeasures, measure_check
+from rejoint.diagnosis.monitoring.record import record_check
+from rejoint.diagnosis.monitoring.words import say
+from rejoint.robots.emulated import EmulatedRobot
+from rejoint.robots.lab.plant.wear import load_wear
+
+ARM = load_arm("mycobot280")
+BEGIN = datetime(2027, 1, 1)
+MOVED_DEG = {"joint2": 1.2, "joint3": -0.8}
+AGED = ("healthy?seed=5&hours=900", "worn")
+
+
+def judged(*checks: CheckMeasures) -> Outlook:
+    """Judge checks, one a month, whose true error nobody knows."""
+    return outlook(
+        [PastCheck(time=BEGIN + timedelta(days=30 * n), measures=one) for n, one in enumerate(checks)],
+        tolerance_mm=50.0,
+    )
+
+
+@pytest.fixture(scope="module")
+def checks() -> list[CheckMeasures]:
+    """Check a healthy arm, the same with two zeros moved, and arms that wear much."""
+    healthy, *aged = (load_wear(name, ARM) for name in ("healthy", *AGED))
+    off = np.array([MOVED_DEG.get(name, 0.0) for name in ARM.joint_names])
+    moved = replace(healthy, offset=healthy.offset - np.radians(off))
+    robot = EmulatedRobot(ARM, [healthy, moved, *aged], seed=4)
+    return [
+        replace(measure_check(ARM, log, warm), true_error_mm=None, true_approach_mm=None)
+        for log, warm in record_check(robot)
+    ]
+
+
+def test_zeros_that_were_moved_are_no_wear(checks: list[CheckMeasures]) -> None:
+    healthy, moved = checks[:2]
+    found = judged(*[healthy] * 6, moved)
+    assert {one.joint: one.degrees for one in found.moved} == pytest.approx(MOVED_DEG, abs=0.1)
+    assert {(one.after, one.before) for one in found.moved} == {
+        (BEGIN + timedelta(days=150), BEGIN + timedelta(days=180))
+    }
+    assert found.state == "drifting"
+    assert found.due is None
+    line = say(found, "ROBOT")
+    assert line.startswith(
+        "The zeros of joint2 and joint3 have moved by 1.2 and 0.8 deg between 2027-05-31 and 2027-06-30, which is no "
+        "wear: was the arm bumped, or set anew?"
+    )
+    assert "--moved" in line
+    later = judged(*[healthy] * 6, *[moved] * 3)  # by then the charts call out as well
+    assert later.state == "alarm"
+    assert say(later, "ROBOT").startswith("The zeros of joint2 and joint3 have moved")
+
+
+def test_one_odd_check_is_no_moved_arm(checks: list[CheckMeasures]) -> None:
+    healthy, moved = checks[:2]
+    assert judged(*[healthy] * 6, moved, healthy).moved == ()
+
+
+@pytest.mark.parametrize("which", range(len(AGED)), ids=AGED)
+def test_wear_is_no_moved_zero_however_fast_it_comes(checks: list[CheckMeasures], which: int) -> None:
+    found = judged(*[checks[0]] * 6, *[checks[2 + which]] * 3)
+    assert found.moved == ()
+    assert found.state == "alarm"
+
+
+def test_warmth_is_no_moved_zero() -> None:
+    """A zero goes with warmth; where the servos do not tell theirs, a room may have warmed by ten degrees."""
+    steps, still = np.array([0.0, 0.0, 1.0]), [np.zeros(3)]
+    told = np.array([25.0, 25.0, 26.0])
+    jump = find_jump(steps, still, told, scatter=0.06, per_degree=0.1)
+    assert jump is not None
+    assert (jump.at, jump.way) == (2, 1.0)
+    assert find_jump(steps, still, np.array([25.0, 25.0, 31.0]), scatter=0.06, per_degree=0.1) is None
+    assert find_jump(steps, still, np.full(3, np.nan), scatter=0.06, per_degree=0.1) is None
+    assert find_jump(steps, [0.5 * steps], told, scatter=0.06, per_degree=0.1) is None
+
+
+def test_where_a_joint_rests_may_go_with_the_warmth_of_its_whole_friction(checks: list[CheckMeasures]) -> None:
+    """A reversal is the small rest of a wide band: it goes with warmth by more than a small share of itself."""
+    seen = []
+    for month in (0.0, 0.05, 0.1, 0.15, *range(1, 19)):
+        warmer = 5.0 * np.sin(2.0 * np.pi * (month + 3) / 12.0)
+        rows = [
+            replace(
+                one, temperature_c=(one.temperature_c or 0.0) + warmer,
+                reversal_mm=one.reversal_mm - 0.01 * one.hysteresis_mm * warmer,
+            )
+            for one in checks[0].joints
+        ]  # fmt: skip
+        seen.append(replace(checks[0], joints=tuple(rows)))
+    assert all(judged(*seen[:stop]).state != "alarm" for stop in range(6, len(seen) + 1))
