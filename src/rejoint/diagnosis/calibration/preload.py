@@ -20,9 +20,8 @@ from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.diagnosis.calibration.model import scatter
 
 WEDGE = np.radians(2.0)
-"""[rad] slope of the wedge (chosen: more brings nothing on emulated arms, `rejoint evaluate --family --calibrate
---variants wedge,askew`, and neither does it from half a degree on; but there only grease holds the link of a base
-joint, and real bearings have friction)"""
+"""[rad] slope of the wedge (chosen: on emulated arms half a degree does, `python -m benchmarks.wedge`, but there only
+grease holds the link of a base joint, and real bearings have friction; more brings nothing)"""
 RISE = 100.0 * float(np.tan(WEDGE))
 """[mm] by which it rises on 10 cm"""
 WEIGHT = 0.05
