@@ -19,10 +19,15 @@ from rejoint.arms.size import torque_size
 from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.diagnosis.calibration.model import scatter
 
-WEDGE = np.radians(8.0)
-"""[rad] slope of the wedge (chosen: an arm that is clamped to its board does not tip over)"""
+WEDGE = np.radians(2.0)
+"""[rad] slope of the wedge (chosen: on emulated arms half a degree does, `python -m benchmarks.wedge`, but there only
+grease holds the link of a base joint, and real bearings have friction; more brings nothing)"""
+RISE = 100.0 * float(np.tan(WEDGE))
+"""[mm] by which it rises on 10 cm"""
 WEIGHT = 0.05
 """[kg] at the tool of an arm of the size of a myCobot 280 (chosen: a fifth of the 250 g that it may carry)"""
+WORTH = 0.8
+"""Share of what chance decides that is left at most where a wedge or a weight is worth its trouble (chosen)"""
 _SIDES = {"-x": (0.0, 1.0), "+x": (0.0, -1.0), "-y": (-1.0, 0.0), "+y": (1.0, 0.0)}
 """Side of the base that is raised, and the axis (x, y) about which that turns the base"""
 
@@ -43,6 +48,16 @@ class Preload:
     """[m] the same with a weight at the tool"""
     mass: float
     """[kg] of that weight"""
+
+    @property
+    def wedge_helps(self) -> bool:
+        """Whether the wedge is worth its trouble."""
+        return bool(self.joints) and self.wedge <= WORTH * self.chance
+
+    @property
+    def weight_helps(self) -> bool:
+        """Whether the weight is worth its trouble."""
+        return bool(self.joints) and self.weight <= WORTH * self.chance
 
 
 def preload(found: Calibration, position: Array) -> Preload:

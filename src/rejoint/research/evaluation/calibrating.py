@@ -62,6 +62,7 @@ class ArmCondition:
 CONDITIONS = (
     ArmCondition(name="worn", meaning="worn arms"),
     ArmCondition(name="askew", meaning="worn arms on a base tilted by 8 degrees", tilt=np.radians(8.0)),
+    ArmCondition(name="wedge", meaning="worn arms on a base raised by 2 degrees on one side", tilt=np.radians(2.0)),
     ArmCondition(name="misdescribed", meaning="worn arms, masses 15 % off, links off by 1 mm and 0.3 deg", mass=0.15,
               shift=1e-3, turn=np.radians(0.3)),
     ArmCondition(name="healthy", meaning="healthy arms", profile="healthy"),

@@ -8,7 +8,7 @@ from rejoint.arms import Array, tcp_position
 from rejoint.arms.kinematics import GRAVITY
 from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.diagnosis.calibration.measurements import Measurements
-from rejoint.diagnosis.calibration.preload import WEDGE, preload
+from rejoint.diagnosis.calibration.preload import RISE, WEDGE, preload
 from rejoint.diagnosis.calibration.procedure import reversals
 from rejoint.pages.report.displaced import arrow_scale, arrows
 from rejoint.pages.report.gallery import Gallery
@@ -19,8 +19,6 @@ from rejoint.system.statistics import NORMAL95
 
 KEY, SHORT, HEADING = "tool", "Where the tool is", "Where the tool is"
 MM = 1e3
-WORTH = 0.8
-"""Share of what chance decides that is left at most where a wedge or a weight is worth its trouble (chosen)"""
 
 
 def accuracy_section(found: Calibration, measured: Measurements | None, gallery: Gallery) -> Section:
@@ -160,13 +158,14 @@ def _floating(found: Calibration, position: Array) -> tuple[Part, ...]:
         else f"{names} carries no weight and lies in its play where chance left it: {chance} at the tool, root mean "
         "square over the measured postures. No correction can know that part."
     ]
+    wedge = f"a wedge of {np.degrees(WEDGE):g} degrees under the base, its {what.side} side raised"
     options = (
-        (f"a wedge of {np.degrees(WEDGE):g} degrees under the base, its {what.side} side raised", what.wedge),
-        (f"a weight of {1e3 * what.mass:.0f} g at the tool", what.weight),
+        (f"{wedge} by {RISE:.1f} mm on 10 cm", what.wedge, what.wedge_helps),
+        (f"a weight of {1e3 * what.mass:.0f} g at the tool", what.weight, what.weight_helps),
     )
-    for name, left in options:
+    for name, left, helps in options:
         left_mm = number(left * MM, 2, "mm")
-        if left <= WORTH * what.chance:
+        if helps:
             lines.append(f"With {name}, {left_mm} of it would be left. Calibrate again afterwards.")
         else:
             lines.append(f"{name[:1].upper()}{name[1:]} would hardly help: {left_mm} of it would be left.")

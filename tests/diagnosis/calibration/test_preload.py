@@ -1,0 +1,70 @@
+"""What presses floating joints: the wedge that is recommended does it in the plant, and is told where it helps."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from rejoint.arms import Displacement, mycobot280
+from rejoint.arms.kinematics import GRAVITY
+from rejoint.arms.rotations import rotation_about
+from rejoint.arms.urdf import at_targets
+from rejoint.cli.console import Terminal
+from rejoint.cli.show import _say_wedge
+from rejoint.control.catalogue import make_controller
+from rejoint.control.comparison.targets import draw_targets
+from rejoint.control.loop import Schedule, run
+from rejoint.diagnosis.calibration.calibration import Calibration
+from rejoint.diagnosis.calibration.parameters import DisplacementLayout
+from rejoint.diagnosis.calibration.preload import WEDGE, preload
+from rejoint.robots.emulated import EmulatedRobot
+from rejoint.robots.lab.plant.wear import load_wear
+
+ARM = mycobot280()
+RAISED = {"-x": (0.0, 1.0), "+x": (0.0, -1.0), "-y": (-1.0, 0.0), "+y": (1.0, 0.0)}
+
+
+def worn(**values):
+    found = replace(Displacement.none(ARM), **{name: np.asarray(value) for name, value in values.items()})
+    size = DisplacementLayout(joints=ARM.joints).size
+    return Calibration(
+        arm=ARM, displacement=found, covariance=1e-8 * np.eye(size), frame=np.eye(4), frame_name="base", source="touch",
+        date="", points=4, before=2e-3, after=1e-3, used=True, floor=1e-4,
+    )  # fmt: skip
+
+
+FLOATING = worn(play=[0.03] + [0.0] * 5)
+
+
+def lies(gravity):
+    """Places (A, K) of the links of joint 1 after motions of worn arms, in units of half their play."""
+    robot = EmulatedRobot(ARM, [load_wear(f"worn?seed={seed}", ARM) for seed in range(5)], seed=0, gravity=gravity)
+    targets, places = draw_targets(ARM, sets=5, count=2, seed=0), []
+    half = 0.5 * robot.plant.joints["play"][:, 0]
+    driven = run(
+        robot, make_controller("feedforward", ARM), targets, Schedule(dwell=2.5, keep_going=True),
+        on_cycle=lambda _: places.append(robot.plant.qpos[:, 1] / half),
+    )  # fmt: skip
+    rows = [np.flatnonzero(driven.target_index[:, i] == k)[-1] for i in range(5) for k in range(2)]
+    return np.array(places)[rows, np.repeat(np.arange(5), 2)].reshape(5, 2)
+
+
+def test_the_recommended_wedge_presses_the_base_joints_of_emulated_arms_to_one_flank():
+    what = preload(FLOATING, at_targets(ARM))
+    turn = rotation_about(np.array([*RAISED[what.side], 0.0]), -WEDGE)
+    pressed, free = lies(turn @ GRAVITY), lies(GRAVITY)
+    assert np.abs(pressed).min() > 0.95
+    assert len(np.unique(np.sign(pressed))) == 1
+    assert np.abs(free).min() < 0.8
+
+
+@pytest.mark.parametrize(
+    ("own", "told"),
+    [(FLOATING, True), (worn(), False), (worn(play=[0.0, 0.03, 0.0, 0.0, 0.0, 0.0]), False)],
+    ids=["a base joint floats", "no play", "play under weight"],
+)
+def test_a_wedge_is_told_where_it_helps_alone(own, told, capsys):
+    _say_wedge(Terminal(), own, at_targets(ARM))
+    out = capsys.readouterr()
+    side = preload(own, at_targets(ARM)).side
+    assert (f"the {side} side of the base raised by 2 degrees (3.5 mm on 10 cm)" in out.out + out.err) is told
