@@ -14,7 +14,7 @@ from rejoint.control.moving.observer import PushObserver
 from rejoint.control.moving.path import Path
 from rejoint.control.moving.posture import PathPostures
 from rejoint.control.moving.repeating import learned, smooth
-from rejoint.control.moving.routes import Ahead, Routes
+from rejoint.control.moving.routes import Ahead, Routes, played
 from rejoint.control.moving.sender import Sender
 from rejoint.control.moving.servos import Moment, Servos, command_for
 from rejoint.control.moving.standard import standard_path
@@ -73,6 +73,20 @@ def test_a_worn_arm_follows_a_circle_better_than_one_that_is_sent_it():
     for b, guide in enumerate(guides):
         assert judge(ARM, tracked, guide, b).encoder.rms < 1.5e-3
         assert judge(ARM, sent, guide, b).encoder.rms > 10e-3
+
+
+def test_a_worn_arm_turns_its_tool_behind_a_stream_of_poses():
+    time = np.linspace(0.0, 8.0, 81)
+    swing = np.stack([0.17 * np.cos(time) ** 2, 0.17 * np.cos(time), -np.ones_like(time)], axis=-1)
+    path = Path(time=time, place=standard_path("circle-8s", ARM).at(time), direction=swing).on(ARM)
+    stream, first = played(path, 30.0), path.turn_at(np.zeros(1))
+    start = PathPostures(ARM, path.place[:1], first).last
+    robot = EmulatedRobot(ARM, [load_wear("worn", ARM)], start=start)
+    recording = follow(robot, Tracker(ARM, worn_servos()), Routes([stream]), Schedule(dwell=8.0, sent=start))
+    done = judge(ARM, recording, stream)
+    assert done.encoder.rms_after < 2e-3
+    assert done.turned is not None, "a stream of places says nothing of it"
+    assert done.turned < np.radians(1.5)
 
 
 def test_gains_give_way_where_a_cycle_is_long_and_the_arm_still_follows():

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Protocol, TypeAlias
 import numpy as np
 
 from rejoint.arms import Arm, Array
+from rejoint.arms.orientation import tool_axis
 from rejoint.control.controller import Controller
 from rejoint.control.correction import Modelled
 from rejoint.control.moving.drive import Followed, Pass, corrected_path, corrector, judge, missed
@@ -103,10 +104,15 @@ class PathDrive:
 
     def behind(self, stream: Stream, duration: float, sent: Array) -> Followed:
         """Go behind a stream for ``duration`` [s], from the command ``sent`` (1, n) [rad]."""
-        start = stream.place(0.0)
+        stream.axis = tool_axis(self.arm)
+        at_once = np.zeros(1)
+        start, turns = stream.place(0.0), stream.turns(0.0, at_once)
+        turn = None if turns is None else turns[0]
         if self.correction is not None and stream.corrected is None:
-            stream.corrected = corrector(self.arm, self.correction, start)
-        sent = self.carrier.approach(start, sent).command[-1]
+            stream.corrected = corrector(self.arm, self.correction, start, turn)
+            turns = stream.turns(0.0, at_once)
+            turn = None if turns is None else turns[0]
+        sent = self.carrier.approach(start, sent, turn).command[-1]
         piece = Piece(label=self._label("stream"), duration=duration, number=0, total=1)
         last = self.carrier.carry(stream, self.make(self.arm, self.usual), sent, piece)
         done = replace(judge(self.arm, last, stream), log=last.log(0, piece.label))
@@ -138,17 +144,13 @@ def as_path(given: PathLike, arm: Arm, seed: int) -> Path:
     return Path(time=numbers[:, 0], place=numbers[:, 1:])
 
 
-def followable(
-    given: PathLike | Stream, arm: Arm, seed: int, duration: float | None, rate: float | None
-) -> Path | Stream:
+def followable(given: PathLike | Stream, arm: Arm, seed: int, duration: float | None) -> Path | Stream:
     """Return the stream, or the path that ``arm`` is able to follow; InputError where it cannot."""
     if isinstance(given, Stream):
         if duration is None or not duration > 0.0:
             raise InputError("follow: a stream needs a duration in seconds for which it is followed")
         return given
     path = as_path(given, arm, seed).on(arm)
-    if rate is not None and path.turned:
-        raise InputError("follow: what is told as it goes are places alone; leave out the rate, or the orientation")
     path.require_followable(arm)
     return path
 
