@@ -147,6 +147,6 @@ def route_of(guide: Ahead | Stream) -> tuple[Array, Array, Array]:
 
 
 def missed(arm: Arm, recording: Recording, guide: Ahead, wanted: Path, b: int = 0) -> tuple[Array, Array]:
-    """Return times (T,) [s] and how far (T, 3) [m] arm ``b`` was from ``wanted`` by its encoders, for `learned`."""
+    """Return times (T,) [s] and how far (T, 3) [m] arm ``b`` was from ``wanted`` by its encoders, for `Repetition`."""
     rows, time = rows_on(recording, guide, b)
     return time, wanted.at(time) - tcp_position(arm, recording.position[rows, b])

@@ -160,8 +160,8 @@ class Stream:
                 )
         elif _turn_between(knot, last) > _MOST_TURN:
             raise InputError(
-                f"stream: from one target to the next the tool would turn by {np.degrees(_turn_between(knot, last)):.0f} "
-                "deg, at most 120 were expected; put targets between them"
+                "stream: from one target to the next the tool would turn by "
+                f"{np.degrees(_turn_between(knot, last)):.0f} deg, at most 120 were expected; put targets between them"
             )
 
     def _between(self, values: list[Array], time: Array, now: float) -> Array:

@@ -19,7 +19,7 @@ from rejoint.control.controller import Controller
 from rejoint.control.correction import Modelled
 from rejoint.control.moving.drive import Followed, Pass, corrected_path, corrector, judge, missed
 from rejoint.control.moving.path import Path, read_path
-from rejoint.control.moving.repeating import learned
+from rejoint.control.moving.repeating import Repetition
 from rejoint.control.moving.routes import LAG, LEAD_IN, Ahead, Stream, played
 from rejoint.control.moving.sender import Sender
 from rejoint.control.moving.servos import Servos
@@ -89,7 +89,7 @@ class PathDrive:
         """Go along a path, ``repeat`` times, from the command ``sent`` (1, n) [rad]; at a ``rate`` [Hz] it is told."""
         wanted = path if self.correction is None else corrected_path(self.arm, path, self.correction)
         duration = LEAD_IN + path.duration + (0.0 if rate is None else LAG)
-        aim, passes = wanted, list[Pass]()
+        aim, passes, repetition = wanted, list[Pass](), Repetition(wanted)
         last: Recording | None = None
         for number in range(repeat):
             sent = self.carrier.approach(wanted.at(0.0), sent, wanted.turn_at(0.0)).command[-1]
@@ -99,7 +99,7 @@ class PathDrive:
             last = self.carrier.carry(told, self.make(self.arm, self.usual), sent, piece)
             done = judge(self.arm, last, Ahead(path=path, aim=wanted))
             passes.append(replace(done, log=last.log(0, piece.label)))
-            aim, sent = learned(wanted, aim, *missed(self.arm, last, guide, wanted), number), last.command[-1]
+            aim, sent = repetition.learn(aim, *missed(self.arm, last, guide, wanted)), last.command[-1]
         return self._followed(path.name, passes, last)
 
     def behind(self, stream: Stream, duration: float, sent: Array) -> Followed:
