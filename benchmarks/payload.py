@@ -1,7 +1,7 @@
-"""What 100 g at the tool cost worn arms, untold and told: holds by three controllers, paths by the tracker, in mm.
+"""What a load at the tool costs worn arms, told and untold: holds by three controllers, paths by the tracker, in mm.
 
     python -m benchmarks payload
-    python -m benchmarks.payload --seeds 60001 60002 --twins FOLDER
+    python -m benchmarks.payload --load 0.05 --seeds 60007 60015 --controllers feedforward --cases empty told
 
 Each arm is diagnosed and identified with an empty hand, or its twin is in ``FOLDER/SEED/twin.toml``. Only targets that
 are not said to be too heavy count; of the others it is printed how many were missed by more than 2 mm. As before every
@@ -52,10 +52,14 @@ CONTROLLERS: dict[str, Callable[[Arm, Twin], Controller]] = {
     "shelf": lambda arm, _: shelf_controller(arm),
     "predictive": planned,
 }
-CASES = (("empty", 0.0, 0.0), ("untold", LOAD, 0.0), ("told", LOAD, LOAD))
+CASES = {"empty": (False, False), "untold": (True, False), "told": (True, True)}
+"""Whether there is a load, and whether that is told"""
 
 
-def main(seeds: Sequence[int] = tuple(SEEDS), twins: FilePath | None = None) -> None:
+def main(
+    seeds: Sequence[int] = tuple(SEEDS), twins: FilePath | None = None, *, load: float = LOAD,
+    names: Sequence[str] = tuple(CONTROLLERS), cases: Sequence[str] = tuple(CASES),
+) -> None:  # fmt: skip
     """Print a row for each arm, controller and case, and the middle over the arms."""
     arm, rows, judged = mycobot280(), list[tuple[str, str, list[float]]](), np.zeros((2, 2), int)
     targets = draw_targets(arm, sets=1, seed=3)
@@ -67,13 +71,14 @@ def main(seeds: Sequence[int] = tuple(SEEDS), twins: FilePath | None = None) -> 
             if not place.twin.exists():
                 identify_arm(arm, seed, place, seed // FAMILY_SIZE - 1, no_progress)
             twin = read_twin(place.twin, arm)
-            too_heavy = heavy(loaded(arm, LOAD), twin, targets[0]).any(axis=1)
+            too_heavy = heavy(loaded(arm, load), twin, targets[0]).any(axis=1)
             light = ~too_heavy
-            for (case, true, told), (name, make) in product(CASES, CONTROLLERS.items()):
-                settled, time, seems = _hold(arm, seed, twin, make, targets, true, told)
+            for case, name in product(cases, names):
+                true, told = (load * given for given in CASES[case])
+                settled, time, seems = _hold(arm, seed, twin, CONTROLLERS[name], targets, true, told)
                 row = [1e3 * settled[light].mean(), time[light].mean()] if light.any() else [np.nan] * 2
                 rows.append((name, case, row))
-                first = name == next(iter(CONTROLLERS))
+                first = name == names[0]
                 missed = f"{1e3 * _follow(arm, seed, twin, true, told):10.2f}" if first else ""
                 print(
                     f"{seed:>6} {name:>11} {case:>7} {row[0]:8.2f} {row[1]:7.2f} {1e3 * seems:8.0f} "
@@ -82,7 +87,7 @@ def main(seeds: Sequence[int] = tuple(SEEDS), twins: FilePath | None = None) -> 
                 if case == "told" and first:
                     for said, off in zip(too_heavy, settled > 2e-3, strict=True):
                         judged[int(said), int(off)] += 1
-    for name, (case, *_) in product(CONTROLLERS, CASES):
+    for name, case in product(names, cases):
         own = np.array([row for one, other, row in rows if (one, other) == (name, case)])
         print(f"{'mean':>6} {name:>11} {case:>7} {np.nanmean(own[:, 0]):8.2f} {np.nanmean(own[:, 1]):7.2f}")
     for said, name in enumerate(("not said to be too heavy", "said to be too heavy")):
@@ -129,5 +134,8 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description="What a load costs worn arms.")
     parser.add_argument("--seeds", type=int, nargs="+", default=list(SEEDS))
     parser.add_argument("--twins", type=FilePath, help="folder of twins by seed; by default they are identified")
+    parser.add_argument("--load", type=float, default=LOAD, help="in kg")
+    parser.add_argument("--controllers", nargs="+", choices=CONTROLLERS, default=list(CONTROLLERS))
+    parser.add_argument("--cases", nargs="+", choices=CASES, default=list(CASES))
     options = parser.parse_args()
-    main(options.seeds, options.twins)
+    main(options.seeds, options.twins, load=options.load, names=options.controllers, cases=options.cases)
