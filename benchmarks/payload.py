@@ -19,8 +19,9 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from rejoint.arms import Arm, Array, mycobot280, tcp_position
+from rejoint.arms import Arm, Array, gravity_torque, mycobot280, tcp_position
 from rejoint.arms.loaded import loaded
+from rejoint.arms.posing import find_postures
 from rejoint.control.comparison.targets import draw_targets
 from rejoint.control.controller import Controller
 from rejoint.control.feedforward import FeedforwardController
@@ -63,7 +64,7 @@ def main(
     """Print a row for each arm, controller and case, and the middle over the arms."""
     arm, rows, judged = mycobot280(), list[tuple[str, str, list[float]]](), np.zeros((2, 2), int)
     targets = draw_targets(arm, sets=1, seed=3)
-    heads = f"{'settled':>8} {'time s':>7} {'seems g':>8} {'too heavy':>10} {PATH:>10}"
+    heads = f"{'settled':>8} {'time s':>7} {'seems g':>8} {'too heavy':>10} {'joint3 %':>8} {'joint4 %':>8} {PATH:>10}"
     print(f"{'arm':>6} {'driven by':>11} {'case':>7} {heads}")
     with TemporaryDirectory() as folder:
         for seed in seeds:
@@ -73,6 +74,7 @@ def main(
             twin = read_twin(place.twin, arm)
             too_heavy = heavy(loaded(arm, load), twin, targets[0]).any(axis=1)
             light = ~too_heavy
+            needs = {case: 100.0 * _needed(arm, seed, load * CASES[case][0], targets[0]) for case in cases}
             for case, name in product(cases, names):
                 true, told = (load * given for given in CASES[case])
                 settled, time, seems = _hold(arm, seed, twin, CONTROLLERS[name], targets, true, told)
@@ -82,7 +84,7 @@ def main(
                 missed = f"{1e3 * _follow(arm, seed, twin, true, told):10.2f}" if first else ""
                 print(
                     f"{seed:>6} {name:>11} {case:>7} {row[0]:8.2f} {row[1]:7.2f} {1e3 * seems:8.0f} "
-                    f"{too_heavy.sum():10d} {missed}", flush=True,
+                    f"{too_heavy.sum():10d} {needs[case][2]:8.0f} {needs[case][3]:8.0f} {missed}", flush=True,
                 )  # fmt: skip
                 if case == "told" and first:
                     for said, off in zip(too_heavy, settled > 2e-3, strict=True):
@@ -117,6 +119,13 @@ def _hold(
         settled.append(off[since > DWELL - 1.0].mean())
         times.append(since[np.flatnonzero(off > 2e-3)[-1]] if (off > 2e-3).any() else 0.0)
     return np.array(settled), np.array(times), noticed_load(robot.arm, twin, recording.log(0, "hold"))[0]
+
+
+def _needed(arm: Arm, seed: int, load: float, targets: Array) -> Array:
+    """Return the share (n,) of its motors that an arm needs to go on moving, at the target where that is largest."""
+    wear, start = load_wear(f"worn?seed={seed}", arm), np.broadcast_to(arm.rest, (len(targets), arm.joints))
+    weight = np.abs(gravity_torque(loaded(arm, load), find_postures(arm, targets, start, None)))
+    return ((weight * (1.0 + wear.load_friction) + wear.coulomb) / wear.torque_limit).max(axis=0)
 
 
 def _follow(arm: Arm, seed: int, twin: Twin, true: float, told: float) -> float:
