@@ -85,7 +85,7 @@ def test_the_poses_of_a_stream_are_of_one_kind_and_near_one_another():
         stream.put(Pose(place_m=[0.18, 0.0, 0.2], direction=[0, 0, 1]), 0.1)
     assert stream.time == [0.0]
     stream.put(Pose(place_m=[0.19, 0.0, 0.2], direction=[0.1, 0, -1]), 0.0)  # replaces the one of that time
-    places, turns = stream.told()
+    places, turns = stream.received()
     assert turns is not None
     assert np.allclose(places, [[0.19, 0.0, 0.2]])
     assert np.allclose(turns.rotation @ turns.axis, np.array([[0.1, 0, -1]]) / np.hypot(0.1, 1.0))

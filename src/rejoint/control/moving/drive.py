@@ -141,7 +141,7 @@ def route_of(guide: Ahead | Stream) -> tuple[Array, Array, Array]:
     if isinstance(guide, Ahead):
         time = np.linspace(0.0, guide.path.duration, max(2, round(guide.path.duration / _STEP) + 1))
         return time, guide.path.at(time), (guide.aim or guide.path).at(time)
-    targets, turns = guide.told()
+    targets, turns = guide.received()
     aims = targets if guide.corrected is None else guide.corrected(targets, turns)[0]
     return np.array(guide.time) - guide.time[0], targets, aims
 

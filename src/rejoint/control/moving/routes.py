@@ -134,7 +134,7 @@ class Stream:
         """Return how the tool is to be turned then (k,), by what has come; None for a stream of places."""
         return self._poses(now, later)[1] if self._knots else None
 
-    def told(self) -> tuple[Array, Orientation | None]:
+    def received(self) -> tuple[Array, Orientation | None]:
         """Return all targets (K, 3) [m] that came, and how the tools were to be turned at them (K,)."""
         turns = turned_as(np.array(self._knots), self.axis, self._weight) if self._knots else None
         return np.array(self.targets), turns
