@@ -1,29 +1,40 @@
-"""What 100 g at the tool cost worn arms, untold and told: holds by the feed-forward, paths by the tracker, in mm.
+"""What a load at the tool costs worn arms, told and untold: holds by three controllers, paths by the tracker, in mm.
 
-Each arm is diagnosed and identified with an empty hand. Only targets that are not said to be too heavy count; of the
-others it is printed how many were missed by more than 2 mm. As before every motion of the product, the arm first goes
-to its rest posture: one that is put there has never moved, and a weak joint may stick there for good (arm 50000 with
-its load missed the first target by 17 mm, after `begin` by 1.3 mm).
+    python -m benchmarks payload
+    python -m benchmarks.payload --load 0.05 --seeds 60007 60015 --controllers feedforward --cases empty told
+
+Each arm is diagnosed and identified with an empty hand, or its twin is in ``FOLDER/SEED/twin.toml``. Only targets that
+are not said to be too heavy count; of the others it is printed how many were missed by more than 2 mm. As before every
+motion of the product, the arm first goes to its rest posture: one that is put there has never moved, and a weak joint
+may stick there for good (arm 50000 with its load missed the first target by 17 mm, after `begin` by 1.3 mm).
 """
 
 from __future__ import annotations
 
-from pathlib import Path
+import argparse
+from collections.abc import Callable, Sequence
+from itertools import product
+from pathlib import Path as FilePath
 from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from rejoint.arms import Arm, Array, mycobot280, tcp_position
+from rejoint.arms import Arm, Array, gravity_torque, mycobot280, tcp_position
 from rejoint.arms.loaded import loaded
+from rejoint.arms.posing import find_postures
 from rejoint.control.comparison.targets import draw_targets
+from rejoint.control.controller import Controller
 from rejoint.control.feedforward import FeedforwardController
 from rejoint.control.loop import Schedule, follow, run
 from rejoint.control.moving.drive import approach, judge
 from rejoint.control.moving.routes import LEAD_IN, Ahead, Routes
 from rejoint.control.moving.standard import standard_path
 from rejoint.control.moving.tracker import Tracker
+from rejoint.control.shelf import shelf_controller
 from rejoint.control.start import begin
 from rejoint.logs.runfolder.folder import RunFolder
+from rejoint.research.evaluation.contestants import planned
+from rejoint.research.evaluation.family import FAMILY_SIZE
 from rejoint.research.evaluation.identification import identify_arm
 from rejoint.robots.emulated import EmulatedRobot
 from rejoint.robots.lab.plant.wear import load_wear
@@ -37,36 +48,50 @@ LOAD = 0.1  # [kg]
 SEEDS = range(50000, 50008)  # of worn arms, those of family 4
 DWELL = 8.0  # [s]
 PATH = "circle-8s"
-CASES = (("empty", 0.0, 0.0), ("untold", LOAD, 0.0), ("told", LOAD, LOAD))
+CONTROLLERS: dict[str, Callable[[Arm, Twin], Controller]] = {
+    "feedforward": lambda arm, twin: FeedforwardController(arm, twin.parameters.stiffness),
+    "shelf": lambda arm, _: shelf_controller(arm),
+    "predictive": planned,
+}
+CASES = {"empty": (False, False), "untold": (True, False), "told": (True, True)}
+"""Whether there is a load, and whether that is told"""
 
 
-def main() -> None:
-    """Print a row for each arm, and the means over them."""
-    arm, rows, judged = mycobot280(), [], np.zeros((2, 2), int)
+def main(
+    seeds: Sequence[int] = tuple(SEEDS), twins: FilePath | None = None, *, load: float = LOAD,
+    names: Sequence[str] = tuple(CONTROLLERS), cases: Sequence[str] = tuple(CASES),
+) -> None:  # fmt: skip
+    """Print a row for each arm, controller and case, and the middle over the arms."""
+    arm, rows, judged = mycobot280(), list[tuple[str, str, list[float]]](), np.zeros((2, 2), int)
     targets = draw_targets(arm, sets=1, seed=3)
-    print(f"{'arm':>6} {'case':>7} {'settled':>8} {'time s':>7} {PATH:>10} {'seems g':>8} {'too heavy':>10}")
+    heads = f"{'settled':>8} {'time s':>7} {'seems g':>8} {'too heavy':>10} {'joint3 %':>8} {'joint4 %':>8} {PATH:>10}"
+    print(f"{'arm':>6} {'driven by':>11} {'case':>7} {heads}")
     with TemporaryDirectory() as folder:
-        for seed in SEEDS:
-            place = RunFolder(Path(folder) / str(seed))
-            identify_arm(arm, seed, place, 4, no_progress)
+        for seed in seeds:
+            place = RunFolder((twins or FilePath(folder)) / str(seed))
+            if not place.twin.exists():
+                identify_arm(arm, seed, place, seed // FAMILY_SIZE - 1, no_progress)
             twin = read_twin(place.twin, arm)
-            too_heavy = heavy(loaded(arm, LOAD), twin, targets[0]).any(axis=1)
-            for case, true, told in CASES:
-                settled, time, seems = _hold(arm, seed, twin, targets, true, told)
-                missed = _follow(arm, seed, twin, true, told)
-                light = ~too_heavy
-                row = [1e3 * settled[light].mean(), time[light].mean(), 1e3 * missed] if light.any() else [np.nan] * 3
-                rows.append((case, row))
+            too_heavy = heavy(loaded(arm, load), twin, targets[0]).any(axis=1)
+            light = ~too_heavy
+            needs = {case: 100.0 * _needed(arm, seed, load * CASES[case][0], targets[0]) for case in cases}
+            for case, name in product(cases, names):
+                true, told = (load * given for given in CASES[case])
+                settled, time, seems = _hold(arm, seed, twin, CONTROLLERS[name], targets, true, told)
+                row = [1e3 * settled[light].mean(), time[light].mean()] if light.any() else [np.nan] * 2
+                rows.append((name, case, row))
+                first = name == names[0]
+                missed = f"{1e3 * _follow(arm, seed, twin, true, told):10.2f}" if first else ""
                 print(
-                    f"{seed:>6} {case:>7} {row[0]:8.2f} {row[1]:7.2f} {1e3 * missed:10.2f} {1e3 * seems:8.0f} "
-                    f"{too_heavy.sum():10d}", flush=True,
+                    f"{seed:>6} {name:>11} {case:>7} {row[0]:8.2f} {row[1]:7.2f} {1e3 * seems:8.0f} "
+                    f"{too_heavy.sum():10d} {needs[case][2]:8.0f} {needs[case][3]:8.0f} {missed}", flush=True,
                 )  # fmt: skip
-                if case == "told":
+                if case == "told" and first:
                     for said, off in zip(too_heavy, settled > 2e-3, strict=True):
                         judged[int(said), int(off)] += 1
-    for case, *_ in CASES:
-        mean = np.nanmedian([row for name, row in rows if name == case], axis=0)
-        print(f"{'middle':>6} {case:>7} {mean[0]:8.2f} {mean[1]:7.2f} {mean[2]:10.2f}")
+    for name, case in product(names, cases):
+        own = np.array([row for one, other, row in rows if (one, other) == (name, case)])
+        print(f"{'mean':>6} {name:>11} {case:>7} {np.nanmean(own[:, 0]):8.2f} {np.nanmean(own[:, 1]):7.2f}")
     for said, name in enumerate(("not said to be too heavy", "said to be too heavy")):
         print(f"{name}: {judged[said].sum()} targets, {judged[said, 1]} of them missed by more than 2 mm when told")
 
@@ -80,11 +105,12 @@ def _robot(arm: Arm, seed: int, true: float, told: float) -> tuple[EmulatedRobot
     return robot, begin(robot).command[-1]
 
 
-def _hold(arm: Arm, seed: int, twin: Twin, targets: Array, true: float, told: float) -> tuple[Array, Array, float]:
+def _hold(
+    arm: Arm, seed: int, twin: Twin, make: Callable[[Arm, Twin], Controller], targets: Array, true: float, told: float
+) -> tuple[Array, Array, float]:
     """Settled errors (K,) [m] and times (K,) [s] to stay within 2 mm, and the mass [kg] that seems to be untold."""
     robot, sent = _robot(arm, seed, true, told)
-    controller = FeedforwardController(robot.arm, twin.parameters.stiffness)
-    recording = run(robot, controller, targets, Schedule(dwell=DWELL, sent=sent))
+    recording = run(robot, make(robot.arm, twin), targets, Schedule(dwell=DWELL, sent=sent))
     error = np.linalg.norm(recording.target[:, 0] - tcp_position(arm, recording.position[:, 0]), axis=-1)
     settled, times = [], []
     for k in range(targets.shape[1]):
@@ -93,6 +119,13 @@ def _hold(arm: Arm, seed: int, twin: Twin, targets: Array, true: float, told: fl
         settled.append(off[since > DWELL - 1.0].mean())
         times.append(since[np.flatnonzero(off > 2e-3)[-1]] if (off > 2e-3).any() else 0.0)
     return np.array(settled), np.array(times), noticed_load(robot.arm, twin, recording.log(0, "hold"))[0]
+
+
+def _needed(arm: Arm, seed: int, load: float, targets: Array) -> Array:
+    """Return the share (n,) of its motors that an arm needs to go on moving, at the target where that is largest."""
+    wear, start = load_wear(f"worn?seed={seed}", arm), np.broadcast_to(arm.rest, (len(targets), arm.joints))
+    weight = np.abs(gravity_torque(loaded(arm, load), find_postures(arm, targets, start, None)))
+    return ((weight * (1.0 + wear.load_friction) + wear.coulomb) / wear.torque_limit).max(axis=0)
 
 
 def _follow(arm: Arm, seed: int, twin: Twin, true: float, told: float) -> float:
@@ -107,4 +140,11 @@ def _follow(arm: Arm, seed: int, twin: Twin, true: float, told: float) -> float:
 
 
 if __name__ == "__main__":
-    main()
+    parser = argparse.ArgumentParser(description="What a load costs worn arms.")
+    parser.add_argument("--seeds", type=int, nargs="+", default=list(SEEDS))
+    parser.add_argument("--twins", type=FilePath, help="folder of twins by seed; by default they are identified")
+    parser.add_argument("--load", type=float, default=LOAD, help="in kg")
+    parser.add_argument("--controllers", nargs="+", choices=CONTROLLERS, default=list(CONTROLLERS))
+    parser.add_argument("--cases", nargs="+", choices=CASES, default=list(CASES))
+    options = parser.parse_args()
+    main(options.seeds, options.twins, load=options.load, names=options.controllers, cases=options.cases)

@@ -159,7 +159,14 @@ def test_an_arm_goes_to_poses_and_follows_a_path_that_turns_the_tool(run: Path) 
         assert point.turned_rad is None, "a point says nothing of orientation"
         with pytest.raises(rejoint.InputError, match="the tool cannot have direction"):
             arm.move_to(rejoint.Pose(place_m=[0.229, 0.099, 0.249], direction=[-1.0, -1.0, 0.3]))
-        with pytest.raises(rejoint.InputError, match="places alone"):
-            arm.follow(rejoint.Path(time=TIME, place=WAVE, direction=down), rate_hz=30.0)
+        stream = rejoint.Stream()
+        for moment, place in zip(TIME[:50], WAVE[:50], strict=True):
+            stream.put(rejoint.Pose(place_m=place, direction=down[0]), time=moment)
+        behind = arm.follow(stream, duration_s=3.0)
+        told = arm.follow(rejoint.Path(time=TIME[:50], place=WAVE[:50], direction=down[:50]), rate_hz=30.0)
+        for one in (behind, told):
+            assert one.passes[-1].encoder.rms_after < 5e-3, "it sets off at full speed"
+            assert one.passes[-1].turned is not None, "places say nothing of orientation"
+            assert one.passes[-1].turned < np.radians(3.0)
         with pytest.raises(rejoint.NotReachedError, match=r"mm and 0\.01 deg of .* mm and .* deg off"):
             arm.move_to(rejoint.Pose(place_m=WAVE[60], direction=down[0]), within_rad=np.radians(0.01), timeout_s=0.5)

@@ -1,5 +1,6 @@
 """Payloads and tools: told to everything that computes, refused by no policy, noticed where nobody told."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,8 @@ from rejoint.robots import open_robot, place_of
 from rejoint.robots.own import unloaded
 from rejoint.runs.run import Run
 from rejoint.runs.stages.driving import guard_limits
+from rejoint.runs.stages.loads import say_heavy
+from rejoint.twin.parameters import Layout
 from runs.test_connect import a_twin
 from runs.test_exporting import write_policy
 
@@ -111,6 +114,19 @@ def test_a_load_that_no_motor_lifts_is_said_before_the_arm_tries(run: Path) -> N
         rejoint.deploy(open_robot("emulated:worn"), "feedforward", TARGETS, run=run, payload=0.1)
     with pytest.raises(rejoint.InputError, match="need a run"):
         rejoint.connect("emulated:worn", payload=0.1)
+
+
+def test_of_a_motor_whose_limit_was_never_seen_it_is_said_that_the_load_is_perhaps_too_heavy() -> None:
+    twin, said = a_twin(), list[str]()
+    unseen = twin.identified.copy()
+    unseen[Layout(ARM.joints).at("torque_limit")] = False
+    target = np.array([[0.2, 0.0, 0.12]])
+    for one in (twin, replace(twin, identified=unseen)):
+        say_heavy(loaded(ARM, 0.4), one, target, said.append)
+        say_heavy(ARM, one, target, said.append)  # nothing is said of an empty hand
+    assert len(said) == 2
+    assert said[0].startswith("Too heavy for the motor of joint2")
+    assert said[1].startswith("Perhaps too heavy for the motor of joint2")
 
 
 def test_a_policy_drives_its_arm_with_a_told_load_and_guard_and_calibration_are_those_of_the_arm(run: Path) -> None:

@@ -88,7 +88,7 @@ class Modelled:
         aims = self._aim(target, turn, start, where)
         return aims, replace(turn, rotation=self._turned.copy())
 
-    def untwisted(self, turn: Orientation, position: Array, approach: Array) -> Orientation:
+    def untwisted(self, turn: Orientation, position: Array, approach: Array | None = None) -> Orientation:
         """Return how the encoders are to see tools (...) turned that are to be as in ``turn``; else as `shift`."""
         links = self.displacement.joints(self.arm, position, approach)
         seen, own = frames(self.arm, position).tcp_rotation, frames(self._moved, links).tcp_rotation

@@ -10,13 +10,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from rejoint.arms import Arm, Array
 from rejoint.arms.orientation import WEIGHT, Orientation, tool_axis
-from rejoint.arms.rotations import rotation_about, rotation_of
+from rejoint.arms.rotations import quaternion_of, rotation_about, rotation_of
 from rejoint.arms.wire.values import to_coords, to_pose
 from rejoint.system.errors import InputError
 
@@ -132,6 +133,27 @@ def columns(header: Sequence[str], first: Sequence[str] = PLACE) -> Callable[[Se
         return Pose(place_m=place, weight_m=float(weight), **given)
 
     return pose
+
+
+def turn_knot(pose: Pose) -> Array:
+    """Return the orientation of a turned pose as a unit vector: a direction (3,), or a quaternion (4,)."""
+    if pose.direction is not None:
+        knot = np.asarray(pose.direction, dtype=float)
+    elif pose.quaternion is not None:
+        knot = np.asarray(pose.quaternion, dtype=float)
+    else:
+        knot = quaternion_of(pose.rotation(np.zeros(3)))  # angles need no axis
+    return knot / np.linalg.norm(knot)
+
+
+def turned_as(knots: Array, axis: Array, weight: float) -> Orientation:
+    """Return the orientations (...) of directions (..., 3) or quaternions (..., 4), of any length but zero."""
+    shape, whole = knots.shape[:-1], knots.shape[-1] == 4
+    make = rotation_of if whole else partial(pointing, axis)
+    return Orientation(
+        rotation=np.stack([make(one) for one in knots.reshape(-1, knots.shape[-1])]).reshape(*shape, 3, 3), axis=axis,
+        whole=np.full(shape, whole), weight=np.full(shape, weight),
+    )  # fmt: skip
 
 
 def pointing(axis: Array, direction: Array) -> Array:

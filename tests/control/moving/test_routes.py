@@ -4,8 +4,12 @@ import numpy as np
 import pytest
 
 from rejoint.arms import mycobot280
+from rejoint.arms.orientation import tool_axis
+from rejoint.arms.rotations import quaternion_of, rotation_about
+from rejoint.control.moving.path import Path
 from rejoint.control.moving.routes import EXTRAPOLATED, LAG, Ahead, Routes, Stream, played
 from rejoint.control.moving.standard import standard_path
+from rejoint.control.poses import Pose
 from rejoint.system.errors import InputError
 
 ARM = mycobot280()
@@ -52,6 +56,53 @@ def test_a_gap_is_bridged_for_a_fifth_of_a_second_and_then_held():
     ahead = stream.aims(last + LAG, np.array([0.1, EXTRAPOLATED, 0.5, 5.0]))
     assert np.allclose(ahead[0], stream.targets[-1] + 0.1 * VELOCITY)
     assert np.allclose(ahead[1:], stream.targets[-1] + EXTRAPOLATED * VELOCITY)
+
+
+def test_a_stream_of_poses_turns_the_tool_on_the_way_between_them_and_then_holds():
+    stream, axis = Stream(axis=tool_axis(ARM)), np.array([0.0, 0.6, 0.8])
+    for k in range(11):
+        turn = quaternion_of(rotation_about(axis, 0.04 * k))
+        sign = 1.0 if k % 2 else -1.0  # both mean the same
+        stream.put(Pose(place_m=[0.18, 0.0, 0.2], quaternion=sign * turn, weight_m=0.03), 0.1 * k)
+    later = np.array([-0.5, -0.05, LAG, LAG + 0.1, LAG + EXTRAPOLATED, LAG + 2.0])
+    turns = stream.turns(1.0, later)
+    assert turns is not None
+    expected = 0.4 * (1.0 + np.minimum(later - LAG, EXTRAPOLATED))
+    for k, angle in enumerate(expected):
+        assert turns[k].angle(rotation_about(axis, angle)) < np.radians(0.02)
+    assert turns.whole.all()
+    assert np.allclose(turns.weight, 0.03)
+    assert stream.aims(1.0, later).shape == (6, 3)
+
+
+def test_the_poses_of_a_stream_are_of_one_kind_and_near_one_another():
+    stream = Stream(axis=tool_axis(ARM))
+    stream.put(Pose(place_m=[0.18, 0.0, 0.2], direction=[0, 0, -2]), 0.0)
+    for other in ([0.18, 0.0, 0.2], Pose(place_m=[0.18, 0.0, 0.2], angles_rad=[np.pi, 0, 0])):
+        with pytest.raises(InputError, match="of one kind"):
+            stream.put(other, 0.1)
+    with pytest.raises(InputError, match="turn by 180 deg"):
+        stream.put(Pose(place_m=[0.18, 0.0, 0.2], direction=[0, 0, 1]), 0.1)
+    assert stream.time == [0.0]
+    stream.put(Pose(place_m=[0.19, 0.0, 0.2], direction=[0.1, 0, -1]), 0.0)  # replaces the one of that time
+    places, turns = stream.received()
+    assert turns is not None
+    assert np.allclose(places, [[0.19, 0.0, 0.2]])
+    assert np.allclose(turns.rotation @ turns.axis, np.array([[0.1, 0, -1]]) / np.hypot(0.1, 1.0))
+    assert not turns.whole.any()
+    assert Stream(time=[0.0], targets=[np.zeros(3)]).turns(0.0, np.zeros(1)) is None
+
+
+def test_a_path_with_an_orientation_is_told_as_it_goes():
+    time = np.linspace(0.0, 4.0, 41)
+    down = np.stack([0.2 * np.sin(time), 0.0 * time, -np.ones_like(time)], axis=-1)
+    path = Path(time=time, place=CIRCLE.at(time), direction=down, weight=0.02).on(ARM)
+    turns = played(path, 50.0).turns(5.0, np.array([0.0]))
+    assert turns is not None
+    wanted = path.turn_at(3.0 - LAG)
+    assert wanted is not None
+    assert turns[0].angle(wanted.rotation) < np.radians(0.05)
+    assert np.allclose(turns.weight, 0.02)
 
 
 def test_what_is_no_target_or_comes_late_is_refused():

@@ -18,7 +18,7 @@ from rejoint.control.loop import Schedule, follow, move
 from rejoint.control.moving.errors import Along, along, interpolated
 from rejoint.control.moving.path import Path, path_of
 from rejoint.control.moving.posture import PathPostures
-from rejoint.control.moving.routes import Ahead, Guide, Routes, Stream
+from rejoint.control.moving.routes import Ahead, Corrected, Guide, Routes, Stream
 from rejoint.control.recording import OnCycle, Recording
 from rejoint.control.robot import Mask, Robot
 from rejoint.logs.runlog import RunLog
@@ -82,12 +82,14 @@ def corrected_path(arm: Arm, path: Path, correction: Modelled) -> Path:
     return path_of(time, aims, turns, path.name)
 
 
-def corrector(arm: Arm, correction: Modelled, start: Array) -> Callable[[Array], Array]:
-    """Return what turns places (k, 3) [m] of a stream into aims, from the one at ``start`` (3,) on."""
-    postures = PathPostures(arm, start[None])
+def corrector(arm: Arm, correction: Modelled, start: Array, turn: Orientation | None = None) -> Corrected:
+    """Return what turns targets of a stream into aims, from ``start`` (3,) [m] and ``turn`` () on."""
+    postures = PathPostures(arm, start[None], turn and turn[None])
 
-    def correct(places: Array) -> Array:
-        return checked(places, places - correction.shift(postures.at(places[:, None])[:, 0]))
+    def correct(places: Array, turns: Orientation | None) -> tuple[Array, Orientation | None]:
+        way = postures.at(places[:, None], turns and turns[:, None])[:, 0]
+        aims = checked(places, places - correction.shift(way))
+        return aims, None if turns is None else correction.untwisted(turns, way)
 
     return correct
 
@@ -139,15 +141,12 @@ def route_of(guide: Ahead | Stream) -> tuple[Array, Array, Array]:
     if isinstance(guide, Ahead):
         time = np.linspace(0.0, guide.path.duration, max(2, round(guide.path.duration / _STEP) + 1))
         return time, guide.path.at(time), (guide.aim or guide.path).at(time)
-    targets = np.array(guide.targets)
-    return (
-        np.array(guide.time) - guide.time[0],
-        targets,
-        targets if guide.corrected is None else guide.corrected(targets),
-    )
+    targets, turns = guide.received()
+    aims = targets if guide.corrected is None else guide.corrected(targets, turns)[0]
+    return np.array(guide.time) - guide.time[0], targets, aims
 
 
 def missed(arm: Arm, recording: Recording, guide: Ahead, wanted: Path, b: int = 0) -> tuple[Array, Array]:
-    """Return times (T,) [s] and how far (T, 3) [m] arm ``b`` was from ``wanted`` by its encoders, for `learned`."""
+    """Return times (T,) [s] and how far (T, 3) [m] arm ``b`` was from ``wanted`` by its encoders, for `Repetition`."""
     rows, time = rows_on(recording, guide, b)
     return time, wanted.at(time) - tcp_position(arm, recording.position[rows, b])

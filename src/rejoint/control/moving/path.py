@@ -6,7 +6,6 @@ import csv
 import io
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path as FilePath
 
 import numpy as np
@@ -14,10 +13,10 @@ import numpy as np
 from rejoint.arms import Arm, Array
 from rejoint.arms.orientation import WEIGHT, Orientation, tool_axis
 from rejoint.arms.posing import NEAR, TURNED, missed_pose
-from rejoint.arms.rotations import quaternion_of, rotation_of, same_side
+from rejoint.arms.rotations import quaternion_of, same_side
 from rejoint.control.comparison.targets import beyond_reach, parsed
 from rejoint.control.moving.posture import PathPostures
-from rejoint.control.poses import FORMS, PLACE, Pose, columns, in_words, pointing
+from rejoint.control.poses import FORMS, PLACE, Pose, columns, in_words, turned_as
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import read_bounded
 
@@ -103,13 +102,16 @@ class Path:
         """Return how the tool is to be turned (...) at ``time`` (...) [s]; None where that does not matter."""
         if self._turn is None or self._turning is None:
             return None
-        found = on_spline(self.time, self._turn, self._turning, time)[0]
-        shape, own = found.shape[:-1], found.reshape(-1, found.shape[-1])
-        make = rotation_of if self.direction is None else partial(pointing, self.axis)
-        return Orientation(
-            rotation=np.stack([make(one) for one in own]).reshape(*shape, 3, 3), axis=self.axis,
-            whole=np.full(shape, self.direction is None), weight=np.full(shape, self.weight),
-        )  # fmt: skip
+        return turned_as(on_spline(self.time, self._turn, self._turning, time)[0], self.axis, self.weight)
+
+    def pose_at(self, time: float) -> Pose:
+        """Return place and orientation at ``time`` [s] as a `Pose`."""
+        place = self.at(time)
+        if self._turn is None or self._turning is None:
+            return Pose(place_m=place)
+        knot = on_spline(self.time, self._turn, self._turning, time)[0]
+        kind = "quaternion" if self.direction is None else "direction"
+        return Pose(place_m=place, weight_m=self.weight, **{kind: knot})
 
     @property
     def duration(self) -> float:

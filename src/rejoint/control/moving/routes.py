@@ -12,7 +12,10 @@ import numpy as np
 
 from rejoint.arms import Array
 from rejoint.arms.orientation import Orientation, stacked
+from rejoint.arms.rotations import same_side
+from rejoint.control.moving.errors import interpolated
 from rejoint.control.moving.path import Path
+from rejoint.control.poses import Pose, turn_knot, turned_as
 from rejoint.system.errors import InputError
 
 LEAD_IN = 2.0
@@ -23,6 +26,8 @@ LAG = 0.08
 come when its command goes out)"""
 EXTRAPOLATED = 0.2
 """[s] for which a stream that pauses is taken to go on as it went; then it is held (chosen)"""
+_MOST_TURN = float(np.radians(120.0))
+"""[rad] from one target of a stream to the next (chosen, as on a path: farther, the way between them is not certain)"""
 _RECENT = 2.0  # [s] of a stream that are looked at (chosen: more than the longest lag and what follows look back)
 
 
@@ -62,9 +67,13 @@ class Ahead:
         return (self.aim or self.path).turn_at(now - self.lead_in + later)
 
 
+Corrected = Callable[[Array, Orientation | None], tuple[Array, Orientation | None]]
+"""Turns targets (k, 3) [m], with tools turned so (k,), into aims"""
+
+
 @dataclass(eq=False)
 class Stream:
-    """A target that arrives as it goes, at 10 to 100 Hz, with jitter and gaps.
+    """A target that arrives as it goes, at 10 to 100 Hz, with jitter and gaps: places, or poses.
 
     The arm goes `LAG` behind it: between targets the way is straight, after the last one it goes on for `EXTRAPOLATED`
     and is then held. `put` may be called by another thread.
@@ -72,11 +81,15 @@ class Stream:
 
     lag: float = LAG
     """[s]"""
-    corrected: Callable[[Array], Array] | None = None
-    """turns targets (k, 3) [m] into aims"""
+    corrected: Corrected | None = None
     time: list[float] = field(default_factory=list)
     """[s] at which the targets came, on the clock of the run"""
     targets: list[Array] = field(default_factory=list)
+    """each (3,) [m]"""
+    axis: Array = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]), repr=False)
+    """(3,) direction of the tool in its own frame; who drives an arm knows it"""
+    _knots: list[Array] = field(default_factory=list)  # (3,) directions or (4,) quaternions, unit; none of places
+    _weight: float = 0.0
     _now: float = 0.0
     _lock: Lock = field(default_factory=Lock, repr=False)
 
@@ -84,59 +97,100 @@ class Stream:
         if not 0.0 <= self.lag <= 1.0:
             raise InputError(f"stream: the lag must be between 0 and 1 s, got {self.lag}")
 
-    def put(self, target: Sequence[float] | Array, time: float | None = None) -> None:
-        """Take over a ``target`` (3,) [m] that came at ``time`` [s], by default in the present control cycle.
+    def put(self, target: Sequence[float] | Array | Pose, time: float | None = None) -> None:
+        """Take over a ``target`` that came at ``time`` [s], by default in the present control cycle.
 
-        InputError where it is no place, or came before the last one.
+        It is a place (3,) [m] or a `Pose`; all of a stream are of the kind of the first one. InputError where it is
+        none, of another kind, turned by more than 120 degrees from the last one, or came before it.
         """
-        place = np.asarray(target, dtype=float)
         time = self._now if time is None else time
+        pose = target if isinstance(target, Pose) else None
+        place = np.asarray(target if pose is None else pose.place_m, dtype=float)
         if place.shape != (3,) or not np.isfinite(place).all() or not np.isfinite(time):
             raise InputError(f"stream: a target is three finite numbers in metres, got {target} at {time} s")
+        knot = None if pose is None or not pose.turned else turn_knot(pose)
         with self._lock:
             if self.time and time < self.time[-1]:
                 raise InputError(f"stream: a target of {time:g} s came after one of {self.time[-1]:g} s")
+            self._require_alike(knot)
             if self.time and time == self.time[-1]:
-                self.targets[-1] = place
-                return
+                del self.time[-1], self.targets[-1], self._knots[-1:]
             self.time.append(time)
             self.targets.append(place)
+            if pose is not None and knot is not None:
+                self._knots.append(same_side(np.stack([*self._knots[-1:], knot]))[-1] if len(knot) == 4 else knot)
+                self._weight = pose.weight_m
 
     def place(self, now: float) -> Array:
         """Return the target (3,) [m] in force: the last one that came."""
         self._now = now
-        return self._between(np.array([now]), now)[0]
+        return self._between(self.targets, np.array([now]), now)[0]
 
     def aims(self, now: float, later: Array) -> Array:
         """Return where the arm is to be, by what has come until ``now``."""
+        return self._poses(now, later)[0]
+
+    def turns(self, now: float, later: Array) -> Orientation | None:
+        """Return how the tool is to be turned then (k,), by what has come; None for a stream of places."""
+        return self._poses(now, later)[1] if self._knots else None
+
+    def received(self) -> tuple[Array, Orientation | None]:
+        """Return all targets (K, 3) [m] that came, and how the tools were to be turned at them (K,)."""
+        turns = turned_as(np.array(self._knots), self.axis, self._weight) if self._knots else None
+        return np.array(self.targets), turns
+
+    def _poses(self, now: float, later: Array) -> tuple[Array, Orientation | None]:
         self._now = now
-        places = self._between(now + later - self.lag, now)
-        return places if self.corrected is None else self.corrected(places)
+        time = now + later - self.lag
+        places, turns = self._between(self.targets, time, now), None
+        if self._knots:
+            turns = turned_as(self._between(self._knots, time, now), self.axis, self._weight)
+        return (places, turns) if self.corrected is None else self.corrected(places, turns)
 
-    def turns(self, now: float, later: Array) -> Orientation | None:  # noqa: ARG002 - a stream is of places
-        """Return None: the tool may be turned as it likes."""
-        return None
+    def _require_alike(self, knot: Array | None) -> None:
+        """Raise InputError where a target with the orientation ``knot`` does not go with those before it."""
+        if not self.targets:
+            return
+        last = self._knots[-1] if self._knots else None
+        if knot is None or last is None or len(knot) != len(last):
+            if knot is not last:
+                raise InputError(
+                    "stream: the first target decides whether all have a direction, a whole orientation, or none; put "
+                    "targets of one kind, or take a stream for each"
+                )
+        elif _turn_between(knot, last) > _MOST_TURN:
+            raise InputError(
+                "stream: from one target to the next the tool would turn by "
+                f"{np.degrees(_turn_between(knot, last)):.0f} deg, at most 120 were expected; put targets between them"
+            )
 
-    def _between(self, time: Array, now: float) -> Array:
+    def _between(self, values: list[Array], time: Array, now: float) -> Array:
+        """Return ``values`` (k, m) at ``time`` (k,) [s], by what has come until ``now``."""
         with self._lock:
             count = bisect_right(self.time, now)
             first = max(0, bisect_right(self.time, now - _RECENT, hi=count) - 2)
-            times, places = np.array(self.time[first:count]), np.array(self.targets[first:count])
+            times, known = np.array(self.time[first:count]), np.array(values[first:count])
         if not len(times):
             raise InputError("stream: nothing has come yet; put the first target before the arm moves")
         if len(times) == 1:
-            return np.broadcast_to(places[0], (len(time), 3))
-        found = np.stack([np.interp(time, times, places[:, i]) for i in range(3)], axis=-1)
+            return np.broadcast_to(known[0], (len(time), known.shape[1]))
+        found = interpolated(time, times, known)
         beyond = np.clip(time - times[-1], 0.0, EXTRAPOLATED)[:, None]
-        return found + beyond * _last_velocity(times, places)
+        return found + beyond * _last_velocity(times, known)
 
 
-def _last_velocity(times: Array, places: Array) -> Array:
-    """Velocity (3,) [m/s] of the last targets: a line through those of 0.1 s, or the last two."""
+def _turn_between(one: Array, other: Array) -> float:
+    """Angle [rad] between two directions (3,), or two quaternions (4,)."""
+    cosine = float(np.clip(one @ other, -1.0, 1.0))
+    return float(np.arccos(cosine)) if len(one) == 3 else 2.0 * float(np.arccos(abs(cosine)))
+
+
+def _last_velocity(times: Array, values: Array) -> Array:
+    """Velocity (m,) [1/s] of the last values (K, m): a line through those of 0.1 s, or the last two."""
     recent = np.flatnonzero(times >= times[-1] - 0.1)
     recent = recent if len(recent) > 1 else np.arange(len(times) - 2, len(times))
     since = times[recent] - times[recent].mean()
-    return np.asarray(since @ (places[recent] - places[recent].mean(axis=0)) / (since @ since))
+    return np.asarray(since @ (values[recent] - values[recent].mean(axis=0)) / (since @ since))
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,8 +228,8 @@ def played(path: Path, rate: float, lead_in: float = LEAD_IN) -> Stream:
     """
     if not 1.0 <= rate <= 1000.0:
         raise InputError(f"stream: the rate must be between 1 and 1000 Hz, got {rate}")
-    stream = Stream()
-    stream.put(path.at(0.0), 0.0)
+    stream = Stream(axis=path.axis)
+    stream.put(path.pose_at(0.0), 0.0)
     for time in np.arange(lead_in, lead_in + path.duration + 1.0 / rate, 1.0 / rate):
-        stream.put(path.at(time - lead_in), float(time))
+        stream.put(path.pose_at(time - lead_in), float(time))
     return stream

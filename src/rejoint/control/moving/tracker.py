@@ -35,6 +35,12 @@ class TrackerGains:
     """by which a joint is held stiffer than its servo does, as a share of that"""
     damping: float = 0.065
     """[s] the same of damping, over the servo's stiffness"""
+    slow_damping: float = 0.12
+    """[s] that is added to it where a joint is to move slowly: friction falls with the speed there, so that it would
+    stick and slip (chosen on the worn arms 20001, 30001, 30009 and 10003: of 0.80 mm on circle-20s 0.73 are left, with
+    0.2 s 0.79)"""
+    slow: float = 0.08
+    """[rad/s] up to about which a joint is slow (chosen there; 0.15 makes no difference)"""
     early: float = 0.0075
     """[s] beyond the twin's delay and half a control period, for which a command stands, by which commands go out: what
     the servo's own filter takes"""
@@ -97,7 +103,8 @@ class Tracker:
         self._wanted, self._last = command_for(self._arm, self._servos, motion), now.copy()
         self._expected = motion.position + away
         push = np.clip(observer.push, -gains.push_limit, gains.push_limit)
-        held = gains.stiffness * away + gains.damping * speed
+        damping = gains.damping + gains.slow_damping * np.exp(-((motion.speed / gains.slow) ** 2))
+        held = gains.stiffness * away + damping * speed
         return limit_position(self._arm, self._wanted - push - self._firmness * held)
 
     def _firm(self, mass: Array) -> Array:

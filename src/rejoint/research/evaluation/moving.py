@@ -18,7 +18,7 @@ from rejoint.control.moving.drive import judge, missed
 from rejoint.control.moving.errors import Along
 from rejoint.control.moving.path import Path
 from rejoint.control.moving.posture import PathPostures
-from rejoint.control.moving.repeating import learned
+from rejoint.control.moving.repeating import Repetition
 from rejoint.control.moving.routes import LAG, LEAD_IN, Ahead, Guide, Routes, played
 from rejoint.control.moving.sender import Sender
 from rejoint.control.moving.servos import Servos
@@ -116,7 +116,7 @@ def _block(
         twins.append(read_twin(folder.twin, arm).parameters)
     known = {f.name: np.stack([getattr(twin, f.name) for twin in twins for _ in STANDARD]) for f in fields(Servos)}
     bench = _Block(arm=arm, seeds=seeds, threads=threads)
-    ahead = [Ahead(path=path) for path in bench.paths]
+    ahead, repetitions = [Ahead(path=path) for path in bench.paths], [Repetition(path) for path in bench.paths]
     worn = [load_wear(f"worn?seed={seed}", arm) for seed in seeds for _ in STANDARD]
 
     def tracker() -> Controller:
@@ -133,11 +133,8 @@ def _block(
         found, recording = bench.run(case, worn, tracker(), ahead, time)
         lines += found if case else []
         ahead = [
-            Ahead(
-                path=one.path,
-                aim=learned(one.path, one.aim or one.path, *missed(arm, recording, one, one.path, b), time),
-            )
-            for b, one in enumerate(ahead)
+            Ahead(path=one.path, aim=lessons.learn(one.aim or one.path, *missed(arm, recording, one, one.path, b)))
+            for b, (one, lessons) in enumerate(zip(ahead, repetitions, strict=True))
         ]
     return lines
 

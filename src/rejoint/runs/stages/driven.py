@@ -182,7 +182,7 @@ class DrivenArm:
         require_repeatable(path, repeat, rate_hz)
         if not within_m > 0.0:
             raise InputError(f"follow: within_m is positive, got {within_m}")
-        given = followable(path, self.arm, self._run.seed, duration_s, rate_hz)
+        given = followable(path, self.arm, self._run.seed, duration_s)
         name, make = follower(TRACKER, self.arm, self._period, self._run, self._twin)
         self._followed = None
         self._start(

@@ -155,7 +155,7 @@ def follow(
     seed = seed or 0 if about is None else about.seed
     require_repeatable(path, repeat, rate)
     with exclusive(about):
-        given = followable(path, chosen, seed, duration, rate)
+        given = followable(path, chosen, seed, duration)
         known = as_twin(twin) if twin is not None else None if about is None else about.twin
         if isinstance(given, Path):
             few = slice(None, None, max(1, len(given.place) // LOOKED_AT))

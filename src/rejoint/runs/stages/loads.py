@@ -59,28 +59,37 @@ def say_heavy(arm: Arm, twin: Twin | None, targets: Array, say: Say, turns: Orie
     if twin is None or not isinstance(arm, LoadedArm):
         return
     points = targets.reshape(-1, 3)
-    over = heavy(arm, twin, points, turns and turns.flat)
+    sure = heavy(arm, twin, points, turns and turns.flat)
+    perhaps = heavy(arm, twin, points, turns and turns.flat, seen=False) & ~sure.any(axis=1, keepdims=True)
+    if sure.any():
+        say(f"Too heavy for {_named(arm, points, sure)}. The arm tries, but may not come there.")
+    if perhaps.any():
+        say(f"Perhaps too heavy for {_named(arm, points, perhaps)}: what that can lift was never seen. The arm tries.")
+
+
+def _named(arm: Arm, points: Array, over: NDArray[Any]) -> str:
+    """Name the motors that are too weak, and at which ``points`` (K, 3) [m], where ``over`` (K, n) says so."""
     which = np.flatnonzero(over.any(axis=1))
-    if not len(which):
-        return
     joints = ", ".join(arm.joint_names[j] for j in range(arm.joints) if over[:, j].any())
     places = "; ".join(f"({', '.join(f'{1e3 * value:.0f}' for value in points[k])}) mm" for k in which[:_NAMED])
     more = f" and {len(which) - _NAMED} more" if len(which) > _NAMED else ""
-    say(f"Too heavy for the motor of {joints} by the twin: {places}{more}. The arm tries, but may not come there.")
+    return f"the motor of {joints} by the twin: {places}{more}"
 
 
-def heavy(arm: Arm, twin: Twin, targets: Array, turns: Orientation | None = None) -> NDArray[Any]:
+def heavy(arm: Arm, twin: Twin, targets: Array, turns: Orientation | None = None, *, seen: bool = True) -> NDArray[Any]:
     """Return which joints (K, n) are too weak to lift the arm at ``targets`` (K, 3) [m], against friction.
 
+    Joints count whose torque limit the twin has ``seen``; or those alone of which it has not, and only believes one.
     Light joints do not count: the others make up for them.
     """
     from rejoint.twin.parameters import Layout
 
-    known = twin.identified[Layout(arm.joints).at("torque_limit")] & (joint_weights(arm) <= 1.0)
+    known = twin.identified[Layout(arm.joints).at("torque_limit")]
     start = np.broadcast_to(arm.rest, (len(targets), arm.joints))
     load = np.abs(gravity_torque(arm, find_postures(arm, targets, start, turns)))
     own = twin.parameters
-    return ((1.0 + RUBBING) * load + 2.0 * own.coulomb > BELIEVED * own.torque_limit) & known
+    over = (1.0 + RUBBING) * load + 2.0 * own.coulomb > BELIEVED * own.torque_limit
+    return over & (joint_weights(arm) <= 1.0) & (known == seen)
 
 
 def noticed_load(arm: Arm, twin: Twin, log: RunLog) -> tuple[float, float]:

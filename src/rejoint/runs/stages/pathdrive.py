@@ -14,11 +14,12 @@ from typing import TYPE_CHECKING, Protocol, TypeAlias
 import numpy as np
 
 from rejoint.arms import Arm, Array
+from rejoint.arms.orientation import tool_axis
 from rejoint.control.controller import Controller
 from rejoint.control.correction import Modelled
 from rejoint.control.moving.drive import Followed, Pass, corrected_path, corrector, judge, missed
 from rejoint.control.moving.path import Path, read_path
-from rejoint.control.moving.repeating import learned
+from rejoint.control.moving.repeating import Repetition
 from rejoint.control.moving.routes import LAG, LEAD_IN, Ahead, Stream, played
 from rejoint.control.moving.sender import Sender
 from rejoint.control.moving.servos import Servos
@@ -88,7 +89,7 @@ class PathDrive:
         """Go along a path, ``repeat`` times, from the command ``sent`` (1, n) [rad]; at a ``rate`` [Hz] it is told."""
         wanted = path if self.correction is None else corrected_path(self.arm, path, self.correction)
         duration = LEAD_IN + path.duration + (0.0 if rate is None else LAG)
-        aim, passes = wanted, list[Pass]()
+        aim, passes, repetition = wanted, list[Pass](), Repetition(wanted)
         last: Recording | None = None
         for number in range(repeat):
             sent = self.carrier.approach(wanted.at(0.0), sent, wanted.turn_at(0.0)).command[-1]
@@ -98,15 +99,20 @@ class PathDrive:
             last = self.carrier.carry(told, self.make(self.arm, self.usual), sent, piece)
             done = judge(self.arm, last, Ahead(path=path, aim=wanted))
             passes.append(replace(done, log=last.log(0, piece.label)))
-            aim, sent = learned(wanted, aim, *missed(self.arm, last, guide, wanted), number), last.command[-1]
+            aim, sent = repetition.learn(aim, *missed(self.arm, last, guide, wanted)), last.command[-1]
         return self._followed(path.name, passes, last)
 
     def behind(self, stream: Stream, duration: float, sent: Array) -> Followed:
         """Go behind a stream for ``duration`` [s], from the command ``sent`` (1, n) [rad]."""
-        start = stream.place(0.0)
+        stream.axis = tool_axis(self.arm)
+        at_once = np.zeros(1)
+        start, turns = stream.place(0.0), stream.turns(0.0, at_once)
+        turn = None if turns is None else turns[0]
         if self.correction is not None and stream.corrected is None:
-            stream.corrected = corrector(self.arm, self.correction, start)
-        sent = self.carrier.approach(start, sent).command[-1]
+            stream.corrected = corrector(self.arm, self.correction, start, turn)
+            turns = stream.turns(0.0, at_once)
+            turn = None if turns is None else turns[0]
+        sent = self.carrier.approach(start, sent, turn).command[-1]
         piece = Piece(label=self._label("stream"), duration=duration, number=0, total=1)
         last = self.carrier.carry(stream, self.make(self.arm, self.usual), sent, piece)
         done = replace(judge(self.arm, last, stream), log=last.log(0, piece.label))
@@ -138,17 +144,13 @@ def as_path(given: PathLike, arm: Arm, seed: int) -> Path:
     return Path(time=numbers[:, 0], place=numbers[:, 1:])
 
 
-def followable(
-    given: PathLike | Stream, arm: Arm, seed: int, duration: float | None, rate: float | None
-) -> Path | Stream:
+def followable(given: PathLike | Stream, arm: Arm, seed: int, duration: float | None) -> Path | Stream:
     """Return the stream, or the path that ``arm`` is able to follow; InputError where it cannot."""
     if isinstance(given, Stream):
         if duration is None or not duration > 0.0:
             raise InputError("follow: a stream needs a duration in seconds for which it is followed")
         return given
     path = as_path(given, arm, seed).on(arm)
-    if rate is not None and path.turned:
-        raise InputError("follow: what is told as it goes are places alone; leave out the rate, or the orientation")
     path.require_followable(arm)
     return path
 
