@@ -168,7 +168,7 @@ def _gauge(
     if tracker is not None:
         return TrackerGauge(path=tracker, unit=unit, sigma=sigma, frame=frame)
     if touch:
-        if not sys.stdin.readable():
+        if sys.stdin is None or not sys.stdin.readable():
             raise InputError("--touch asks at the terminal, and there is none; measure into a file and give --points")
         return TouchGauge(ask=partial(_ask, terminal), complain=terminal.say, sigma=sigma, frame=frame)
     if not place_of(robot).virtual:
