@@ -437,3 +437,34 @@ def test_options_are_read_as_written() -> None:
             period_seconds(wrong)
     assert controller_names("all") == ()
     assert controller_names("default, policy,") == ("default", "policy")
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full on this system")
+def test_what_is_told_on_a_full_disk_ends_nothing():
+    """A log of standard error on a full disk once ended a diagnosis in the middle."""
+    code = "from rejoint.cli.console import Terminal; t = Terminal(); t.say('a'); t.stage('b'); t.result('c')"
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=full, text=True, check=True)
+    assert done.stdout == "c\n"
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full on this system")
+def test_a_full_standard_output_is_one_line(tmp_path):
+    for words in (["history", str(tmp_path), "--json"], ["check", "nonsense", "--json"]):
+        with Path("/dev/full").open("w") as full:
+            done = subprocess.run(
+                [sys.executable, "-m", "rejoint", *words], stdout=full, stderr=subprocess.PIPE, text=True, check=False
+            )
+        assert done.returncode == 2
+        assert done.stderr.startswith("error: ")
+        assert "Traceback" not in done.stderr
+
+
+def test_closed_standard_streams_are_filled():
+    """Else the run log would have the number of standard error, and hold what libraries complain of."""
+    code = (
+        "import os, sys; from rejoint.cli import _fill_closed; _fill_closed(); file = open(os.devnull); "
+        "sys.exit(0 if file.fileno() > 2 and sys.stderr.write('x') and sys.stdout.write('x') else 9)"
+    )
+    closed = "exec 0<&- 1>&- 2>&-; exec " + shlex.join([sys.executable, "-c", code])
+    assert subprocess.run(["/bin/sh", "-c", closed], check=False).returncode == 0
