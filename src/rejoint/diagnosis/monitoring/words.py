@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from datetime import datetime
 
 from rejoint.diagnosis.monitoring.charts import FEWEST
@@ -18,7 +19,8 @@ MEANINGS = {
 
 
 def say(found: Outlook, robot: str) -> str:
-    """Say in one line how an arm stands."""
+    """Say in one line how an arm stands; ``robot`` is its address."""
+    robot = shlex.quote(robot)  # as a shell takes it: an address may hold an &
     error = _error(found)
     if found.state == "learning":
         missing = FEWEST + 1 - found.checks
