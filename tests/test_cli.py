@@ -15,7 +15,7 @@ import pytest
 import rejoint
 from rejoint.arms import mycobot280
 from rejoint.cli import main
-from rejoint.cli.console import Terminal
+from rejoint.cli.console import Terminal, command
 from rejoint.cli.options import controller_names, period_seconds
 from rejoint.control.comparison.result import Comparison
 from rejoint.control.robot import JointState
@@ -468,3 +468,9 @@ def test_closed_standard_streams_are_filled():
     )
     closed = "exec 0<&- 1>&- 2>&-; exec " + shlex.join([sys.executable, "-c", code])
     assert subprocess.run(["/bin/sh", "-c", closed], check=False).returncode == 0
+
+
+def test_what_to_call_next_is_what_a_shell_takes():
+    said = command("deploy", "arm://1?kp=20&kv=2", Path("my runs/1"))
+    assert shlex.split(said) == ["rejoint", "deploy", "arm://1?kp=20&kv=2", "my runs/1"]
+    assert command("train", Path("runs/1")) == "rejoint train runs/1"
