@@ -1,6 +1,7 @@
 """The command line: exit codes, one clear line per error, JSON on the last line, and a chain that resumes."""
 
 import json
+import os
 import re
 import shlex
 import signal
@@ -474,3 +475,11 @@ def test_what_to_call_next_is_what_a_shell_takes():
     said = command("deploy", "arm://1?kp=20&kv=2", Path("my runs/1"))
     assert shlex.split(said) == ["rejoint", "deploy", "arm://1?kp=20&kv=2", "my runs/1"]
     assert command("train", Path("runs/1")) == "rejoint train runs/1"
+
+
+def test_a_terminal_of_no_width_is_told_all_the_same(tmp_path):
+    done = subprocess.run(
+        [sys.executable, "-m", "rejoint", "history", str(tmp_path / "missing")], env={**os.environ, "COLUMNS": "0"},
+        stderr=subprocess.PIPE, text=True, check=False,
+    )  # fmt: skip
+    assert "no such folder" in done.stderr

@@ -64,6 +64,8 @@ def main() -> None:
     """Run the command line; every expected failure is one clear line and an exit code that means something."""
     json = "--json" in sys.argv
     _fill_closed()
+    if os.environ.get("COLUMNS") == "0":  # nobody knows how wide it is; Rich would print nothing at all
+        del os.environ["COLUMNS"]
     install()
     try:
         result = app(
