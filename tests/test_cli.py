@@ -1,6 +1,7 @@
 """The command line: exit codes, one clear line per error, JSON on the last line, and a chain that resumes."""
 
 import json
+import os
 import re
 import shlex
 import signal
@@ -15,7 +16,7 @@ import pytest
 import rejoint
 from rejoint.arms import mycobot280
 from rejoint.cli import main
-from rejoint.cli.console import Terminal
+from rejoint.cli.console import Terminal, command
 from rejoint.cli.options import controller_names, period_seconds
 from rejoint.control.comparison.result import Comparison
 from rejoint.control.robot import JointState
@@ -437,3 +438,48 @@ def test_options_are_read_as_written() -> None:
             period_seconds(wrong)
     assert controller_names("all") == ()
     assert controller_names("default, policy,") == ("default", "policy")
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full on this system")
+def test_what_is_told_on_a_full_disk_ends_nothing():
+    """A log of standard error on a full disk once ended a diagnosis in the middle."""
+    code = "from rejoint.cli.console import Terminal; t = Terminal(); t.say('a'); t.stage('b'); t.result('c')"
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=full, text=True, check=True)
+    assert done.stdout == "c\n"
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full on this system")
+def test_a_full_standard_output_is_one_line(tmp_path):
+    for words in (["history", str(tmp_path), "--json"], ["check", "nonsense", "--json"]):
+        with Path("/dev/full").open("w") as full:
+            done = subprocess.run(
+                [sys.executable, "-m", "rejoint", *words], stdout=full, stderr=subprocess.PIPE, text=True, check=False
+            )
+        assert done.returncode == 2
+        assert done.stderr.startswith("error: ")
+        assert "Traceback" not in done.stderr
+
+
+def test_closed_standard_streams_are_filled():
+    """Else the run log would have the number of standard error, and hold what libraries complain of."""
+    code = (
+        "import os, sys; from rejoint.cli import _fill_closed; _fill_closed(); file = open(os.devnull); "
+        "sys.exit(0 if file.fileno() > 2 and sys.stderr.write('x') and sys.stdout.write('x') else 9)"
+    )
+    closed = "exec 0<&- 1>&- 2>&-; exec " + shlex.join([sys.executable, "-c", code])
+    assert subprocess.run(["/bin/sh", "-c", closed], check=False).returncode == 0
+
+
+def test_what_to_call_next_is_what_a_shell_takes():
+    said = command("deploy", "arm://1?kp=20&kv=2", Path("my runs/1"))
+    assert shlex.split(said) == ["rejoint", "deploy", "arm://1?kp=20&kv=2", "my runs/1"]
+    assert command("train", Path("runs/1")) == "rejoint train runs/1"
+
+
+def test_a_terminal_of_no_width_is_told_all_the_same(tmp_path):
+    done = subprocess.run(
+        [sys.executable, "-m", "rejoint", "history", str(tmp_path / "missing")], env={**os.environ, "COLUMNS": "0"},
+        stderr=subprocess.PIPE, text=True, check=False,
+    )  # fmt: skip
+    assert "no such folder" in done.stderr

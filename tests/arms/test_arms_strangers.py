@@ -257,3 +257,33 @@ def test_meshes_with_masses_keep_them_and_shapes_to_be_seen_have_none(tmp_path: 
     assert [link.mass for link in draft.links[:2]] == pytest.approx([0.7, 0.0])
     np.testing.assert_allclose(draft.links[0].com, [0, 0, 0.1], atol=1e-12)
     assert any("body a: no inertial; the masses of its meshes are taken as balls" in note for note in draft.notes)
+
+
+def test_a_name_that_is_there_twice_is_named(tmp_path: Path) -> None:
+    with pytest.raises(FileError, match="repeated name 'j2' in joint; correct the file"):
+        read_arm(written(tmp_path, urdf(SIX).replace('name="j3"', 'name="j2"')))
+
+
+def test_units_of_others_are_doubted(tmp_path: Path) -> None:
+    arm = read_arm(written(tmp_path, urdf(SIX).replace('lower="-3.14" upper="3.14"', 'lower="-180" upper="180"')))
+    assert any("those of j3 are beyond 4 turns, and not believed" in note for note in arm.notes)
+    np.testing.assert_allclose((arm.arm.lower[2], arm.arm.upper[2]), (-np.pi, np.pi))
+    millimetres = tuple(
+        (kind, " ".join(str(1e3 * float(part)) for part in origin.split()), axis, limits)
+        for kind, origin, axis, limits in SIX
+    )
+    with pytest.raises(
+        InputError, match=r"its links add up to \d+ m, at most 30 m were expected; are they in millimet"
+    ):
+        read_arm(written(tmp_path, urdf(millimetres)))
+
+
+@pytest.mark.parametrize("encoding", ["utf-16", "iso-8859-1", "utf-8"])
+def test_a_file_is_read_in_the_encoding_that_it_declares(tmp_path: Path, encoding: str) -> None:
+    text = f'<?xml version="1.0" encoding="{encoding}"?>\n' + urdf(SIX).replace('"j1"', '"Gelenkhöhe"')
+    path = tmp_path / "arm.urdf"
+    path.write_bytes(text.encode(encoding))
+    assert cut(read_tree(path), None, None).joint_names[0] == "Gelenkhöhe"
+    path.write_bytes(text.replace(encoding, "no-such").encode())
+    with pytest.raises(FileError, match="save it as UTF-8"):
+        read_tree(path)

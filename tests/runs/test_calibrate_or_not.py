@@ -26,6 +26,12 @@ def test_words_stand_for_what_measures(tmp_path, monkeypatch):
     assert tracker.path == file
 
 
+def test_nobody_types_where_standard_input_is_closed(monkeypatch):
+    monkeypatch.setattr(sys, "stdin", None)
+    with pytest.raises(InputError, match="asks at the terminal, and there is none"):
+        gauge_by_word(Terminal(), "emulated:worn", "touch", 0)
+
+
 @pytest.mark.parametrize("word", ["tracker", "tracker=", "touch=3", "ruler", ""])
 def test_other_words_are_refused(word):
     with pytest.raises(InputError, match=r"expected touch, camera, camera=NUMBER, tracker=FILE or none"):

@@ -1,5 +1,6 @@
 """Rows that runs and checks leave: written by many at once, read in place, damaged one by one."""
 
+import os
 import threading
 import time
 from dataclasses import replace
@@ -94,6 +95,22 @@ def test_many_write_at_once(tmp_path: Path) -> None:
     assert len(rows) == 4 * 15 * 3
 
 
+def test_a_folder_that_goes_while_it_is_looked_for_is_left_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("stays", "goes"):
+        put(tmp_path, name, rows_of(head(arm=name), measures()))
+    scan = os.scandir
+
+    def gone(place: str) -> object:
+        if Path(place).name == "goes":
+            raise FileNotFoundError(place)
+        return scan(place)
+
+    monkeypatch.setattr(os, "scandir", gone)
+    rows, unread = find_rows(tmp_path)
+    assert {row.arm for row in rows} == {"stays"}
+    assert not unread
+
+
 def test_what_was_read_once_is_a_copy_and_no_more(tmp_path: Path) -> None:
     """The copy follows files that come, change and go, and is made anew where it is damaged or missing."""
     paths = [put(tmp_path / "checks", f"a{i}/t", rows_of(head(i, arm=f"a{i}"), measures())) for i in range(3)]
@@ -173,6 +190,7 @@ def test_the_line_says_cause_millimetres_date_and_what_to_do() -> None:
     assert "tolerance 6.0 mm, reached " in line
     assert "Do: rejoint repair tcp://10.0.0.1:9000" in line
     assert "which is reached" in say(history_of([2.0] * 12, 2.5), "R")
+    assert say(history_of([2.0] * 3, 2.5), "arm://1?a&b").endswith("Do: rejoint repair 'arm://1?a&b'.")
 
 
 def test_a_single_odd_check_is_not_named_as_the_cause() -> None:

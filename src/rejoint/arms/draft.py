@@ -25,6 +25,12 @@ DEFAULT_SPEED = np.radians(90.0)
 DEFAULT_ENCODER_STEP = 2 * np.pi / 4096
 """[rad] URDF and MJCF say nothing about encoders; 12 bits a turn, as hobby servos have (chosen)"""
 
+MOST_TURN = 4 * 2 * np.pi
+"""[rad] limits that are further are not believed (chosen: no arm's cables bear more turns)"""
+
+LONGEST = 30.0
+"""[m] summed link lengths beyond which a file is not believed (chosen: the largest industrial arms have 5)"""
+
 POINT = 1e-3
 """[m] around the resting TCP: the targets of an arm that has no region of them (chosen)"""
 
@@ -106,6 +112,11 @@ def finish(draft: Draft, seed: int = 0) -> Loaded:
         servo_acceleration=draft.servo_acceleration,
         servos=draft.servos,
     )
+    if reach(arm) > LONGEST:
+        raise InputError(
+            f"arm {arm.name}: its links add up to {reach(arm):.0f} m, at most {LONGEST:.0f} m were expected; "
+            "are they in millimetres? give lengths in metres"
+        )
     if floor is None:
         arm = replace(arm, floor=round(FLOOR_RATIO * reach(arm), 3))
         notes.append(f"floor: none given; {1e3 * arm.floor:.0f} mm above the base's origin assumed")
@@ -141,7 +152,14 @@ def _with_workspace(arm: Arm, draft: Draft, seed: int, notes: list[str]) -> Arm:
 
 
 def _limits(draft: Draft, notes: list[str]) -> tuple[Array, Array]:
-    missing = ~(np.isfinite(draft.lower) & np.isfinite(draft.upper) & (draft.lower < draft.upper))
+    furthest = np.maximum(np.abs(draft.lower), np.abs(draft.upper))
+    wide = np.isfinite(furthest) & (furthest > MOST_TURN)
+    if wide.any():
+        notes.append(
+            f"limits: those of {_chosen(draft.joint_names, wide)} are beyond {MOST_TURN / (2 * np.pi):.0f} turns, and "
+            "not believed; are they in degrees, where radians were expected?"
+        )
+    missing = ~(np.isfinite(draft.lower) & np.isfinite(draft.upper) & (draft.lower < draft.upper)) | wide
     if missing.any():
         notes.append(f"limits: none usable for {_chosen(draft.joint_names, missing)}; +-180 deg assumed")
     return np.where(missing, -np.pi, draft.lower), np.where(missing, np.pi, draft.upper)

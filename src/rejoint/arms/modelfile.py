@@ -48,10 +48,10 @@ def read_tree(path: Path, hold: Mapping[str, float] | None = None) -> Tree:
         except (ValueError, mujoco.FatalError) as error:
             said = _in_the_file(mujoco, path, error) if urdf else _line(error)
             raise FileError(path, f"MuJoCo cannot read it: {said}", "correct the file") from error
-        coupled = _coupled(mujoco, spec)
-        _strip(mujoco, spec, every_geom=urdf, notes=notes)
-        contents = _contents(spec, notes)
-        try:
+        try:  # names that are there twice are noticed as soon as the model is touched
+            coupled = _coupled(mujoco, spec)
+            _strip(mujoco, spec, every_geom=urdf, notes=notes)
+            contents = _contents(spec, notes)
             model = spec.compile()
         except (ValueError, mujoco.FatalError) as error:
             raise FileError(path, f"MuJoCo cannot compile it: {_line(error)}", "correct the file") from error

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import re
 import xml.etree.ElementTree as ET
 from pathlib import Path
@@ -14,6 +15,8 @@ from rejoint.system.files import MODEL_MOST, read_bounded
 _JOINT_PARTS = ("parent", "child", "origin", "axis", "limit", "mimic")
 """What of a URDF's joint is read."""
 
+_DECLARED = re.compile(rb"\s*<\?xml[^>]*\sencoding=[\"']([\w.-]+)")
+
 _PREFIX = re.compile(r"(</?|\s)([A-Za-z_][\w.-]*):(?=[A-Za-z_][\w.-]*[\s=/>])")
 """namespace prefix of an element or attribute"""
 
@@ -21,13 +24,17 @@ _PREFIX = re.compile(r"(</?|\s)([A-Za-z_][\w.-]*):(?=[A-Za-z_][\w.-]*[\s=/>])")
 def parse(path: Path) -> ET.Element:
     """Return the root of a whole model; FileError for anything else."""
     try:
-        text = read_bounded(path, MODEL_MOST, "check the path of the arm").decode("utf-8-sig")
+        text = _decoded(read_bounded(path, MODEL_MOST, "check the path of the arm"))
         # Prefixes such as drake: are often used without being declared, which MuJoCo does not mind.
         root = ET.fromstring(_PREFIX.sub(r"\1\2_", text))  # noqa: S314 - expat expands no external entities
     except FileNotFoundError as error:
         raise FileError(path, "there is no such file", "check the path of the arm") from error
-    except (OSError, UnicodeDecodeError) as error:
+    except OSError as error:
         raise FileError(path, f"it cannot be read ({error})", "check the path of the arm") from error
+    except (UnicodeError, LookupError) as error:
+        raise FileError(
+            path, f"it is not in the encoding that it declares, or UTF-8 ({error})", "save it as UTF-8"
+        ) from error
     except ET.ParseError as error:
         raise FileError(path, f"it is not XML: {error}", "correct the file") from error
     if root.tag == "mujocoinclude":
@@ -37,6 +44,15 @@ def parse(path: Path) -> ET.Element:
     if any(element.tag.startswith("xacro_") for element in root.iter()):
         raise xacro_error(path)
     return root
+
+
+def _decoded(data: bytes) -> str:
+    """Return the text of an XML file, in the encoding that it declares."""
+    if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return data.decode("utf-16")
+    declared = _DECLARED.match(data.removeprefix(codecs.BOM_UTF8))
+    encoding = declared[1].decode() if declared else "utf-8"
+    return data.decode("utf-8-sig" if encoding.lower() == "utf-8" else encoding)
 
 
 def xacro_error(path: Path) -> FileError:

@@ -9,6 +9,7 @@ Results go to standard output, everything else to standard error.
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 import tempfile
@@ -17,7 +18,6 @@ from collections.abc import Callable
 
 import msgspec
 import typer
-from rich.console import Console
 
 from rejoint.cli import (
     boards,
@@ -33,6 +33,7 @@ from rejoint.cli import (
     serving,
     stages,
 )  # fmt: skip
+from rejoint.cli.console import notes
 from rejoint.cli.live import with_place
 from rejoint.system.errors import RejointError, first_line
 from rejoint.system.extras import explain
@@ -62,6 +63,9 @@ for command in COMMANDS:
 def main() -> None:
     """Run the command line; every expected failure is one clear line and an exit code that means something."""
     json = "--json" in sys.argv
+    _fill_closed()
+    if os.environ.get("COLUMNS") == "0":  # nobody knows how wide it is; Rich would print nothing at all
+        del os.environ["COLUMNS"]
     install()
     try:
         result = app(
@@ -95,6 +99,19 @@ def main() -> None:
         asked = interruption()  # compiled code may have swallowed it, and failed for want of what it asked for
         code = _bug(error, json=json) if asked is None else _interrupted(asked, json=json)
     sys.exit(code)
+
+
+def _fill_closed() -> None:
+    """Put nothing in place of closed standard streams: the next file that is opened would take their numbers.
+
+    Then a library that complains on standard error writes into a run log. There stays no `sys.stdin` to ask at.
+    """
+    if sys.stdin is None:
+        os.open(os.devnull, os.O_RDONLY)
+    if sys.stdout is None:
+        sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115, PTH123 - until the process ends
+    if sys.stderr is None:
+        sys.stderr = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115, PTH123
 
 
 RESUMED = ("repair", "train", "compare", "fleet")
@@ -133,9 +150,14 @@ def _say_notes(error: BaseException) -> None:
 def _fail(message: str, kind: str, code: int, *, json: bool) -> int:
     _say(f"error: {message}")
     if json:
-        sys.stdout.write(msgspec.json.encode({"error": kind, "message": message, "exit_code": code}).decode() + "\n")
+        line = msgspec.json.encode({"error": kind, "message": message, "exit_code": code}).decode()
+        try:
+            sys.stdout.write(line + "\n")
+            sys.stdout.flush()
+        except OSError:  # nobody reads it, or its disk is full: what is left in its buffer has nowhere to go either
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return code
 
 
 def _say(text: str) -> None:
-    Console(file=sys.stderr, highlight=False, soft_wrap=True).print(text, markup=False)
+    notes().print(text, markup=False)

@@ -5,12 +5,13 @@ Results go to standard output, everything else to standard error, so that result
 
 from __future__ import annotations
 
+import shlex
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TextIO, cast
 
 import msgspec
 import numpy as np
@@ -29,13 +30,51 @@ _CELL = 24
 _PLAIN_INTERVAL = 10.0  # [s] between lines where the output is a file and a bar would only be noise
 
 
+def command(*words: object) -> str:
+    """Return a command of ours as a shell takes it: an address may hold an &, the name of a folder blanks."""
+    return shlex.join(["rejoint", *map(str, words)])
+
+
+class _Told:
+    """Standard error as a file whose disk may be full: what is only told must not end what an arm does."""
+
+    def __init__(self, file: TextIO) -> None:
+        self._file = file
+
+    def write(self, text: str) -> int:
+        """Write ``text``, or lose it where there is no space; BrokenPipeError where nobody reads any more."""
+        try:
+            return self._file.write(text)
+        except BrokenPipeError:
+            raise
+        except OSError:
+            return len(text)
+
+    def flush(self) -> None:
+        """Flush what can be."""
+        try:
+            self._file.flush()
+        except BrokenPipeError:
+            raise
+        except OSError:
+            pass
+
+    def __getattr__(self, name: str) -> Any:  # noqa: ANN401 - whatever that file has
+        return getattr(self._file, name)
+
+
+def notes() -> Console:
+    """Return standard error, for what is no result."""
+    return Console(file=cast(TextIO, _Told(sys.stderr)), highlight=False, soft_wrap=True)
+
+
 class Terminal:
     """Where a command writes. One per command."""
 
     def __init__(self, *, json: bool = False) -> None:
         self.json = json
         self.results = Console(file=sys.stdout, highlight=False, soft_wrap=True)
-        self.notes = Console(file=sys.stderr, highlight=False, soft_wrap=True)
+        self.notes = notes()
 
     def say(self, text: str) -> None:
         """Tell what is going on."""

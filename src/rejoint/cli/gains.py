@@ -9,7 +9,7 @@ import typer
 import rejoint
 from rejoint.cli import options as opt
 from rejoint.cli import show
-from rejoint.cli.console import Terminal
+from rejoint.cli.console import Terminal, command
 from rejoint.control.servogains import in_words
 from rejoint.runs.run import Run
 from rejoint.runs.stages.gains import gains_to_keep, keep_gains
@@ -39,7 +39,7 @@ def gains(
         with terminal.progress("tuning") as update:
             found = rejoint.gains(robot, run, period=opt.period_seconds(period), on_progress=update)
         show.stage(terminal, "gains", found)
-        terminal.result(f"Next: rejoint compare {robot} {run} --sets 1 --repetitions 1")
+        terminal.result(f"Next: {command('compare', robot, run)} --sets 1 --repetitions 1")
         terminal.finish({"run": str(run), "gains": found})
         return
     job = Run.open(run)
@@ -54,5 +54,5 @@ def gains(
         raise InputError("nothing was written; say --yes to be asked no more")
     before = keep_gains(robot, job, wanted)
     terminal.result(f"Kept: {in_words(wanted)}. Before: {in_words(before)}.")
-    terminal.result(f"Next: rejoint repair {robot}, for a twin and a policy under these gains")
+    terminal.result(f"Next: {command('repair', robot)}, for a twin and a policy under these gains")
     terminal.finish({"run": str(run), "kept": wanted, "before": before})

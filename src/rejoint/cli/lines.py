@@ -40,6 +40,8 @@ class Order(msgspec.Struct, forbid_unknown_fields=True):
 
 def serve_lines(robot: str, run: RunLike, *, period: Period | None) -> None:
     """Drive the arm by the lines of standard input until they end; the arm then holds."""
+    if sys.stdin is None:
+        raise InputError("--stdio follows standard input, and it is closed; give it a pipe")
     detail = place_of(robot).detail
     grippers: list[Gripper] = []
 

@@ -13,7 +13,7 @@ import typer
 import rejoint
 from rejoint.cli import filming, show
 from rejoint.cli import options as opt
-from rejoint.cli.console import Terminal
+from rejoint.cli.console import Terminal, command
 from rejoint.diagnosis.calibration.camera.filming import POSTURES, CameraGauge
 from rejoint.diagnosis.calibration.gauges import EmulatedGauge, Gauge, Stop, TouchGauge, TrackerGauge
 from rejoint.diagnosis.calibration.measurementfile import read_measurements
@@ -125,7 +125,7 @@ def calibrate(
             )  # fmt: skip
     show.calibration(terminal, found)
     if found.calibration.used:
-        terminal.result(f"Next: rejoint deploy {robot} {run}")
+        terminal.result(f"Next: {command('deploy', robot, run)}")
     terminal.finish({
         "run": str(run), "used": found.calibration.used, "before_mm": 1e3 * found.before, "after_mm": 1e3 * found.after,
         "points": found.calibration.points, "suspects": found.calibration.suspects,
@@ -168,7 +168,7 @@ def _gauge(
     if tracker is not None:
         return TrackerGauge(path=tracker, unit=unit, sigma=sigma, frame=frame)
     if touch:
-        if not sys.stdin.readable():
+        if sys.stdin is None or not sys.stdin.readable():
             raise InputError("--touch asks at the terminal, and there is none; measure into a file and give --points")
         return TouchGauge(ask=partial(_ask, terminal), complain=terminal.say, sigma=sigma, frame=frame)
     if not place_of(robot).virtual:

@@ -13,7 +13,7 @@ import typer
 import rejoint
 from rejoint.arms import Arm, tcp_position
 from rejoint.cli import show
-from rejoint.cli.console import Terminal, results_of
+from rejoint.cli.console import Terminal, command, results_of
 from rejoint.cli.options import ArmOption, Base, Hold, Json, Tip, choose_arm
 from rejoint.logs.bare import states_alone
 from rejoint.logs.doubts import forced_remarks
@@ -61,7 +61,7 @@ def diagnose_from_logs(terminal: Terminal, job: Run, logs: Path, good: Path | No
     if states_alone(as_logs(logs), "diagnosis"):
         terminal.result(f"Next: record commands as well; this diagnosis is in {job.path}")
     else:
-        terminal.result(f"Next: rejoint identify --logs {logs} --arm {job.arm.name} --run {job.path}")
+        terminal.result(f"Next: {command('identify', '--logs', logs, '--arm', job.arm.name, '--run', job.path)}")
     terminal.finish({"run": str(job.path), "diagnosis": found})
 
 

@@ -12,6 +12,7 @@ from rejoint.control.comparison.failure import failure
 from rejoint.control.comparison.recommend import Recommendation
 from rejoint.control.comparison.result import Comparison, DirectionVariation, PoseAccuracy
 from rejoint.control.servogains import in_words
+from rejoint.diagnosis.calibration.gate import astray
 from rejoint.logs.runfolder.effort import Effort, cost
 
 if TYPE_CHECKING:
@@ -98,6 +99,11 @@ def calibration(terminal: Terminal, found: Calibrated) -> None:
     if own.frame_name != "base":
         terminal.say(
             f"The place of the {own.frame_name} was fitted along: what all postures share is not in these numbers."
+        )
+    if astray(own.arm, own.after):
+        terminal.result(
+            "  ! No arm is that far from a description of itself: are units, columns, joint positions and the frame of "
+            "the points right, and is it this arm?"
         )
     if own.used:
         terminal.result("The correction clearly helps and will be used.")

@@ -13,7 +13,7 @@ import rejoint
 from rejoint.arms import load_arm
 from rejoint.cli import offline, show
 from rejoint.cli import options as opt
-from rejoint.cli.console import Terminal, results_of
+from rejoint.cli.console import Terminal, command, results_of
 from rejoint.cli.live import live_view, shared
 from rejoint.control.deployment import REACHED
 from rejoint.logs.runfolder.effort import read_effort
@@ -67,7 +67,7 @@ def diagnose(
             robot, run=job, period=opt.period_seconds(period), healthy=healthy, quick=quick, on_progress=update
         )
     show.stage(terminal, "diagnose", found)
-    terminal.result(f"Next: rejoint identify {path}")
+    terminal.result(f"Next: {command('identify', path)}")
     open_loop = found.diagnosis.open_loop
     told = None if open_loop is None else open_loop.true_error
     terminal.finish({
@@ -113,7 +113,7 @@ def identify(
     with terminal.progress("identifying") as update:
         twin = rejoint.identify(run=job, seed=seed, quick=quick, on_progress=update)
     show.twin(terminal, twin)
-    terminal.result(f"Next: rejoint train {run}")
+    terminal.result(f"Next: {command('train', run)}")
     terminal.finish({"run": str(run), "twin": str(job.folder.twin), "held_out": twin.held_out,
                      "notes": twin.notes})  # fmt: skip
 
@@ -163,7 +163,7 @@ def train(
         terminal.say(f"Curves: {draw_training(job.folder)}")
     show.training(terminal, result)
     robot = "ROBOT" if job.robot.startswith(LOGS) else job.robot  # logs cannot be driven
-    terminal.result(f"Next: rejoint compare {robot} {run}")
+    terminal.result(f"Next: {command('compare', robot, run)}")
     terminal.finish(result)
 
 
@@ -209,7 +209,7 @@ def compare(
             period=opt.period_seconds(period), directions=directions, seed=seed, on_progress=update, say=terminal.say,
         )  # fmt: skip
     show.stage(terminal, "compare", found)
-    terminal.result(f"Next: rejoint report {run}")
+    terminal.result(f"Next: {command('report', run)}")
     terminal.finish({
         "run": str(run), "recommended": found.recommendation, "comparison": results_of(found.comparison, "outcomes"),
         "true_error": {row.controller: row.hold.true_error for row in found.comparison.rows},

@@ -90,9 +90,9 @@ def require_file(path: Path, most: int, remedy: str) -> None:
     """Raise FileError unless ``path`` is a file of at most ``most`` bytes; FileNotFoundError if nothing is there."""
     found = path.stat()
     if stat.S_ISDIR(found.st_mode):
-        raise FileError(path, "cannot be read: it is a folder", remedy)
+        raise FileError(path, "cannot be read: it is a folder", "give a file")
     if not stat.S_ISREG(found.st_mode):
-        raise FileError(path, "cannot be read: it is a pipe or a device", remedy)
+        raise FileError(path, "cannot be read: it is a pipe or a device", "give a file")
     if found.st_size > most:
         raise FileError(path, f"{_size(found.st_size)} large, expected at most {_size(most)}", remedy)
 

@@ -183,6 +183,7 @@ def test_targets_from_a_file_are_metres(tmp_path):
         ("x,y,z\n150,0\n", "line 2: '150,0' is not three finite numbers"),
         ("x,y,z\n150,0,nan\n", "line 2: '150,0,nan' is not three finite numbers"),
         ("x,y,z\n\n150,0,200\n900,0,200\n", r"line 4: \(900, 0, 200\) mm is out of reach, \d+ mm too far"),
+        ("x,y,z\n0.18,0,0.2\n", "too far; they look like metres, and millimetres are expected; stay inside"),
         ("x,y,z\n120,0,200\n", r"line 2: \(120, 0, 200\) mm is outside the target region; stay inside 130 <= x <= 230"),
     ],
 )
@@ -191,6 +192,11 @@ def test_bad_target_files_name_the_line(tmp_path, text, message):
     path.write_text(text)
     with pytest.raises(FileError, match=message):
         read_targets(path, ARM)
+
+
+def test_a_folder_is_no_file_of_targets(tmp_path):
+    with pytest.raises(FileError, match="it is a folder; give a file"):
+        read_targets(tmp_path, ARM)
 
 
 def test_a_file_names_every_line_out_of_reach_and_how_far(tmp_path):

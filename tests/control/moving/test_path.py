@@ -64,6 +64,12 @@ def test_out_of_reach_and_too_fast_are_refused_with_where():
     far = Path(time=np.array([0.0, 2.0, 4.0]), place=np.array([[0.18, 0, 0.2], [0.6, 0, 0.2], [0.18, 0, 0.2]]))
     with pytest.raises(InputError, match=r"at 1\.98 s \(600, .* is out of reach, \d+ mm too far"):
         far.require_followable(ARM)
+    metres = Path(time=np.array([0.0, 2.0]), place=np.array([[0.18e-3, 0, 0.2e-3], [0.19e-3, 0, 0.2e-3]]))
+    with pytest.raises(InputError, match="they look like metres, and millimetres are expected"):
+        metres.require_followable(ARM)
+    milliseconds = Path(time=np.array([0.0, 5500.0]), place=np.array([[0.18, 0, 0.2], [0.19, 0, 0.2]]))
+    with pytest.raises(InputError, match="takes 5500 s, 3600 s at most were expected; give times in seconds"):
+        milliseconds.require_followable(ARM)
     quick = standard_path("circle-0.5s", ARM)
     with pytest.raises(InputError, match=r"at \d+\.\d\d s .* joint\d would have to turn at \d+ deg/s, 120 at most"):
         quick.require_followable(ARM)
@@ -81,6 +87,7 @@ def test_files_are_read_in_seconds_and_millimetres_and_wrong_lines_are_named(tmp
         ("time,x,y,z\n0,1,2,3\n1,a,2,3\n", "line 3"),
         ("time,x,y,z\n1,180,0,200\n0,180,0,200\n", "point 2 is not after"),
         ("time,x,y,z,roll\n0,1,2,3,4\n", "expected 'time,x,y,z'"),
+        ("time,x,y,z\n0,180,0,200\n", "1 points below the header, at least two"),
     ):
         file.write_text(text)
         with pytest.raises(FileError, match=words):

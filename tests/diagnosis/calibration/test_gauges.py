@@ -41,6 +41,16 @@ def test_what_cannot_be_meant_is_asked_again(text):
     assert len(complaints) == 1
 
 
+def test_the_end_of_the_answers_ends_the_measuring():
+    """It was asked again and again, for ever."""
+
+    def ended(_):
+        raise InputError("the answers ended")
+
+    with pytest.raises(InputError, match="the answers ended"):
+        TouchGauge(ask=ended, complain=pytest.fail).measure(Secretive(), STOP)
+
+
 def test_an_emulated_arm_tells_with_noise_of_the_size_that_is_said():
     gauge = EmulatedGauge(sigma=2e-3, seed=4)
     told = np.array([gauge.measure(Telling(), STOP) for _ in range(2000)])

@@ -9,7 +9,11 @@ from rejoint.arms import Displacement, load_arm, mycobot280, tcp_position
 from rejoint.arms.urdf import at_targets
 from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.diagnosis.calibration.file import read_calibration, write_calibration
+from rejoint.diagnosis.calibration.fit import fit
+from rejoint.diagnosis.calibration.gate import astray
+from rejoint.diagnosis.calibration.measurements import Measurements
 from rejoint.diagnosis.calibration.parameters import DisplacementLayout
+from rejoint.diagnosis.calibration.postures import suggest
 from rejoint.diagnosis.calibration.preload import WEDGE, preload
 from rejoint.diagnosis.open_loop import modelled_errors
 from rejoint.logs.runlog import RunLog
@@ -84,3 +88,30 @@ def test_where_the_base_leans_already_no_joint_floats():
     lean = np.array([[1, 0, 0], [0, np.cos(WEDGE), -np.sin(WEDGE)], [0, np.sin(WEDGE), np.cos(WEDGE)]])
     own = calibration(1e-4, play=[0.03] + [0.0] * 5, gravity=lean @ [0, 0, -9.81])
     assert preload(own, at_targets(ARM)).joints == ()
+
+
+def points(posture=None, shift=(0.0, 0.0, -5e-3), turn=(0, 1, 2), repeat=1):
+    """Ten postures of the plan, each ``repeat`` times, and a tool that hangs 5 mm low, its coordinates in any order."""
+    position = np.repeat(suggest(ARM, 10).postures, repeat, axis=0)[:10]
+    noise = np.random.default_rng(0).normal(0.0, 5e-4, (10, 3))
+    return Measurements(
+        position=position, approach=np.full((10, 6), np.nan), sigma=np.full(10, 5e-4),
+        point=(tcp_position(ARM, position) + shift + noise)[:, turn],
+        posture=np.arange(10) if posture is None else posture,
+    )  # fmt: skip
+
+
+def test_points_that_describe_no_arm_are_no_correction():
+    """Swapped columns are nearer after any fit, and were once used."""
+    assert fit(ARM, points()).used
+    swapped = fit(ARM, points(turn=(1, 0, 2)))
+    assert swapped.after < swapped.before
+    assert astray(ARM, swapped.after)
+    assert not swapped.used
+
+
+def test_one_posture_does_not_test_itself_whatever_it_is_numbered():
+    same = np.zeros(10, dtype=int)
+    one, numbered = fit(ARM, points(same, repeat=10)), fit(ARM, points(repeat=10))
+    assert numbered.after == one.after
+    assert numbered.after > 1e-3  # what is believed of a worn arm without any measurement

@@ -5,9 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rejoint.arms import mycobot280, so101
+from rejoint.arms import mycobot280, so101, tcp_position
 from rejoint.diagnosis.calibration.measurementfile import read_measurements, write_measurements
 from rejoint.diagnosis.calibration.measurements import NOISE, Measurements
+from rejoint.diagnosis.calibration.postures import suggest
 from rejoint.system.errors import FileError, InputError
 
 ARM = mycobot280()
@@ -113,3 +114,18 @@ def test_shapes_that_do_not_go_together_are_refused():
     with pytest.raises(InputError, match="sigma has shape"):
         Measurements(position=one.position, approach=one.approach, point=one.point, sigma=one.sigma[:2],
                      posture=one.posture)  # fmt: skip
+
+
+def test_units_of_others_are_refused(tmp_path):
+    plan = suggest(ARM, 4).postures
+    tool = tcp_position(ARM, plan)
+    names = ",".join(f"position.{name}_deg" for name in ARM.joint_names) + ",x_mm,y_mm,z_mm"
+    path = tmp_path / "m.csv"
+    for degrees, millimetres, words in (
+        (np.degrees(plan), tool, "every coordinate of the tool is below 5; give millimetres"),
+        (plan, 1e3 * tool, "between -3.14 and 3.14; give degrees"),
+        (np.degrees(plan) + 300.0, 1e3 * tool, "line 2: joint1 at .* deg, expected -168 to 168"),
+    ):
+        np.savetxt(path, np.hstack([degrees, millimetres]), delimiter=",", header=names, comments="")
+        with pytest.raises(FileError, match=words):
+            read_measurements(path, ARM)

@@ -27,6 +27,8 @@ _REACHED = 1e-3
 _POSTURES, _STARTS = 5000, 4
 """Postures to look among where a target is missed from rest, and the nearest of them from which to go on (measured: so
 each of a thousand places that an arm shows is found, for both arms of the catalogue)"""
+_METRES = 5e-3
+"""[m] from the base axis' foot, within which no arm works: places that are all nearer were given in metres (chosen)"""
 _WHOLE = 6
 """Joints that an arm needs to turn its tool freely"""
 _NAMED = 5
@@ -112,6 +114,11 @@ def beyond_reach(arm: Arm, targets: Array) -> Array:
     return np.where(beyond > _REACHED, beyond, 0.0)
 
 
+def unit_hint(places: Array) -> str:
+    """Return what to say of places (..., 3) [m], read in millimetres, that look like metres; else nothing."""
+    return " they look like metres, and millimetres are expected;" if (np.abs(places) < _METRES).all() else ""
+
+
 def _out_of_reach(names: list[str], targets: Array, beyond: Array) -> str:
     """Name the targets (K, 3) [m] that are out of reach, and by how much; empty where none is."""
     far = [f"{names[k]}: {_point(targets[k])} is out of reach, {beyond[k] * 1e3:.0f} mm too far"
@@ -149,7 +156,7 @@ def _check(path: Path, arm: Arm, targets: Array, turns: Orientation | None, numb
     outside = [f"{names[k]}: {_point(targets[k])} is outside the target region"
                for k in np.flatnonzero(~box.contains(targets))[:1]]  # fmt: skip
     for problem in filter(None, (_out_of_reach(names, targets, beyond_reach(arm, targets)), *outside)):
-        raise FileError(path, problem, f"stay inside {region} mm")
+        raise FileError(path, problem, f"{unit_hint(targets).lstrip()} stay inside {region} mm".lstrip())
     askew = "" if turns is None else _not_turned(arm, names, targets, turns)
     if askew:
         raise FileError(path, *askew.rsplit("; ", 1))

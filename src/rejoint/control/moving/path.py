@@ -14,7 +14,7 @@ from rejoint.arms import Arm, Array
 from rejoint.arms.orientation import WEIGHT, Orientation, tool_axis
 from rejoint.arms.posing import NEAR, TURNED, missed_pose
 from rejoint.arms.rotations import quaternion_of, same_side
-from rejoint.control.comparison.targets import beyond_reach, parsed
+from rejoint.control.comparison.targets import beyond_reach, parsed, unit_hint
 from rejoint.control.moving.posture import PathPostures
 from rejoint.control.poses import FORMS, PLACE, Pose, columns, in_words, turned_as
 from rejoint.system.errors import FileError, InputError
@@ -23,6 +23,8 @@ from rejoint.system.files import read_bounded
 _HEADER = ("time", *PLACE)
 _MOST = 4_000_000
 """[bytes] largest file that is read (chosen: ten minutes at 100 Hz)"""
+LONGEST = 3600.0
+"""[s] that a path may take (chosen: in memory it is judged every 40 ms; longer ones are rather in milliseconds)"""
 _LOOK = 0.04
 """[s] between the places of a path that are judged before the arm moves (chosen: a control cycle or two)"""
 _OPPOSITE = -0.5
@@ -135,14 +137,19 @@ class Path:
 
     def require_followable(self, arm: Arm) -> None:
         """Raise InputError, which says where, unless ``arm`` can reach every place and is fast enough for it."""
+        if self.duration > LONGEST:
+            raise InputError(
+                f"path: it takes {self.duration:g} s, {LONGEST:.0f} s at most were expected; give times in seconds, or "
+                "shorter paths one after the other"
+            )
         times = np.union1d(np.linspace(0.0, self.duration, max(2, round(self.duration / _LOOK))), self.time[:1])
         places = self.at(times)
         beyond = beyond_reach(arm, places)
         if beyond.any():
             k = int(beyond.argmax())
             raise InputError(
-                f"path: at {times[k]:.2f} s {_point(places[k])} is out of reach, {1e3 * beyond[k]:.0f} mm too far; "
-                "give places that the tool can reach"
+                f"path: at {times[k]:.2f} s {_point(places[k])} is out of reach, {1e3 * beyond[k]:.0f} mm too far;"
+                f"{unit_hint(self.place)} give places that the tool can reach"
             )
         turns = self.turn_at(times)
         begin = PathPostures(arm, places[:1], turns and turns[:1])
@@ -242,6 +249,8 @@ def read_path(file: FilePath) -> Path:
         raise FileError(
             file, f"the header is {found!r}, expected 'time,x,y,z'", f"seconds and millimetres; after them {FORMS}"
         )
+    if len(rows) < 3:
+        raise FileError(file, f"{len(rows) - 1} points below the header, at least two were expected", "add lines")
     poses = [parsed(file, number, row, make) for number, row in rows[1:]]
     time = np.array([float(row[0]) for _, row in rows[1:]])
     try:

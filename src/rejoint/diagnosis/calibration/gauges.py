@@ -89,10 +89,11 @@ class TouchGauge:
     frame: str = "base"
 
     def measure(self, robot: Robot, stop: Stop) -> Array:  # noqa: ARG002 - somebody looks at it
-        """Ask until the answer can be used."""
+        """Ask until the answer can be used; what ``ask`` raises ends it."""
         while True:
+            answer = self.ask(stop)
             try:
-                return parse_point(self.ask(stop))
+                return parse_point(answer)
             except InputError as error:
                 self.complain(str(error))
 

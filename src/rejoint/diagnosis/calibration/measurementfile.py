@@ -109,6 +109,12 @@ def _assemble(columns: dict[str, Array], arm: Arm, frame: str, source: str) -> M
     )  # fmt: skip
 
 
+BEYOND = np.radians(10.0)
+"""[rad] outside of its limits that a joint may be said to stand (chosen: limits are coarse, servos get pushed)"""
+METRES = 5e-3
+"""[m] in which no arm's tool keeps all coordinates: points that do are in metres (chosen)"""
+
+
 def _units(name: str) -> tuple[str, float]:
     """Name of a column in CSV, and its unit."""
     if name == "posture":
@@ -148,9 +154,27 @@ def _from_csv(path: Path, arm: Arm, frame: str, source: str) -> Measurements:
             path, f"line {int(np.argmax(blank)) + 2} has no posture", "number the postures, or leave that column out"
         )
     try:
-        return _assemble(columns, arm, frame, source)
+        measured = _assemble(columns, arm, frame, source)
     except InputError as error:
         raise FileError(path, str(error), _REMEDY) from error
+    _require_units(path, arm, measured)
+    return measured
+
+
+def _require_units(path: Path, arm: Arm, measured: Measurements) -> None:
+    """Raise FileError where joint positions cannot be degrees of this arm, or points not millimetres."""
+    beyond = (measured.position < arm.lower - BEYOND) | (measured.position > arm.upper + BEYOND)
+    if beyond.any():
+        row, joint = (int(index) for index in np.argwhere(beyond)[0])
+        low, high = np.degrees(arm.lower[joint]), np.degrees(arm.upper[joint])
+        raise FileError(
+            path, f"line {row + 2}: {arm.joint_names[joint]} at {np.degrees(measured.position[row, joint]):.1f} deg, "
+            f"expected {low:.0f} to {high:.0f}", "give what this arm's encoders said, in degrees",
+        )  # fmt: skip
+    if len(measured) > 1 and (np.abs(np.degrees(measured.position)) <= np.pi).all():
+        raise FileError(path, "every joint position lies between -3.14 and 3.14", "give degrees, not radians")
+    if measured.frame == "base" and (np.abs(measured.point[np.isfinite(measured.point)]) < METRES).all():
+        raise FileError(path, "every coordinate of the tool is below 5", "give millimetres, not metres")
 
 
 def _numbers(path: Path, number: int, line: list[str], names: list[str]) -> list[float]:

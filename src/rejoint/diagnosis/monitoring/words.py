@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Sequence
 from datetime import datetime
 
@@ -19,7 +20,8 @@ MEANINGS = {
 
 
 def say(found: Outlook, robot: str) -> str:
-    """Say in one line how an arm stands."""
+    """Say in one line how an arm stands; ``robot`` is its address."""
+    robot = shlex.quote(robot)  # as a shell takes it: an address may hold an &
     error = _error(found)
     if found.moved:
         return _ask(found, error, robot)

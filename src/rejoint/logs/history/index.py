@@ -6,6 +6,7 @@ files take seconds to open, and a table of them does not. It is a copy; whoever 
 
 from __future__ import annotations
 
+import os
 from contextlib import suppress
 from pathlib import Path
 
@@ -80,10 +81,14 @@ def _copy(folder: Path) -> pa.Table:
 
 
 def _files(folder: Path) -> dict[str, Path]:
-    """Name every file as it is now: with other contents it is another. One that goes meanwhile is left out."""
+    """Name every file as it is now: with other contents it is another.
+
+    What goes meanwhile, files or whole folders, is left out, as is what may not be looked into.
+    """
     found = {}
-    for path in folder.glob(f"**/{SUMMARY}"):
-        with suppress(FileNotFoundError):
+    for place in (Path(where) for where, _, names in os.walk(folder) if SUMMARY in names):
+        path = place / SUMMARY
+        with suppress(FileNotFoundError, PermissionError):
             seen = path.stat()
             found[f"{path.relative_to(folder)} {seen.st_size} {seen.st_mtime_ns}"] = path
     return found

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -116,7 +117,7 @@ def _repaired(campaign: Campaign, one: Standing) -> FleetRow:
     return _row(
         one, state="quick try" if campaign.options.quick else "repaired",
         error_mm=None if after is None else 1e3 * after, found="" if errors is None else errors.sentence,
-        todo=f"use {advised}: rejoint deploy {one.arm.address} {folder}", folder=folder, code=0,
+        todo=f"use {advised}: {shlex.join(['rejoint', 'deploy', one.arm.address, str(folder)])}", folder=folder, code=0,
     )  # fmt: skip
 
 

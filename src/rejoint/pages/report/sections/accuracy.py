@@ -7,6 +7,7 @@ import numpy as np
 from rejoint.arms import Array, tcp_position
 from rejoint.arms.kinematics import GRAVITY
 from rejoint.diagnosis.calibration.calibration import Calibration
+from rejoint.diagnosis.calibration.gate import astray
 from rejoint.diagnosis.calibration.measurements import Measurements
 from rejoint.diagnosis.calibration.preload import RISE, WEDGE, preload
 from rejoint.diagnosis.calibration.procedure import reversals
@@ -40,6 +41,8 @@ def _summary(found: Calibration, measured: Measurements | None) -> Part:
         if found.used
         else "The correction does not clearly help, so nothing is corrected."
     )
+    if astray(found.arm, found.after):
+        verdict += " No arm is that far from a description of itself: units, columns or frame of the points are wrong."
     text = (
         f"At {plural(found.points, 'measurement')}, the tool was {before} from where the encoders saw it, and {after} "
         f"from where this calibration says it is, each point predicted without its own posture. {verdict}"
