@@ -35,7 +35,7 @@ def command(*words: object) -> str:
     return shlex.join(["rejoint", *map(str, words)])
 
 
-class _Told:
+class _NoteFile:
     """Standard error as a file whose disk may be full: what is only told must not end what an arm does."""
 
     def __init__(self, file: TextIO) -> None:
@@ -65,7 +65,7 @@ class _Told:
 
 def notes() -> Console:
     """Return standard error, for what is no result."""
-    return Console(file=cast(TextIO, _Told(sys.stderr)), highlight=False, soft_wrap=True)
+    return Console(file=cast(TextIO, _NoteFile(sys.stderr)), highlight=False, soft_wrap=True)
 
 
 class Terminal:

@@ -8,7 +8,7 @@ from rejoint.arms import Arm, Array
 from rejoint.arms.kinematics import GRAVITY
 from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.diagnosis.calibration.framing import align
-from rejoint.diagnosis.calibration.gate import leave_out, told_apart
+from rejoint.diagnosis.calibration.gate import leave_out, merge_repeats
 from rejoint.diagnosis.calibration.measurements import Measurements
 from rejoint.diagnosis.calibration.model import floor_of
 from rejoint.diagnosis.calibration.parameters import (
@@ -57,7 +57,7 @@ def fit(
         )
     if not np.isfinite(measurements.point).any():
         raise InputError("measurements: no coordinate was measured; expected at least one")
-    measurements = told_apart(measurements)
+    measurements = merge_repeats(measurements)
     foreign = measurements.frame != "base"
     layout = DisplacementLayout(joints=arm.joints, frame=foreign)
     frame = align(arm, measurements) if foreign else np.eye(4)

@@ -65,7 +65,7 @@ def astray(arm: Arm, after: float) -> bool:
     return after > ASTRAY * reach(arm)
 
 
-def told_apart(measured: Measurements) -> Measurements:
+def merge_repeats(measured: Measurements) -> Measurements:
     """Return the same measurements with one number for rows of one posture: those do not test one another."""
     number = measured.posture.copy()
     for row in range(1, len(measured)):
