@@ -24,6 +24,7 @@ from rejoint.arms import (
 )
 from rejoint.arms.chain import cut
 from rejoint.arms.draft import finish
+from rejoint.arms.ends import longest
 from rejoint.arms.inertia import LINK_DENSITY, SpatialInertia, combined, inertia_matrix, usable
 from rejoint.arms.modelfile import read_tree
 from rejoint.system.errors import FileError, InputError, MissingExtraError
@@ -281,6 +282,18 @@ def test_a_joint_that_follows_another_is_no_joint_of_the_chain(tmp_path: Path) -
     loaded = with_given_workspace(written(tmp_path, text, "bare.urdf"))
     assert loaded.arm.joint_names == ("j1", "j2", "j3")
     assert loaded.arm.mass[2] == pytest.approx(2.0)  # the follower is frozen on the link that carries it
+
+
+def test_a_chain_that_ends_before_a_follower_says_what_is_left_out(tmp_path: Path) -> None:
+    sound = bare_urdf({i: inertial(1.0) for i in range(1, 5)})
+    path = written(tmp_path, sound.replace('<child link="l3"/>', '<child link="l3"/><mimic joint="j2"/>'), "bare.urdf")
+    loaded = with_given_workspace(path)
+    assert loaded.arm.joint_names == ("j1", "j2")
+    assert any("tip: j3 behind it follows j2, so j4 is left out" in note for note in loaded.notes)
+    notes: list[str] = []
+    held = read_tree(Path(path), {"j3": 0.0, "j2": 0.0})
+    assert cut(held, None, held.bodies[longest(held, None, notes)[0]].name).joint_names == ("j1", "j4")
+    assert not any("is left out" in note for note in notes)
 
 
 def test_a_root_link_called_world_is_the_world(tmp_path: Path) -> None:

@@ -89,7 +89,21 @@ def longest(tree: Tree, start: int | None, notes: list[str]) -> tuple[int, Array
     ]
     if beyond:
         notes.append(f"tip: {', '.join(beyond)} behind it taken for a gripper's and held; name a tip to drive it")
+    notes += [note for joint in tree.joints if (note := _cut_at(tree, joint, (end, *ends)))]
     return end, tree.bodies[end].pose
+
+
+def _cut_at(tree: Tree, joint: Joint, ends: Sequence[int]) -> str:
+    """Say that the chain ends where a joint follows another one, if joints of their own come behind it."""
+    if joint.kind != "coupled" or tree.bodies[joint.body].parent not in ends:
+        return ""
+    behind = [other.name for other in tree.joints if other.kind == "hinge" and joint.body in tree.path(other.body)]
+    if not behind:
+        return ""
+    return (
+        f"tip: {joint.name} behind it follows {joint.follows}, so {', '.join(behind)} is left out; with "
+        f"--hold {joint.name}=0deg,{joint.follows}=0deg the arm goes on there"
+    )
 
 
 def unknown(name: str, kind: str, names: Sequence[str]) -> str:
