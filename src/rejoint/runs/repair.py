@@ -32,12 +32,12 @@ from rejoint.runs.given import (
 from rejoint.runs.history.summary import summarise
 from rejoint.runs.run import Run, exclusive, finish, newest_or_new, require_same_pace
 from rejoint.runs.stages.again import keep_what_holds
-from rejoint.runs.stages.ahead import Ahead
 from rejoint.runs.stages.calibrate import calibrate
 from rejoint.runs.stages.compare import comparison_job
 from rejoint.runs.stages.comparing import Compared, ComparisonJob
 from rejoint.runs.stages.diagnose import diagnose
 from rejoint.runs.stages.driving import Controllers
+from rejoint.runs.stages.early import EarlyTrials
 from rejoint.runs.stages.gains import gains
 from rejoint.runs.stages.identify import identify
 from rejoint.runs.stages.report import report
@@ -230,7 +230,7 @@ _LAST: tuple[StageName, StageName] = ("train", "compare")
 
 
 @contextmanager
-def _ahead(job: Callable[[], ComparisonJob]) -> Iterator[Ahead | None]:
+def _ahead(job: Callable[[], ComparisonJob]) -> Iterator[EarlyTrials | None]:
     """Begin the trials of an emulated arm that need no policy while the policy is being trained, on a spare core."""
     ahead = job().begin_ahead()
     try:
@@ -240,6 +240,6 @@ def _ahead(job: Callable[[], ComparisonJob]) -> Iterator[Ahead | None]:
             ahead.close()
 
 
-def _compare(run: Run, job: Callable[[], ComparisonJob], on_progress: Progress, ahead: Ahead | None) -> Compared:
+def _compare(run: Run, job: Callable[[], ComparisonJob], on_progress: Progress, ahead: EarlyTrials | None) -> Compared:
     with exclusive(run):
         return job().drive(on_progress, ahead)

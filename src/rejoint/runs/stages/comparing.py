@@ -31,12 +31,12 @@ from rejoint.runs.history.summary import summarise
 from rejoint.runs.metering import metered
 from rejoint.runs.openloop import DEFAULT, OpenLoopTrials
 from rejoint.runs.run import Run
-from rejoint.runs.stages.ahead import Ahead
 from rejoint.runs.stages.driving import (
     Factory,
     guard_limits,
     stance_of,
 )
+from rejoint.runs.stages.early import EarlyTrials
 from rejoint.runs.stages.helper import LEAST, HelperProcess, Job, core_to_spare
 from rejoint.system.errors import GuardTripError
 from rejoint.system.files import digest, require_space, saving, set_aside, write_json
@@ -94,7 +94,7 @@ class ComparisonJob:
     by_name: bool = False
     """whether another process can make the controllers, from their names"""
 
-    def drive(self, on_progress: Progress, ahead: Ahead | None = None) -> Compared:
+    def drive(self, on_progress: Progress, ahead: EarlyTrials | None = None) -> Compared:
         """Compare; in a run, go on after the trials that are done there, and write what comes out.
 
         What ``ahead`` has driven is taken over.
@@ -120,7 +120,7 @@ class ComparisonJob:
             summarise(run)
         return found
 
-    def _drive(self, ledger: Ledger, earlier: list[Path], on_progress: Progress, ahead: Ahead | None) -> Compared:
+    def _drive(self, ledger: Ledger, earlier: list[Path], on_progress: Progress, ahead: EarlyTrials | None) -> Compared:
         """Drive all trials; logs of an ``earlier`` comparison make room for the first of this one."""
         logs: dict[str, RunLog] = {}
         before = self.before if DEFAULT in self.factories else None
@@ -176,12 +176,12 @@ class ComparisonJob:
             result = replace(result, left_out=(*result.left_out, told))
         return result
 
-    def begin_ahead(self) -> Ahead | None:
+    def begin_ahead(self) -> EarlyTrials | None:
         """Begin the trials in a second process, for a later job that has more controllers; close it then."""
-        return Ahead(self._work()) if self._shareable() else None
+        return EarlyTrials(self._work()) if self._shareable() else None
 
     @contextmanager
-    def _helped(self, ahead: Ahead | None) -> Iterator[Helper | None]:
+    def _helped(self, ahead: EarlyTrials | None) -> Iterator[Helper | None]:
         """Have a second process beside this one, where it can drive the same trials and there is enough to do."""
         if not self._shareable():
             yield None

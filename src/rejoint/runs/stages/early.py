@@ -11,7 +11,7 @@ from rejoint.control.comparison.sharing import HelperLostError, Result, Task
 from rejoint.runs.stages.helper import HelperProcess, Job
 
 
-class Ahead:
+class EarlyTrials:
     """A helper that has begun before the comparison it works for; whoever starts it must `close` it.
 
     What a trial brings does not depend on when it is driven, so the comparison is the same to the bit.
@@ -21,8 +21,8 @@ class Ahead:
         sets = len(job.targets)
         self._places: Places = tuple((s, r) for s in range(sets) for r in range(job.settings.repetitions))
         self._names = frozenset(job.names)
-        # the last names cost most
-        self._left = deque((name, kind) for name in reversed(job.names) for kind in KINDS)
+        names = (*job.names[:1], *job.names[:0:-1])  # longest first: `default` waits for every target, a plan thinks
+        self._left = deque((name, kind) for name in names for kind in KINDS)
         self._begun: set[Task] = set()
         self._done: dict[Task, Result] = {}
         self._helper = HelperProcess(job)
