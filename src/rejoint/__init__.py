@@ -29,7 +29,8 @@ if TYPE_CHECKING:
     from rejoint.diagnosis.diagnosis import Diagnosis
     from rejoint.logs.runlog import RunLog
     from rejoint.pages.live.view import LiveView
-    from rejoint.runs.repair import Repaired, Stage, repair
+    from rejoint.runs.chain import Stage
+    from rejoint.runs.repair import Repaired, repair
     from rejoint.runs.run import Run
     from rejoint.runs.stages.calibrate import Calibrated, calibrate
     from rejoint.runs.stages.check import Checked, check
@@ -90,7 +91,8 @@ _HOMES = {
     "control.comparison.result": ("Comparison",),
     "control.deployment": ("Deployed",),
     "pages.live.view": ("LiveView",),
-    "runs.repair": ("Repaired", "Stage", "repair"),
+    "runs.chain": ("Stage",),
+    "runs.repair": ("Repaired", "repair"),
     "runs.run": ("Run",),
     "runs.stages.calibrate": ("Calibrated", "calibrate"),
     "runs.stages.check": ("Checked", "check"),

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, TypeVar, get_args
+from typing import TYPE_CHECKING
 
 from rejoint.control.comparison.recommend import Recommendation, recommend
 from rejoint.control.comparison.result import Comparison
 from rejoint.control.comparison.targets import draw_targets
-from rejoint.logs.runfolder.effort import StageCost, add
-from rejoint.logs.runfolder.folder import RunFolder
-from rejoint.robots import place_of
+from rejoint.runs.chain import Chain, OnStage, StageName, stages_of, there
 from rejoint.runs.given import (
     FIRST_ROBOT,
     NO_GAUGE,
@@ -32,60 +30,30 @@ from rejoint.runs.given import (
     run_about,
 )
 from rejoint.runs.history.summary import summarise
-from rejoint.runs.run import Run, finish, newest_or_new, require_same_pace
+from rejoint.runs.run import Run, exclusive, finish, newest_or_new, require_same_pace
 from rejoint.runs.stages.again import keep_what_holds
 from rejoint.runs.stages.calibrate import calibrate
-from rejoint.runs.stages.compare import compare
-from rejoint.runs.stages.comparing import Compared
-from rejoint.runs.stages.diagnose import Diagnosed, diagnose
-from rejoint.runs.stages.driving import Controllers, any_geared
+from rejoint.runs.stages.compare import comparison_job
+from rejoint.runs.stages.comparing import Compared, ComparisonJob
+from rejoint.runs.stages.diagnose import diagnose
+from rejoint.runs.stages.driving import Controllers
+from rejoint.runs.stages.early import EarlyTrials
 from rejoint.runs.stages.gains import gains
 from rejoint.runs.stages.identify import identify
 from rejoint.runs.stages.report import report
 from rejoint.runs.stages.train import train
-from rejoint.system.errors import FileError
 from rejoint.system.extras import require
-from rejoint.system.progress import Progress, no_progress, paced, part
+from rejoint.system.progress import Progress, no_progress, paced
 
 if TYPE_CHECKING:
-    from rejoint.arms import Arm
     from rejoint.control.policy import Policy
     from rejoint.diagnosis.diagnosis import Diagnosis
     from rejoint.training.presets import Preset
     from rejoint.twin.twin import Twin
 
-Found = TypeVar("Found")
 
 QUICK_TARGETS = 3
 """Targets that controllers are compared on for a first try (chosen)"""
-
-StageName = Literal["diagnose", "calibrate", "identify", "gains", "train", "compare", "report"]
-STAGES: tuple[StageName, ...] = get_args(StageName)
-MOVING: tuple[StageName, ...] = ("diagnose", "calibrate", "gains", "compare")
-"""Stages in which the arm moves"""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Stage:
-    """How a stage of a repair stands."""
-
-    name: StageName
-    state: Literal["started", "kept", "done"]
-    """kept: an earlier call has done it, as it was asked for then"""
-    file: Path
-    """by which the stage counts as done"""
-    number: int
-    """its place among the stages of this repair, from 1"""
-    total: int
-    """number of them"""
-    why: str = ""
-    """it is kept, where not for being done already"""
-    result: object = None
-    """what the function of the same name returned; of what is kept, diagnosis and comparison only"""
-
-
-OnStage = Callable[[Stage], object]
-"""Called when a stage starts, when it is done, and instead of both where it is kept."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -98,22 +66,22 @@ class Repaired:
     @cached_property
     def diagnosis(self) -> Diagnosis:
         """What was wrong with the arm."""
-        return _there(self.run.diagnosis)
+        return there(self.run.diagnosis)
 
     @cached_property
     def twin(self) -> Twin:
         """The simulation that was fitted to the arm."""
-        return _there(self.run.twin)
+        return there(self.run.twin)
 
     @cached_property
     def policy(self) -> Policy:
         """The policy that was trained on it."""
-        return _there(self.run.policy)
+        return there(self.run.policy)
 
     @cached_property
     def comparison(self) -> Comparison:
         """Every controller on the arm: errors [m], times [s], with intervals."""
-        return _there(self.run.comparison)
+        return there(self.run.comparison)
 
     @cached_property
     def recommendation(self) -> Recommendation:
@@ -124,13 +92,6 @@ class Repaired:
     def page(self) -> Path:
         """The report: one page that opens in a browser."""
         return self.run.folder.report
-
-
-def _there(found: Found | None) -> Found:
-    """Return what a finished run has found; FileError if its file was removed since."""
-    if found is None:
-        raise FileError("run folder", "a file of a finished repair is missing", "repair again")
-    return found
 
 
 @paced
@@ -233,7 +194,7 @@ def repair(
     emulated = is_batchable(robot)
     meter = None if gauge == NO_GAUGE else gauge
     files = stages_of(robot, chosen, about.folder, controllers=controllers, gauge=gauge, quick=quick)
-    chain = _Chain(about.begin(), files, on_stage, on_progress, only=only)
+    chain = Chain(about.begin(), files, on_stage, on_progress, only=only)
     found = chain.run
     chain.do("diagnose", lambda update: diagnose(
         robot, run=found, period=period, quick=quick, on_progress=update, live=live,
@@ -245,15 +206,18 @@ def repair(
         chain.why = str(keep_what_holds(found, preset) or "")
     chain.do("identify", lambda update: identify(run=found, quick=quick, on_progress=update))
     chain.do("gains", lambda update: gains(robot, found, period=period, on_progress=update, live=live))
-    chain.do("train", lambda update: train(run=found, preset=preset, quick=quick, on_progress=update))
     few = (1, 1) if quick else (3, 2) if emulated else (None, None)
     if quick and targets is None:
         targets = draw_targets(found.arm, sets=1, count=QUICK_TARGETS, seed=found.seed)
-    chain.do("compare", lambda update: compare(
-        robot, controllers, targets, run=found, sets=sets or few[0], repetitions=repetitions or few[1], full=full,
-        paper=False, period=period, calibration=NO_GAUGE if gauge == NO_GAUGE else None,
-        directions=emulated and not quick, on_progress=update, live=live,
-    ))  # fmt: skip
+    job = partial(
+        comparison_job, robot, controllers, targets, run=found, arm=found.arm, seed=found.seed, sets=sets or few[0],
+        repetitions=repetitions or few[1], full=full, paper=False, period=period,
+        calibration=NO_GAUGE if gauge == NO_GAUGE else None, directions=emulated and not quick, live=live,
+    )  # fmt: skip
+    early = emulated and only is None and not controllers and not any(files[each].exists() for each in _LAST)
+    with _ahead(job) if early else nullcontext() as ahead:
+        chain.do("train", lambda update: train(run=found, preset=preset, quick=quick, on_progress=update))
+        chain.do("compare", lambda update: _compare(found, job, update, ahead))
     chain.do("report", lambda _: report(found))
     if only in (None, "report"):
         finish(found)
@@ -261,70 +225,21 @@ def repair(
     return Repaired(run=found)
 
 
-def stages_of(
-    robot: RobotLike, arm: Arm, files: RunFolder, *, controllers: Controllers = (), gauge: GaugeLike | None = None,
-    quick: bool = False,
-) -> dict[StageName, Path]:  # fmt: skip
-    """Name the stages of a repair in their order, each with the file by which it counts as done."""
-    places = (
-        files.diagnosis, files.calibration, files.twin, files.gains, files.policy, files.comparison, files.report,
-    )  # fmt: skip
-    found: dict[StageName, Path] = dict(zip(STAGES, places, strict=True))
-    if gauge == NO_GAUGE or (gauge is None and not is_batchable(robot)):
-        del found["calibrate"]
-    rivals = not controllers and not quick
-    if not (isinstance(robot, str) and place_of(robot).tunable(arm) and (rivals or any_geared(controllers))):
-        del found["gains"]
-    return found
+_LAST: tuple[StageName, StageName] = ("train", "compare")
+"""What a comparison ahead is for"""
 
 
-class _Chain:
-    """Stages that are done only where their file is not there yet; the report is always written anew."""
+@contextmanager
+def _ahead(job: Callable[[], ComparisonJob]) -> Iterator[EarlyTrials | None]:
+    """Begin the trials of an emulated arm that need no policy while the policy is being trained, on a spare core."""
+    ahead = job().begin_ahead()
+    try:
+        yield ahead
+    finally:
+        if ahead is not None:
+            ahead.close()
 
-    def __init__(
-        self, run: Run, files: dict[StageName, Path], on_stage: OnStage | None, on_progress: Progress, *,
-        only: StageName | None,
-    ) -> None:  # fmt: skip
-        self.run, self._files, self._on_stage, self._on_progress = run, files, on_stage, on_progress
-        self._only, self.why = only, ""
-        """a stage to do alone; why twin and policy are those of an earlier repair"""
 
-    def do(self, name: StageName, work: Callable[[Progress], object]) -> None:
-        """Do a stage, or say that it is done already."""
-        if name not in self._files or self._only not in (None, name):
-            return
-        file, number, total = self._files[name], list(self._files).index(name), len(self._files)
-        if name != "report" and file.exists():
-            self._say(
-                Stage(
-                    name=name,
-                    state="kept",
-                    file=file,
-                    number=number + 1,
-                    total=total,
-                    result=self._kept(name),
-                    why=self.why if name in ("identify", "gains", "train") else "",
-                )
-            )
-            return
-        self._say(Stage(name=name, state="started", file=file, number=number + 1, total=total))
-        begun = time.monotonic()
-        share = (number / total, (number + 1) / total) if self._only is None else (0.0, 1.0)
-        try:
-            result = work(part(self._on_progress, *share))
-        finally:
-            add(self.run.folder, StageCost(name=name, wall=time.monotonic() - begun))
-        self._say(Stage(name=name, state="done", file=file, number=number + 1, total=total, result=result))
-
-    def _kept(self, name: StageName) -> object:
-        """Return what an earlier call has found, as far as it is on file."""
-        if name == "diagnose":
-            return Diagnosed(diagnosis=_there(self.run.diagnosis))
-        if name == "compare":
-            comparison = _there(self.run.comparison)
-            return Compared(comparison=comparison, recommendation=recommend(comparison))
-        return None
-
-    def _say(self, stage: Stage) -> None:
-        if self._on_stage is not None:
-            self._on_stage(stage)
+def _compare(run: Run, job: Callable[[], ComparisonJob], on_progress: Progress, ahead: EarlyTrials | None) -> Compared:
+    with exclusive(run):
+        return job().drive(on_progress, ahead)

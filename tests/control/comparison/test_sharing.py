@@ -37,6 +37,9 @@ class Beside:
             progress=Targets(no_progress, 1), on_trial=None, measured=(), source="",
         )  # fmt: skip
 
+    def rank(self, _task):
+        return 0
+
     def drive(self, task, places):
         self.asked.append(task)
         self.begun.set()
@@ -72,8 +75,12 @@ def test_what_comes_out_is_the_same_with_a_helper_and_without(lasts):
 class Slow:
     """A helper that does a task only when it is told to."""
 
-    def __init__(self, fails=False):
+    def __init__(self, fails=False, near=None):
+        self.near = near or {}
         self.go, self.asked, self.fails = threading.Event(), threading.Event(), fails
+
+    def rank(self, task):
+        return self.near.get(task[0], 0)
 
     def drive(self, task, _places):
         self.asked.set()
@@ -99,3 +106,13 @@ def test_one_task_is_not_worth_a_helper():
     helper = Slow()
     assert list(Shared([("a", "hold")], helper, ()).here()) == [("a", "hold")]
     assert not helper.asked.is_set()
+
+
+def test_a_helper_takes_what_is_nearest_to_it_first():
+    helper = Slow(near={"a": 2, "b": 1})
+    shared = Shared([("a", "hold"), ("b", "hold"), ("c", "hold")], helper, ())
+    assert helper.asked.wait(10)
+    tasks = shared.here()
+    assert [next(tasks), next(tasks)] == [("c", "hold"), ("b", "hold")]
+    helper.go.set()
+    assert (list(tasks), list(shared.arrived())) == ([], [(("a", "hold"), "done beside")])

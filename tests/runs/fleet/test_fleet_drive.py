@@ -10,6 +10,7 @@ import pytest
 from rejoint.cli import main
 from rejoint.logs.history.rows import SUMMARY, HistoryRow, utc_now, write_rows
 from rejoint.logs.runfolder.folder import RunFolder
+from rejoint.runs.chain import STAGES, stages_of
 from rejoint.runs.fleet import campaign as campaigns
 from rejoint.runs.fleet.call import run_fleet
 from rejoint.runs.fleet.campaign import Campaign, state_file
@@ -19,7 +20,6 @@ from rejoint.runs.fleet.hours import read_hours
 from rejoint.runs.fleet.result import FleetResult
 from rejoint.runs.fleet.work import Lost, RepairOptions, Work, WorkOutcome
 from rejoint.runs.given import arm_of
-from rejoint.runs.repair import STAGES, stages_of
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.stopping import Interrupted
 

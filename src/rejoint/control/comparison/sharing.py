@@ -36,15 +36,19 @@ class Helper(Protocol):
     def drive(self, task: Task, places: Places) -> Result:
         """Drive the trials of a task and wait for what comes out; HelperLostError if that fails."""
 
+    def rank(self, task: Task) -> int:
+        """Tell how near a task is to be done by it: it takes the highest first."""
+
     def close(self) -> None:
         """End it, whatever it does."""
 
 
 class Shared:
-    """Tasks, of which a helper takes the last one whenever it is free."""
+    """Tasks, of which a helper takes the nearest one whenever it is free, and of these the last."""
 
     def __init__(self, tasks: Sequence[Task], helper: Helper | None, places: Places) -> None:
-        self._left, self._helper, self._places = deque(tasks), helper, places
+        ordered = tasks if helper is None else sorted(tasks, key=helper.rank)
+        self._left, self._helper, self._places = deque(ordered), helper, places
         self._done: SimpleQueue[Result] = SimpleQueue()
         self._courier = Thread(target=self._carry, daemon=True)
         if helper is not None and len(tasks) > 1:

@@ -11,10 +11,10 @@ from typing import Literal, TypeAlias
 from rejoint.logs.history.index import CHECKS
 from rejoint.logs.history.rows import SUMMARY, HistoryRow, read_rows, utc_now
 from rejoint.logs.runfolder.folder import RunFolder
+from rejoint.runs.chain import stages_of
 from rejoint.runs.fleet.file import Fleet, FleetArm
 from rejoint.runs.fleet.work import RepairOptions, Step, Work
 from rejoint.runs.given import arm_of
-from rejoint.runs.repair import stages_of
 from rejoint.runs.run import newest_or_new_in
 from rejoint.system.errors import FileError
 from rejoint.system.files import read_json, write_json

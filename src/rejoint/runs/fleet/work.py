@@ -8,8 +8,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal, TypeAlias
 
+from rejoint.runs.chain import MOVING, StageName
 from rejoint.runs.fleet.file import FleetArm
-from rejoint.runs.repair import MOVING, StageName, repair
+from rejoint.runs.repair import repair
 from rejoint.runs.stages.check import check
 from rejoint.system.errors import RejointError, first_line
 from rejoint.system.extras import explain

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
+from rejoint.arms import Arm
 from rejoint.control.comparison.compare import Settings
 from rejoint.control.comparison.racing import Race
 from rejoint.control.comparison.result import Protocol
@@ -29,7 +30,7 @@ from rejoint.runs.given import (
     period_of,
 )
 from rejoint.runs.openloop import open_loop
-from rejoint.runs.run import exclusive
+from rejoint.runs.run import Run, exclusive
 from rejoint.runs.stages.comparing import Compared, ComparisonJob
 from rejoint.runs.stages.driving import (
     Controllers,
@@ -160,33 +161,47 @@ def compare(
     >>> print(found.comparison.row("integrator").hold.settled.mean.value)  # metres
     """
     about = None if run is None else as_run(run).seeded(seed)
-    chosen = with_load(arm_of(robot, arm) if about is None else about.arm, robot, payload, tool)
-    seed = seed or 0 if about is None else about.seed
+    chosen = arm_of(robot, arm) if about is None else about.arm
     with exclusive(about):
-        real = not is_batchable(robot)
-        race = Race() if real and not full else None
-        points, turns = as_targets(targets, chosen, sets=sets or (SETS if race is None else RACE_SETS), seed=seed)
-        known = as_twin(twin) if twin is not None else None if about is None else about.twin
-        say_heavy(chosen, known, points, say, turns)
-        factories = make_factories(
-            controllers, chosen, period_of(robot, period), run=about, twin=known, real=real, posed=turns is not None,
-            paper=paper,
-        )  # fmt: skip
-        settings = Settings(
-            repetitions=repetitions or (REPETITIONS if race is None else 1), seed=seed, batched=not real,
-            protocol=protocol or (Protocol() if race is None else RACE_PROTOCOL), leave_out=not controllers, race=race,
-        )  # fmt: skip
-        model = calibration_of(calibration, about, chosen, address_of(robot))
-        before = None
-        if race is not None and about is not None and payload is None and tool is None and turns is None:
-            before = open_loop(about, address_of(robot), settings.protocol, model)
-        if before is not None and targets is None:
-            points[0] = before.targets
-        job = ComparisonJob(
-            robot=robot, arm=chosen, run=about, factories=factories, targets=points, settings=settings, period=period,
-            twin=known, correct=correction_of(calibration, about, chosen, address_of(robot)),
-            model=model, live=live, by_name=all_named(controllers), directions=directions, turns=turns,
-            file=str(targets) if isinstance(targets, Path | str) else "",
-            before=before if before is not None and np.array_equal(points[0], before.targets) else None,
-        )  # fmt: skip
-        return job.drive(on_progress)
+        return comparison_job(
+            robot, controllers, targets, run=about, arm=chosen, twin=twin, calibration=calibration, payload=payload,
+            tool=tool, sets=sets, repetitions=repetitions, protocol=protocol, period=period, directions=directions,
+            seed=seed or 0 if about is None else about.seed, full=full, paper=paper, say=say, live=live,
+        ).drive(on_progress)  # fmt: skip
+
+
+def comparison_job(
+    robot: RobotLike, controllers: Controllers, targets: Targets | None, *, run: Run | None, arm: Arm, seed: int,
+    twin: TwinLike | None = None, calibration: CalibrationLike | None = None, payload: PayloadLike | None = None,
+    tool: ArrayLike | None = None, sets: int | None = None, repetitions: int | None = None,
+    protocol: Protocol | None = None, period: Period | None = None, directions: bool = False, full: bool = False,
+    paper: bool | None = None, say: Say = silent, live: Live | None = None,
+) -> ComparisonJob:  # fmt: skip
+    """Put together what `compare` is to do, in a ``run`` or without one, and refuse what does not fit."""
+    chosen = with_load(arm, robot, payload, tool)
+    real = not is_batchable(robot)
+    race = Race() if real and not full else None
+    points, turns = as_targets(targets, chosen, sets=sets or (SETS if race is None else RACE_SETS), seed=seed)
+    known = as_twin(twin) if twin is not None else None if run is None else run.twin
+    say_heavy(chosen, known, points, say, turns)
+    factories = make_factories(
+        controllers, chosen, period_of(robot, period), run=run, twin=known, real=real, posed=turns is not None,
+        paper=paper,
+    )  # fmt: skip
+    settings = Settings(
+        repetitions=repetitions or (REPETITIONS if race is None else 1), seed=seed, batched=not real,
+        protocol=protocol or (Protocol() if race is None else RACE_PROTOCOL), leave_out=not controllers, race=race,
+    )  # fmt: skip
+    model = calibration_of(calibration, run, chosen, address_of(robot))
+    before = None
+    if race is not None and run is not None and payload is None and tool is None and turns is None:
+        before = open_loop(run, address_of(robot), settings.protocol, model)
+    if before is not None and targets is None:
+        points[0] = before.targets
+    return ComparisonJob(
+        robot=robot, arm=chosen, run=run, factories=factories, targets=points, settings=settings, period=period,
+        twin=known, correct=correction_of(calibration, run, chosen, address_of(robot)),
+        model=model, live=live, by_name=all_named(controllers), directions=directions, turns=turns,
+        file=str(targets) if isinstance(targets, Path | str) else "",
+        before=before if before is not None and np.array_equal(points[0], before.targets) else None,
+    )  # fmt: skip

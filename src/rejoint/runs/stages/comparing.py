@@ -15,6 +15,7 @@ from rejoint.control.comparison.holding import Holding, found_errors, vary_direc
 from rejoint.control.comparison.ledger import Ledger
 from rejoint.control.comparison.recommend import Recommendation, recommend
 from rejoint.control.comparison.result import Comparison
+from rejoint.control.comparison.sharing import Helper
 from rejoint.control.robot import Robot
 from rejoint.logs.runlog import RunLog, write_log
 from rejoint.robots import open_robot
@@ -35,6 +36,7 @@ from rejoint.runs.stages.driving import (
     guard_limits,
     stance_of,
 )
+from rejoint.runs.stages.early import EarlyTrials
 from rejoint.runs.stages.helper import LEAST, HelperProcess, Job, core_to_spare
 from rejoint.system.errors import GuardTripError
 from rejoint.system.files import digest, require_space, saving, set_aside, write_json
@@ -92,15 +94,18 @@ class ComparisonJob:
     by_name: bool = False
     """whether another process can make the controllers, from their names"""
 
-    def drive(self, on_progress: Progress) -> Compared:
-        """Compare; in a run, go on after the trials that are done there, and write what comes out."""
+    def drive(self, on_progress: Progress, ahead: EarlyTrials | None = None) -> Compared:
+        """Compare; in a run, go on after the trials that are done there, and write what comes out.
+
+        What ``ahead`` has driven is taken over.
+        """
         run = self.run
         if run is None:
-            return self._drive(Ledger.nowhere(), [], on_progress)
+            return self._drive(Ledger.nowhere(), [], on_progress, ahead)
         require_space(run.path)
         ledger = Ledger.begin(run.folder.trials, self._digest(run))
         try:
-            found = self._drive(ledger, [] if ledger.done else list(run.folder.trial_logs()), on_progress)
+            found = self._drive(ledger, [] if ledger.done else list(run.folder.trial_logs()), on_progress, ahead)
         except BaseException as error:
             if ledger.done:
                 kept = f"What was tried until then is kept ({len(ledger.done)} runs): the same command goes on."
@@ -115,7 +120,7 @@ class ComparisonJob:
             summarise(run)
         return found
 
-    def _drive(self, ledger: Ledger, earlier: list[Path], on_progress: Progress) -> Compared:
+    def _drive(self, ledger: Ledger, earlier: list[Path], on_progress: Progress, ahead: EarlyTrials | None) -> Compared:
         """Drive all trials; logs of an ``earlier`` comparison make room for the first of this one."""
         logs: dict[str, RunLog] = {}
         before = self.before if DEFAULT in self.factories else None
@@ -128,7 +133,7 @@ class ComparisonJob:
                 if self.run is not None:
                     write_log(self.run.folder.log(trial.label), logs[trial.label])
 
-        with noted(), metered(self.run.folder if self.run else None, "compare") as meter, self._helped() as helper:
+        with noted(), metered(self.run.folder if self.run else None, "compare") as meter, self._helped(ahead) as helper:
 
             def watched(count: int, seed: int) -> Robot:
                 return meter.watch(self._open(count, seed))
@@ -171,25 +176,39 @@ class ComparisonJob:
             result = replace(result, left_out=(*result.left_out, told))
         return result
 
+    def begin_ahead(self) -> EarlyTrials | None:
+        """Begin the trials in a second process, for a later job that has more controllers; close it then."""
+        return EarlyTrials(self._work()) if self._shareable() else None
+
     @contextmanager
-    def _helped(self) -> Iterator[HelperProcess | None]:
+    def _helped(self, ahead: EarlyTrials | None) -> Iterator[Helper | None]:
         """Have a second process beside this one, where it can drive the same trials and there is enough to do."""
-        settings, robot = self.settings, self.robot
-        size = 2 * self.targets.shape[0] * self.targets.shape[1] * settings.repetitions * len(self.factories)
-        plain = self.by_name and isinstance(robot, str) and self.live is None
-        if not (plain and settings.batched and size >= LEAST and core_to_spare()):
+        if not self._shareable():
             yield None
-            return
-        limits = guard_limits(self.run, self.arm, address_of(robot))
-        helper = HelperProcess(Job(
-            robot=str(robot), arm=self.arm, run=None if self.run is None else self.run.path, twin=self.twin,
+        elif ahead is not None:
+            ahead.settle()
+            yield ahead
+        else:
+            helper = HelperProcess(self._work())
+            try:
+                yield helper
+            finally:
+                helper.close()
+
+    def _shareable(self) -> bool:
+        settings = self.settings
+        size = 2 * self.targets.shape[0] * self.targets.shape[1] * settings.repetitions * len(self.factories)
+        plain = self.by_name and isinstance(self.robot, str) and self.live is None
+        return plain and settings.batched and size >= LEAST and core_to_spare()
+
+    def _work(self) -> Job:
+        """Return what a second process must know."""
+        return Job(
+            robot=str(self.robot), arm=self.arm, run=None if self.run is None else self.run.path, twin=self.twin,
             period=self.period, names=tuple(self.factories), targets=self.targets, turns=self.turns,
-            settings=settings, limits=limits, correct=self.correct,
-        ))  # fmt: skip
-        try:
-            yield helper
-        finally:
-            helper.close()
+            settings=self.settings, limits=guard_limits(self.run, self.arm, address_of(self.robot)),
+            correct=self.correct,
+        )  # fmt: skip
 
     def _open(self, count: int, seed: int) -> Robot:
         if not isinstance(self.robot, str):
