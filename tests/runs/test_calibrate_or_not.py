@@ -48,11 +48,23 @@ def test_other_words_are_refused(word):
     ],
 )
 def test_a_repair_calibrates_where_something_measures(tmp_path, monkeypatch, robot, gauge, calibrated, corrected):
-    done = {}
-    for name in ("diagnose", "calibrate", "identify", "train", "compare", "report"):
+    done, stages = {}, []
+    for name in ("diagnose", "calibrate", "identify", "train", "report"):
         monkeypatch.setattr(chain, name, lambda *_, name=name, **options: done.update({name: options}))
-    stages = []
+
+    class Job:
+        def __init__(self, *_, **options):
+            done["compare"] = options
+
+        def begin_ahead(self):
+            """Begin nothing."""
+
+        def drive(self, *_):
+            stages.append("compared")
+
+    monkeypatch.setattr(chain, "comparison_job", Job)
     rejoint.repair(robot, run=tmp_path / "run", gauge=gauge, on_stage=lambda stage: stages.append(stage.name))
+    assert stages.count("compared") == 1
     assert ("calibrate" in done) is calibrated
     assert ("calibrate" in stages) is calibrated
     assert done["compare"]["calibration"] == corrected
