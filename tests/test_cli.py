@@ -16,7 +16,7 @@ import pytest
 import rejoint
 from rejoint.arms import mycobot280
 from rejoint.cli import main
-from rejoint.cli.console import Terminal, command
+from rejoint.cli.console import Terminal
 from rejoint.cli.options import controller_names, period_seconds
 from rejoint.control.comparison.result import Comparison
 from rejoint.control.robot import JointState
@@ -29,6 +29,7 @@ from rejoint.robots.emulated import EmulatedRobot
 from rejoint.runs.run import Run, newest_or_new
 from rejoint.system.errors import FileError, GuardTripError, InputError
 from rejoint.system.files import read_json, write_json
+from rejoint.system.shell import command
 from rejoint.training.train import TrainingOptions, train
 
 

@@ -5,7 +5,6 @@ Results go to standard output, everything else to standard error, so that result
 
 from __future__ import annotations
 
-import shlex
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -28,11 +27,6 @@ WIDTH = 80
 _CELL = 24
 """Characters of a cell up to which it stands on one line (chosen)"""
 _PLAIN_INTERVAL = 10.0  # [s] between lines where the output is a file and a bar would only be noise
-
-
-def command(*words: object) -> str:
-    """Return a command of ours as a shell takes it: an address may hold an &, the name of a folder blanks."""
-    return shlex.join(["rejoint", *map(str, words)])
 
 
 class _NoteFile:

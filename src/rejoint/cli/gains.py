@@ -9,11 +9,12 @@ import typer
 import rejoint
 from rejoint.cli import options as opt
 from rejoint.cli import show
-from rejoint.cli.console import Terminal, command
+from rejoint.cli.console import Terminal
 from rejoint.control.servogains import in_words
 from rejoint.runs.run import Run
 from rejoint.runs.stages.gains import gains_to_keep, keep_gains
 from rejoint.system.errors import InputError
+from rejoint.system.shell import command
 
 
 def gains(

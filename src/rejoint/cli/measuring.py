@@ -13,7 +13,7 @@ import typer
 import rejoint
 from rejoint.cli import filming, show
 from rejoint.cli import options as opt
-from rejoint.cli.console import Terminal, command
+from rejoint.cli.console import Terminal
 from rejoint.diagnosis.calibration.camera.filming import POSTURES, CameraGauge
 from rejoint.diagnosis.calibration.gauges import EmulatedGauge, Gauge, Stop, TouchGauge, TrackerGauge
 from rejoint.diagnosis.calibration.measurementfile import read_measurements
@@ -25,6 +25,7 @@ from rejoint.runs.stages.calibrate import POINTS
 from rejoint.system.errors import InputError
 from rejoint.system.extras import require
 from rejoint.system.progress import no_progress
+from rejoint.system.shell import command
 
 Frame = Annotated[
     str, typer.Option(help="Frame of the tracker's or the file's points: base, or any other name: its pose is fitted.")

@@ -13,7 +13,7 @@ import typer
 import rejoint
 from rejoint.arms import Arm, tcp_position
 from rejoint.cli import show
-from rejoint.cli.console import Terminal, command, results_of
+from rejoint.cli.console import Terminal, results_of
 from rejoint.cli.options import ArmOption, Base, Hold, Json, Tip, choose_arm
 from rejoint.logs.bare import states_alone
 from rejoint.logs.doubts import forced_remarks
@@ -22,6 +22,7 @@ from rejoint.runs.given import as_logs
 from rejoint.runs.run import Run
 from rejoint.system.errors import InputError
 from rejoint.system.extras import require
+from rejoint.system.shell import command
 
 if TYPE_CHECKING:
     from rejoint.runs.stages.replay import Replayed

@@ -13,7 +13,7 @@ import rejoint
 from rejoint.arms import load_arm
 from rejoint.cli import offline, show
 from rejoint.cli import options as opt
-from rejoint.cli.console import Terminal, command, results_of
+from rejoint.cli.console import Terminal, results_of
 from rejoint.cli.live import live_view, shared
 from rejoint.control.deployment import REACHED
 from rejoint.logs.runfolder.effort import read_effort
@@ -22,6 +22,7 @@ from rejoint.runs.run import Run, newest_or_new
 from rejoint.runs.stages.pathdrive import TRACKER, WITHIN
 from rejoint.system.errors import InputError
 from rejoint.system.extras import EXTRAS, installed, require
+from rejoint.system.shell import command
 
 if TYPE_CHECKING:
     from rejoint.training.train import Trainer

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Sequence
 from datetime import datetime
 
 from rejoint.diagnosis.monitoring.charts import FEWEST
 from rejoint.diagnosis.monitoring.judge import Change, Outlook
+from rejoint.system.shell import command
 
 MEANINGS = {
     "hysteresis": "friction or weakness in slow motion",
@@ -21,36 +21,36 @@ MEANINGS = {
 
 def say(found: Outlook, robot: str) -> str:
     """Say in one line how an arm stands; ``robot`` is its address."""
-    robot = shlex.quote(robot)  # as a shell takes it: an address may hold an &
+    repair = command("repair", robot)
     error = _error(found)
     if found.moved:
-        return _ask(found, error, robot)
+        return _ask(found, error, repair)
     if found.state == "learning":
         missing = FEWEST + 1 - found.checks
         again = f"check again, {missing} more time{'s' * (missing > 1)}; the first ones may follow each other at once"
         return (
             f"Check {found.checks} since {_day(found.since)}: {FEWEST} are needed to know what is usual for this arm, "
-            f"nothing can be said yet of a change. {error}. Do: {f'rejoint repair {robot}' if found.over else again}."
+            f"nothing can be said yet of a change. {error}. Do: {repair if found.over else again}."
         )
     worst = found.changes[0]
     if found.state == "steady":
         joints = len({one.joint for one in found.changes if one.joint})
-        act = _act(found, worst, robot) if found.over else "nothing; check again in a month"
+        act = _act(found, worst, repair) if found.over else "nothing; check again in a month"
         return f"No change in {joints} joints since {_day(found.since)}. {error}. Do: {act}."
     called = [one for one in found.changes if one.state == found.state]
     others = sorted({one.joint or "the tool" for one in called} - {worst.joint or "the tool"})
     also = f"; also {', '.join(others)}" if others else ""
-    return f"{_changed(worst)} ({found.state}){also}. {error}. Do: {_act(found, worst, robot)}."
+    return f"{_changed(worst)} ({found.state}){also}. {error}. Do: {_act(found, worst, repair)}."
 
 
-def _ask(found: Outlook, error: str, robot: str) -> str:
+def _ask(found: Outlook, error: str, repair: str) -> str:
     """Ask whether somebody moved the arm: what zeros do at once is no wear."""
     calls = [one for one in found.changes if one.state == "alarm" and one.quantity != "deviation" and one.joint]
     also = f" Beside that {', '.join(sorted({one.joint for one in calls}))} wears (alarm)." if calls else ""
     yes = "if so, check it again with --moved, five times"
     return (
         f"{cause_of(found)}, which is no wear: was the arm bumped, or set anew?{also} {error}. Do: {yes}; if not, look "
-        f"whether {found.moved[0].joint} has slipped, then rejoint repair {robot}."
+        f"whether {found.moved[0].joint} has slipped, then {repair}."
     )
 
 
@@ -91,13 +91,13 @@ def _error(found: Outlook) -> str:
     return f"{text}, reached between {_day(due.early)} and {_day(due.late)}"
 
 
-def _act(found: Outlook, worst: Change, robot: str) -> str:
+def _act(found: Outlook, worst: Change, repair: str) -> str:
     if found.over or found.state == "alarm":
         if worst.quantity == "deviation":
             look = f"look whether {worst.joint} has slipped or was set anew (then check with --moved)"
-            return f"{look}; else rejoint repair {robot}"
+            return f"{look}; else {repair}"
         part = f"; if it stays, change the servo of {worst.joint}" if worst.joint else ""
-        return f"rejoint repair {robot}{part}"
+        return f"{repair}{part}"
     return "check again within a week; no repair yet"
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +13,7 @@ from rejoint.runs.fleet.drive import End, Standing
 from rejoint.runs.history.table import what_to_do
 from rejoint.runs.run import Run
 from rejoint.system.errors import RejointError
+from rejoint.system.shell import command
 
 DRIFTS, ALARM, PARTLY, ROBOT = 6, 7, 5, 4
 """Exit codes, as the command line has them: watch it, repair it, not all was done, the robot failed"""
@@ -117,7 +117,7 @@ def _repaired(campaign: Campaign, one: Standing) -> FleetRow:
     return _row(
         one, state="quick try" if campaign.options.quick else "repaired",
         error_mm=None if after is None else 1e3 * after, found="" if errors is None else errors.sentence,
-        todo=f"use {advised}: {shlex.join(['rejoint', 'deploy', one.arm.address, str(folder)])}", folder=folder, code=0,
+        todo=f"use {advised}: {command('deploy', one.arm.address, folder)}", folder=folder, code=0,
     )  # fmt: skip
 
 
