@@ -28,6 +28,16 @@ LEAST_LEVER = 0.02
 last joint of a myCobot or a UR5e has 0, that of an SO-101 0.017, the joints before them 0.087 and more, measured)"""
 
 
+METRES = 5e-3
+"""[m] in which no arm's tool keeps all coordinates: what does, read in millimetres, was given in metres (chosen)"""
+
+
+def in_metres(places: Array) -> bool:
+    """Tell whether places (..., 3) [m], read in millimetres, were given in metres; NaN is not known."""
+    known = np.abs(places[np.isfinite(places)])
+    return known.size > 0 and bool((known < METRES).all())
+
+
 @lru_cache(maxsize=32)
 def heaviest_load(arm: Arm, per_edge: int = 2) -> Array:
     """Largest gravity torque (n,) [N m] of each joint over a grid of targets, ``per_edge`` along each edge."""

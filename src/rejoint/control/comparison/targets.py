@@ -13,6 +13,7 @@ import numpy as np
 from rejoint.arms import Arm, Array, solve_position, tcp_position
 from rejoint.arms.orientation import Orientation
 from rejoint.arms.posing import NEAR, TURNED, find_postures, missed_pose
+from rejoint.arms.size import in_metres
 from rejoint.control.poses import FORMS, columns, in_words, placed
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import read_bounded
@@ -27,8 +28,6 @@ _REACHED = 1e-3
 _POSTURES, _STARTS = 5000, 4
 """Postures to look among where a target is missed from rest, and the nearest of them from which to go on (measured: so
 each of a thousand places that an arm shows is found, for both arms of the catalogue)"""
-_METRES = 5e-3
-"""[m] from the base axis' foot, within which no arm works: places that are all nearer were given in metres (chosen)"""
 _WHOLE = 6
 """Joints that an arm needs to turn its tool freely"""
 _NAMED = 5
@@ -116,7 +115,7 @@ def beyond_reach(arm: Arm, targets: Array) -> Array:
 
 def unit_hint(places: Array) -> str:
     """Return what to say of places (..., 3) [m], read in millimetres, that look like metres; else nothing."""
-    return " they look like metres, and millimetres are expected;" if (np.abs(places) < _METRES).all() else ""
+    return " they look like metres, and millimetres are expected;" if in_metres(places) else ""
 
 
 def _out_of_reach(names: list[str], targets: Array, beyond: Array) -> str:

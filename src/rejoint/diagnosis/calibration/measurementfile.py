@@ -19,6 +19,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from rejoint.arms import Arm, Array
+from rejoint.arms.size import in_metres
 from rejoint.diagnosis.calibration.measurements import NOISE, Measurements
 from rejoint.logs.runlog import read_parquet
 from rejoint.system.errors import FileError, InputError, first_line
@@ -111,8 +112,6 @@ def _assemble(columns: dict[str, Array], arm: Arm, frame: str, source: str) -> M
 
 BEYOND = np.radians(10.0)
 """[rad] outside of its limits that a joint may be said to stand (chosen: limits are coarse, servos get pushed)"""
-METRES = 5e-3
-"""[m] in which no arm's tool keeps all coordinates: points that do are in metres (chosen)"""
 
 
 def _units(name: str) -> tuple[str, float]:
@@ -173,7 +172,7 @@ def _require_units(path: Path, arm: Arm, measured: Measurements) -> None:
         )  # fmt: skip
     if len(measured) > 1 and (np.abs(np.degrees(measured.position)) <= np.pi).all():
         raise FileError(path, "every joint position lies between -3.14 and 3.14", "give degrees, not radians")
-    if measured.frame == "base" and (np.abs(measured.point[np.isfinite(measured.point)]) < METRES).all():
+    if measured.frame == "base" and in_metres(measured.point):
         raise FileError(path, "every coordinate of the tool is below 5", "give millimetres, not metres")
 
 
