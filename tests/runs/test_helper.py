@@ -57,6 +57,14 @@ def test_one_that_is_gone_or_cannot_is_lost(helper):
     gone.close()
 
 
+def test_one_that_cannot_be_started_is_lost(monkeypatch):
+    monkeypatch.setattr(sys, "executable", "/no/such/python")
+    helper = HelperProcess(JOB)
+    with pytest.raises(HelperLostError):
+        helper.drive(("default", "hold"), PLACES)
+    helper.close()
+
+
 @pytest.fixture
 def started(monkeypatch):
     """Make every comparison large enough for a helper, and keep the helpers that are started."""

@@ -11,6 +11,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, Pipe
 from pathlib import Path
@@ -85,14 +86,15 @@ class HelperProcess:
 
     def __init__(self, job: Job) -> None:
         self._line, other = Pipe()
-        with other:
+        self._job: Job | None = job
+        self._process: subprocess.Popen[bytes] | None = None
+        with other, suppress(OSError):  # no process to be had: it is lost from the beginning
             self._process = subprocess.Popen(  # noqa: S603 - this very interpreter
                 [sys.executable, "-c", _START.format(path=sys.path, line=other.fileno())],
                 stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
                 pass_fds=(other.fileno(),),
                 start_new_session=True,  # Ctrl-C is for the process that started it
             )  # fmt: skip
-        self._job: Job | None = job
 
     def drive(self, task: Task, places: Places) -> Result:
         """Drive the trials of a task and wait for what comes out; HelperLostError if that fails."""
@@ -112,8 +114,10 @@ class HelperProcess:
 
     def close(self) -> None:
         """End it, whatever it does."""
-        self._process.kill()
-        self._process.wait()
+        if self._process is not None:
+            self._process.kill()
+            self._process.wait()
+        self._line.close()
 
 
 def main(line: int) -> None:
