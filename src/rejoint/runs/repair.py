@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext
+from collections.abc import Callable
+from contextlib import closing, nullcontext
 from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
@@ -214,10 +214,11 @@ def repair(
         repetitions=repetitions or few[1], full=full, paper=False, period=period,
         calibration=NO_GAUGE if gauge == NO_GAUGE else None, directions=emulated and not quick, live=live,
     )  # fmt: skip
-    early = emulated and only is None and not controllers and not any(files[each].exists() for each in _LAST)
-    with _ahead(job) if early else nullcontext() as ahead:
+    both = only is None and not (files["train"].exists() or files["compare"].exists())
+    ahead = job().begin_ahead() if emulated and both and not controllers else None  # what needs no policy
+    with nullcontext() if ahead is None else closing(ahead):
         chain.do("train", lambda update: train(run=found, preset=preset, quick=quick, on_progress=update))
-        chain.do("compare", lambda update: _compare(found, job, update, ahead))
+        chain.do("compare", lambda update: _compare(job, found, update, ahead))
     chain.do("report", lambda _: report(found))
     if only in (None, "report"):
         finish(found)
@@ -225,21 +226,7 @@ def repair(
     return Repaired(run=found)
 
 
-_LAST: tuple[StageName, StageName] = ("train", "compare")
-"""What a comparison ahead is for"""
-
-
-@contextmanager
-def _ahead(job: Callable[[], ComparisonJob]) -> Iterator[EarlyTrials | None]:
-    """Begin the trials of an emulated arm that need no policy while the policy is being trained, on a spare core."""
-    ahead = job().begin_ahead()
-    try:
-        yield ahead
-    finally:
-        if ahead is not None:
-            ahead.close()
-
-
-def _compare(run: Run, job: Callable[[], ComparisonJob], on_progress: Progress, ahead: EarlyTrials | None) -> Compared:
+def _compare(job: Callable[[], ComparisonJob], run: Run, on_progress: Progress, ahead: EarlyTrials | None) -> Compared:
+    """Compare, alone in the run folder; what was driven ahead is taken over."""
     with exclusive(run):
         return job().drive(on_progress, ahead)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -189,11 +189,8 @@ class ComparisonJob:
             ahead.settle()
             yield ahead
         else:
-            helper = HelperProcess(self._work())
-            try:
+            with closing(HelperProcess(self._work())) as helper:
                 yield helper
-            finally:
-                helper.close()
 
     def _shareable(self) -> bool:
         settings = self.settings
