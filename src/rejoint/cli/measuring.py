@@ -8,6 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 import typer
 
 import rejoint
@@ -18,6 +19,7 @@ from rejoint.diagnosis.calibration.camera.filming import POSTURES, CameraGauge
 from rejoint.diagnosis.calibration.gauges import EmulatedGauge, Gauge, Stop, TouchGauge, TrackerGauge
 from rejoint.diagnosis.calibration.measurementfile import read_measurements
 from rejoint.diagnosis.calibration.measurements import NOISE
+from rejoint.diagnosis.calibration.preload import WEDGE, Preload
 from rejoint.robots import place_of
 from rejoint.runs.given import NO_GAUGE, GaugeLike
 from rejoint.runs.run import Run
@@ -131,10 +133,21 @@ def calibrate(
         "run": str(run), "used": found.calibration.used, "before_mm": 1e3 * found.before, "after_mm": 1e3 * found.after,
         "points": found.calibration.points, "suspects": found.calibration.suspects,
         "reversal_mm": [1e3 * value for value in found.reversal], "calibration": str(job.folder.calibration),
+        "preload": _preload_fields(found.preload),
         **({} if found.filmed is None else {
             "left_out": found.filmed.left_out, "residuals": found.filmed.residuals, "camera": str(job.folder.camera),
         }),
     })  # fmt: skip
+
+
+def _preload_fields(what: Preload) -> dict[str, object]:
+    """Return what floating joints cost, and what a wedge or a weight leaves of it, as JSON has it."""
+    return {
+        "joints": what.joints, "chance_mm": 1e3 * what.chance,
+        "wedge_side": what.side, "wedge_deg": float(np.degrees(WEDGE)), "wedge_mm": 1e3 * what.wedge,
+        "wedge_helps": what.wedge_helps, "weight_g": 1e3 * what.mass, "weight_mm": 1e3 * what.weight,
+        "weight_helps": what.weight_helps,
+    }  # fmt: skip
 
 
 SECONDS = 4.0

@@ -16,11 +16,10 @@ from rejoint.diagnosis.calibration.gate import astray
 from rejoint.logs.runfolder.effort import Effort, cost
 
 if TYPE_CHECKING:
-    from rejoint.arms import Array
     from rejoint.control.deployment import Deployed
     from rejoint.control.gainsearch import GainsFound
     from rejoint.control.moving.drive import Followed
-    from rejoint.diagnosis.calibration.calibration import Calibration
+    from rejoint.diagnosis.calibration.preload import Preload
     from rejoint.diagnosis.diagnosis import Diagnosis
     from rejoint.pages.report.errors import BeforeAfter
     from rejoint.runs.stages.calibrate import Calibrated
@@ -107,17 +106,17 @@ def calibration(terminal: Terminal, found: Calibrated) -> None:
         )
     if own.used:
         terminal.result("The correction clearly helps and will be used.")
-        _say_wedge(terminal, own, measured.position)
+        _say_wedge(terminal, found.preload)
     else:
         terminal.result("The correction does not clearly help and will not be used.")
 
 
-def _say_wedge(terminal: Terminal, own: Calibration, position: Array) -> None:
+def _say_wedge(terminal: Terminal, what: Preload) -> None:
     """Print how to press joints that float to one side of their play, where a wedge does."""
-    from rejoint.diagnosis.calibration.preload import RISE, WEDGE, preload
+    from rejoint.diagnosis.calibration.preload import RISE, WEDGE
 
-    what, slope = preload(own, position), f"{np.degrees(WEDGE):g} degrees ({RISE:.1f} mm on 10 cm)"
     if what.wedge_helps:
+        slope = f"{np.degrees(WEDGE):g} degrees ({RISE:.1f} mm on 10 cm)"
         terminal.say(
             f"Chance decides {1e3 * what.chance:.1f} mm at the tool: no weight presses {' or '.join(what.joints)} to a "
             f"side. With the {what.side} side of the base raised by {slope} "

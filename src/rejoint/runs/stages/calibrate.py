@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from datetime import datetime
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,6 +20,7 @@ from rejoint.diagnosis.calibration.gauges import EmulatedGauge, Gauge
 from rejoint.diagnosis.calibration.measurementfile import read_measurements, write_measurements
 from rejoint.diagnosis.calibration.measurements import Measurements
 from rejoint.diagnosis.calibration.postures import suggest
+from rejoint.diagnosis.calibration.preload import Preload, preload
 from rejoint.diagnosis.calibration.procedure import measure, reversals
 from rejoint.runs.given import (
     ArmLike,
@@ -75,6 +77,11 @@ class Calibrated:
     def after(self) -> float:
         """[m] the same by the calibration that had not seen them."""
         return self.calibration.after
+
+    @cached_property
+    def preload(self) -> Preload:
+        """What would press joints that float to one side of their play, at the postures that were measured."""
+        return preload(self.calibration, self.measurements.position)
 
 
 def calibrate(
