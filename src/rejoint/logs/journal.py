@@ -186,7 +186,7 @@ def _convert(file: Path, path: Path) -> Path | None:
         file.replace(file.with_name(f"{path.stem}-damaged{_ENDING}"))
     made = None
     if log is not None and len(log):
-        made = _free(path.with_stem(f"{path.stem}-{CUT_SHORT}"))
+        made = free_path(path.with_stem(f"{path.stem}-{CUT_SHORT}"))
         write_log(made, log)
     file.unlink(missing_ok=True)
     return made
@@ -232,7 +232,7 @@ def _journal_path(path: Path) -> Path:
     return path.with_name(f".{path.stem}{_ENDING}")
 
 
-def _free(path: Path) -> Path:
+def free_path(path: Path) -> Path:
     """Return ``path``, with a number where there is such a file."""
     number, free = 1, path
     while free.exists():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 
@@ -21,8 +22,18 @@ PIECE, LONGEST_PIECE = 600.0, 1800.0
 """[s] after which a piece of the motion is written as a run log: as soon as the arm rests, and at the latest (chosen:
 half an hour takes 40 MB of memory)"""
 
-Keep = Callable[[Recording], object]
-"""Takes what the arm did in a piece"""
+
+class MotionLog(Protocol):
+    """What keeps the motion, piece by piece; `rejoint.runs.stages.longlog.LongLog` is one."""
+
+    def see(self, cycle: Cycle) -> None:
+        """Take a control cycle."""
+
+    def turn(self, piece: Recording | None) -> None:
+        """End a piece, which is kept unless it is None, and begin the next one."""
+
+    def rescue(self, piece: Recording | None) -> str:
+        """End a piece that failed; returns what became of it."""
 
 
 class ServedWay:
@@ -53,30 +64,31 @@ class ServedDrive:
     relay: Relay
     over: Callable[[], bool]
     """whether to end; asked once a cycle"""
+    orders: Callable[[], int]
+    """how many orders have come"""
 
-    def until_over(self, sent: Array, begin: Callable[[], tuple[Callable[[Cycle], object], Keep]]) -> None:
-        """Drive, with the command ``sent`` (1, n) [rad] in force.
+    def until_over(self, sent: Array, log: MotionLog) -> None:
+        """Drive, with the command ``sent`` (1, n) [rad] in force; ``log`` keeps the pieces in which something came.
 
-        For each piece ``begin`` gives what sees its cycles as they come, and what keeps the whole. Raises what `run`
-        raises; the arm holds then.
+        Raises what `run` raises, with a note of what became of the log; the arm holds then.
         """
         while not self.over():
-            see, keep = begin()
             places: list[Array] = []
+            before, moving = self.orders(), self.served.moving
             try:
-                recording = self._piece(sent, see, places)
+                recording = self._piece(sent, log, places)
             except BaseException as error:
                 partial = recording_of(error)
-                if partial is not None and len(partial.time):
-                    keep(_with_places(partial, places))
+                error.add_note(log.rescue(None if partial is None else _with_places(partial, places)))
                 raise
-            keep(_with_places(recording, places))
+            idle = self.orders() == before and not moving  # an arm that nobody orders for days fills no disk
+            log.turn(None if idle else _with_places(recording, places))
             sent = recording.command[-1]
 
-    def _piece(self, sent: Array, see: Callable[[Cycle], object], places: list[Array]) -> Recording:
+    def _piece(self, sent: Array, log: MotionLog, places: list[Array]) -> Recording:
         def watch(cycle: Cycle) -> None:
             places.append(self.way.place)
-            see(cycle._replace(target=self.way.place[None]))
+            log.see(cycle._replace(target=self.way.place[None]))
             self.relay.serve()
 
         def give_up(inputs: ControlInput) -> Mask:

@@ -21,14 +21,13 @@ from rejoint.control.recording import Cycle, Recording, recording_of
 from rejoint.control.robot import Mask, Robot
 from rejoint.control.start import Stance, begin
 from rejoint.runs.run import Run
-from rejoint.runs.stages.driving import start_journal
+from rejoint.runs.stages.longlog import PIECE, LongLog
 from rejoint.runs.stages.pathdrive import Piece
 
 if TYPE_CHECKING:
     import threading
     from collections.abc import Callable
 
-    from rejoint.logs.journal import Journal
 
 LABEL = "move"
 """Names the logs"""
@@ -52,12 +51,14 @@ class ArmDrive:
     limits: GuardLimits | None
     stance: Stance | None
     correction: Modelled | None
+    say: Callable[[str], object]
+    """told what a person should know"""
     last: Cycle | None = None
     """the last control cycle"""
     _sent: Array | None = None
     _usual: float = float("nan")
     _pieces: list[Recording] = field(default_factory=list)
-    _journal: Journal | None = None
+    _log: LongLog | None = None
 
     def begin(self) -> tuple[Array, float]:
         """Return the command (1, n) [rad] in force, and the usual control period [s].
@@ -69,7 +70,7 @@ class ArmDrive:
             self._usual = start.usual_period()
             check_controller_period(self.controller, self._usual)
             self._sent = start.command[-1]
-            self._journal = start_journal(self.run, LABEL, self.robot, self._label)
+            self._log = LongLog(self.run, self.robot, LABEL, f"{LABEL}/{self.name}", self.say)
         return self._sent, self._usual
 
     def to_target(self, target: Array, turn: Orientation | None, timeout: float, give_up: GiveUp) -> None:
@@ -85,16 +86,9 @@ class ArmDrive:
         )  # fmt: skip
 
     def keep(self) -> None:
-        """Write the log of all motions."""
-        journal, self._journal = self._journal, None
-        if journal is not None and self._pieces:
-            journal.finish(_joined(self._pieces).log(0, self._label))
-        elif journal is not None:
-            journal.discard()
-
-    @property
-    def _label(self) -> str:
-        return f"{LABEL}/{self.name}"
+        """Write the log of the motions that are not in one yet."""
+        if self._log is not None:
+            self._log.end(_joined(self._pieces) if self._pieces else None)
 
     def kept(self, motion: Callable[[], Recording]) -> Recording:
         """Carry out a motion and keep what is recorded of it, also where it fails."""
@@ -111,12 +105,15 @@ class ArmDrive:
     def _take(self, recording: Recording) -> None:
         self._sent = recording.command[-1]
         self._pieces.append(recording)
+        if self._log is not None and sum(len(piece.time) for piece in self._pieces) * self._usual > PIECE:
+            self._log.turn(_joined(self._pieces))
+            self._pieces.clear()
 
     def see(self, cycle: Cycle) -> None:
         """Take over a control cycle."""
         self.last = cycle
-        if self._journal is not None:
-            self._journal.see(cycle)
+        if self._log is not None:
+            self._log.see(cycle)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -103,7 +103,7 @@ class DrivenArm:
                 run=run, robot=robot, controller=driver, turning=turning, name=self.controller,
                 limits=limits_under(guard_limits(run, arm, address), robot, driver),
                 stance=stance_of(self._twin),
-                correction=None if correct is None else correct(arm),
+                correction=None if correct is None else correct(arm), say=say,
             )  # fmt: skip
             self._stack = stack.pop_all()
         self._motion: MotionThread | None = None

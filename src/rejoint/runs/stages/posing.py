@@ -23,12 +23,11 @@ from rejoint.control.start import check_ready
 from rejoint.robots import open_robot
 from rejoint.runs.given import Period, RunLike, as_run
 from rejoint.runs.run import Run, exclusive
-from rejoint.runs.stages.driving import guard_limits, start_journal, twin_in_force
+from rejoint.runs.stages.driving import guard_limits, twin_in_force
+from rejoint.runs.stages.longlog import PIECE, LongLog
 from rejoint.system.errors import InputError, NotReadyError
 from rejoint.system.files import require_space
 
-PIECE = 600.0
-"""[s] after which a piece of the motion becomes a run log (chosen: as of a served arm)"""
 RESTS = 0.25
 """[s] without a new goal after which the arm is to come to rest there (chosen: several goals of a program at 30 Hz)"""
 STARTING = 5.0
@@ -90,12 +89,15 @@ class PosedArm:
         *,
         period: Period | None = None,
         beside: Callable[[Robot], Beside] | None = None,
+        say: Callable[[str], object] = lambda _: None,
     ) -> None:
         """Connect and hold; AddressError or NotReadyError where the arm had better not be driven.
 
         What ``beside`` makes for the open robot is called once in every control cycle, for what is none of the joints.
+        ``say`` is told what a person should know.
         """
         self._run = about = as_run(run)
+        self._say = say
         self.arm = about.arm
         with ExitStack() as stack:
             stack.enter_context(exclusive(about))
@@ -154,21 +156,22 @@ class PosedArm:
         """Drive piece by piece until the end."""
         sent: Array | None = None
         try:
+            log = LongLog(self._run, self._robot, "joints", LABEL, self._say)
             while not self._over.is_set():
-                sent = self._piece(sent)
+                sent = self._piece(sent, log)
+            log.end(None)
             self._robot.stop()
         except BaseException as error:  # noqa: BLE001 - raised again where somebody asks
             self._error = error
             self._began.set()  # nothing is left to wait for
 
-    def _piece(self, sent: Array | None) -> Array:
+    def _piece(self, sent: Array | None, log: LongLog) -> Array:
         """Drive for up to `PIECE`; returns the last command (1, n) [rad]."""
-        journal = start_journal(self._run, "joints", self._robot, LABEL)
 
         def see(cycle: Cycle) -> None:
             self._position = cycle.position[0].copy()
             self._began.set()
-            journal.see(cycle)
+            log.see(cycle)
             if self._beside is not None:
                 self._beside()
 
@@ -178,17 +181,11 @@ class PosedArm:
         nowhere = np.full((1, 1, 3), np.nan)  # postures are followed, and no target
         schedule = Schedule(dwell=PIECE, sent=sent, give_up=over)
         try:
-            recording = drive(
-                self._robot, self._controller, nowhere, schedule, limits=self._limits, on_cycle=see
-            )  # fmt: skip
+            recording = drive(self._robot, self._controller, nowhere, schedule, limits=self._limits, on_cycle=see)
         except BaseException as error:
-            partial = recording_of(error)
-            if partial is not None and len(partial.time):
-                error.add_note(journal.keep(partial.log(0, f"{LABEL}/stopped")))
-            else:
-                journal.discard()
+            error.add_note(log.rescue(recording_of(error)))
             raise
-        journal.finish(recording.log(0, LABEL))
+        log.turn(recording)
         return recording.command[-1]
 
 

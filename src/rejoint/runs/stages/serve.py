@@ -14,7 +14,6 @@ from numpy.typing import ArrayLike
 from rejoint.arms import Arm
 from rejoint.control.guard import GuardLimits
 from rejoint.control.posture import PostureController
-from rejoint.control.recording import Cycle, Recording
 from rejoint.control.robot import Robot
 from rejoint.control.start import begin
 from rejoint.robots import place_of
@@ -39,8 +38,9 @@ from rejoint.runs.given import (
     shown,
 )
 from rejoint.runs.run import exclusive
-from rejoint.runs.stages.driving import correction_of, guard_limits, stance_of, start_journal
+from rejoint.runs.stages.driving import correction_of, guard_limits, stance_of
 from rejoint.runs.stages.loads import PayloadLike, with_load
+from rejoint.runs.stages.longlog import LongLog
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import require_space
 from rejoint.system.listening import listen_tcp
@@ -49,7 +49,6 @@ from rejoint.system.stopping import Interrupted, noted
 if TYPE_CHECKING:
     import socket
 
-    from rejoint.logs.journal import Journal
     from rejoint.runs.run import Run
     from rejoint.twin.twin import Twin
 
@@ -161,6 +160,8 @@ def serve(
         connection = stack.enter_context(opened(robot, arm, about.seed, period))
         connection = shown(live, _in_wall_time(connection, robot, pace), twin=known, paced=False)
         limits = guard_limits(about, arm, connection.address)
+        motion = LongLog(about, connection, "serve", LABEL, say)
+        stack.callback(motion.end, None)
         start = begin(connection, limits, stance_of(known))
         make = correction_of(calibration, about, arm, connection.address)
         shift = None if make is None else make(arm).shift
@@ -169,7 +170,7 @@ def serve(
         try:
             with server:
                 on_address(server.address)
-                drive.until_over(start.command[-1], lambda: _journal(about, connection))
+                drive.until_over(start.command[-1], motion)
         except Interrupted as asked:
             say(f"{asked}. {' '.join(asked.__notes__)}")
         if server.failure is not None:
@@ -192,7 +193,7 @@ def _put_together(
     controller = PostureController(arm, way, stiffness=parameters.stiffness, offset=parameters.offset)
     drive = ServedDrive(
         robot=robot, served=served, controller=controller, way=way, limits=limits, relay=relay,
-        over=lambda: over.is_set() or server.ended,
+        over=lambda: over.is_set() or server.ended, orders=lambda: log.orders,
     )  # fmt: skip
     return drive, server
 
@@ -216,13 +217,3 @@ def _in_wall_time(robot: Robot, given: RobotLike, pace: float) -> Robot:
     """Return a robot whose time is that of the clients."""
     virtual = isinstance(given, str) and place_of(given).virtual
     return cast(Robot, WallClock(robot, lambda: pace)) if virtual else robot
-
-
-def _journal(run: Run, robot: Robot) -> tuple[Callable[[Cycle], object], Callable[[Recording], object]]:
-    """Begin the run log of a piece of the motion; return what sees its cycles and what keeps the whole."""
-    journal: Journal = start_journal(run, "serve", robot, LABEL)
-
-    def keep(recording: Recording) -> None:
-        journal.finish(recording.log(0, LABEL))
-
-    return journal.see, keep
