@@ -53,10 +53,16 @@ STUCK = (5.0, 10.0, 15.0, 1000.0)
 SLOW: dict[str, Interval] = {
     "period": (0.045, 0.055), "command_latency": (0.008, 0.030), "readback_age": (0.006, 0.030),
 }  # fmt: skip
-WIRES: dict[str, dict[str, Interval]] = {"25ms": {"period": (0.020, 0.030)}, "50ms": SLOW, "stalling": SLOW}
-"""Wires; the slow ones keep commands and readings up to 30 ms under way, and the last one stalls after the diagnosis"""
+WIRES: dict[str, dict[str, Interval]] = {
+    "25ms": {"period": (0.020, 0.030)}, "50ms": SLOW, "stalling": SLOW, "late": SLOW,
+}  # fmt: skip
+"""Wires; the slow ones keep commands and readings up to 30 ms under way. After the diagnosis one of them stalls, and
+the arm behind another one is late with what it has acknowledged"""
 STALLS, STALL = 0.25, (0.02, 0.12)
 """Share of the cycles in which a wire stalls, and [s] for how long (chosen: a busy computer)"""
+LATE = 0.1
+"""Share of the cycles whose command comes late, by as long as a wire stalls, in cycles as long as ever (chosen: an arm
+whose own computer is busy)"""
 TARGETS, DWELL = 4, 2.5
 """Targets of a run, and [s] for each"""
 FAR = 0.030
@@ -65,8 +71,12 @@ MONITORS = ("diagnosed", "diagnosed, no load told", "load alone", "positions alo
 THREADS = 2
 
 
+@dataclass(frozen=True, kw_only=True)
 class Stalling(Channel):
-    """A channel that stalls: some commands come late, and their cycles are longer by as much."""
+    """A channel that stalls: some commands come late, and their cycles are longer by as much, or not at all."""
+
+    share: float = STALLS
+    longer: bool = True
 
     def draw(self, keys: Keys, cycle: NDArray[np.int64]) -> Delays:
         """Delays of cycle number ``cycle`` (B,) for the arms with these stream keys (B,)."""
@@ -74,8 +84,8 @@ class Stalling(Channel):
         chance, share = (
             (value - low) / (high - low) for value, (low, high) in ((other.period, self.period), (other.age, self.age))
         )
-        late = np.where(chance < STALLS, STALL[0] + share * (STALL[1] - STALL[0]), 0.0)
-        return Delays(delays.latency + late, delays.age, delays.period + late)
+        late = np.where(chance < self.share, STALL[0] + share * (STALL[1] - STALL[0]), 0.0)
+        return Delays(delays.latency + late, delays.age, delays.period + late * self.longer)
 
 
 @dataclass(frozen=True)
@@ -135,8 +145,11 @@ def draw(kind: str, count: int, seed: int) -> list[Wear]:
 def opened(wears: list[Wear], wire: str, seed: int, first: int = 0) -> EmulatedRobot:
     """Return arms behind a wire."""
     robot = EmulatedRobot(ARM, wears, seed=seed, first=first, threads=THREADS, **WIRES[wire])
-    if wire == "stalling":
-        robot._channel = Stalling(latency=SLOW["command_latency"], age=SLOW["readback_age"], period=SLOW["period"])
+    if wire in ("stalling", "late"):
+        robot._channel = Stalling(
+            latency=SLOW["command_latency"], age=SLOW["readback_age"], period=SLOW["period"],
+            share=STALLS if wire == "stalling" else LATE, longer=wire == "stalling",
+        )  # fmt: skip
     return robot
 
 
@@ -244,7 +257,7 @@ def watched(wire: str, kind: str, count: int, first: int) -> list[Seen]:
     """Drive ``count`` arms of a kind by every controller, whole and broken."""
     seed = first + 1000 * KINDS.index(kind)
     wears, seen = draw(kind, count, seed), []
-    known = diagnosed(wears, "50ms" if wire == "stalling" else wire, seed)
+    known = diagnosed(wears, "25ms" if wire == "25ms" else "50ms", seed)
     for c, name in enumerate(CONTROLLERS):
         whole = drive(wears, name, wire, seed + c, known)
         found = {"none": compare(whole, whole, np.zeros(count))}

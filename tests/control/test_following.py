@@ -8,7 +8,7 @@ import pytest
 from rejoint.arms import mycobot280, position_kinematics
 from rejoint.control import watching
 from rejoint.control.catalogue import make_controller
-from rejoint.control.following import TRAVEL, Bands, Following, Knowledge
+from rejoint.control.following import EXCUSED, TRAVEL, Bands, Following, Knowledge
 from rejoint.control.guard import GuardLimits, Reason
 from rejoint.control.integrator import IntegratorController
 from rejoint.control.loop import RELEASE_CYCLES, Schedule, play, run
@@ -345,3 +345,27 @@ def test_what_is_known_of_an_arm_makes_a_dead_encoder_known_sooner():
     assert "joint2" in said
     assert sooner < 1.5
     assert sooner < later
+
+
+def stands_after_a_step(joints, late, *, cycles=12, period=0.05):
+    """Verdicts (cycles, n) after ``joints`` (n,) are sent 25 deg on at once, of which those ``late`` (n,) stand."""
+    swings = [REST + np.radians(3.0) * np.sin(0.5 * min(k, 55)) for k in range(61)]  # so all are known to move
+    wanted = np.array([*swings, *[swings[-1] + np.radians(25.0) * joints] * cycles])
+    read = np.array([wanted[0], *wanted[:-1]])  # a cycle later
+    read[62:, late] = wanted[60, late]
+    watch, found = Following(ARM, reading_at(0.0, read[:1]), wanted[:1]), []
+    for k in range(1, len(wanted)):
+        bad = watch.check(reading_at(period * k, read[k][None]), wanted[k - 1][None], np.ones(1, dtype=bool))
+        found.append(np.zeros(6, dtype=bool) if bad is None else bad[0])
+    assert not np.any(found[:60])
+    return np.array(found[60:])
+
+
+def test_two_encoders_hardly_die_at_once_but_an_arm_may_be_late():
+    first_three, third = np.arange(6) < 3, np.arange(6) == 2
+    alone = stands_after_a_step(first_three, third)
+    together = stands_after_a_step(first_three, first_three)
+    dead = [np.flatnonzero(seen.any(axis=-1))[0] for seen in (alone, together)]
+    assert (alone[dead[0]] == third).all()
+    assert 0.05 * (dead[1] - dead[0]) == pytest.approx(EXCUSED, abs=0.051), "bounded, and then both are named"
+    assert together[dead[1]].sum() >= 2

@@ -20,6 +20,9 @@ else (blind) and runs away as soon as it is moved. Three rules tell them apart, 
   in this run is not judged but held within `TRAVEL`: a frozen encoder carries the tool no farther, and a stuck joint
   is let be.
 
+Two encoders hardly die at once: where a second joint stands although it must move, or its load does not fit either, the
+arm itself is late, and both are let be for `EXCUSED`.
+
 After a trip the joint is led back to the command under which its reading last changed: there it was in balance, and a
 blind servo gives the torque of then.
 """
@@ -55,6 +58,9 @@ yields)"""
 TURN_ROUND = 0.12
 """[s] for which a reading must stand before it is judged without load (chosen: a joint that is sent to and fro by a
 controller at its limits stands while it turns round)"""
+EXCUSED = 0.15
+"""[s] for which two joints at once are let be (chosen: behind a busy computer an arm was up to 0.1 s late with all of
+them; `python -m benchmarks.following --wires late`)"""
 ARRIVED = np.radians(1.0)
 """[rad] of lead within which a joint that stands is where it was sent (chosen)"""
 SETTLED = 30
@@ -164,6 +170,7 @@ class Following:
         self._sent = np.repeat(np.asarray(sent, dtype=float)[:, None], watching.HISTORY, axis=1)
         self._verdict = np.zeros(shape, dtype=np.int64)
         self._nothing = np.zeros(shape)
+        self._excused_since, self._excused_last = np.full((2, len(state.time)), -np.inf)
         self._loaded = False
 
     def _know(self, knowledge: Knowledge) -> None:
@@ -197,9 +204,24 @@ class Following:
         if worst < _UNKNOWN:
             return None
         bad: Mask = self._verdict >= _TURNING
+        late: Mask = (self._tracks["late"] > 0) | (self._tracks["strikes"] > 0)
         if self._bands is None:
-            bad = bad | (self._travelled(state.position, sent) & aimed[:, None])
+            travelled, more = self._travelled(state.position, sent)
+            late = late | more
+            bad = bad | (travelled & aimed[:, None])
+        if not bad.any():
+            return None
+        bad = bad & ~self._excused(bad, late)[:, None]
         return bad if bad.any() else None
+
+    def _excused(self, bad: Mask, late: Mask) -> Mask:
+        """Arms (B,) that are late as a whole: beside a ``bad`` joint (B, n) another one is ``late`` (B, n)."""
+        now, several = self._last, bad.any(axis=-1) & ((bad | late).sum(axis=-1) > 1)
+        anew = several & (now - self._excused_last > EXCUSED)
+        self._excused_since = np.where(anew, now, self._excused_since)
+        self._excused_last = np.where(several, now, self._excused_last)
+        excused: Mask = several & (now - self._excused_since < EXCUSED)
+        return excused
 
     def bound(self, wanted: Array, position: Array, aimed: Mask) -> Array:
         """``wanted`` (B, n) [rad], where no load tells, within `TRAVEL` of a reading that has hardly ever changed."""
@@ -220,19 +242,22 @@ class Following:
         """Tell what was seen of the ``joints`` (n,) of arm ``b``, what it looks like, and what to do."""
         return "; ".join(self._describe(b, int(j)) for j in np.flatnonzero(joints))
 
-    def _travelled(self, position: Array, sent: Array) -> Mask:
-        """Joints (B, n) whose commands have gone too far from a reading that stands, with no load to explain it."""
+    def _travelled(self, position: Array, sent: Array) -> tuple[Mask, Mask]:
+        """Joints (B, n) whose commands have gone too far from a reading that stands, with no load to explain it.
+
+        The second ones are all whose commands have gone farther than they were ever seen to stick.
+        """
         tracks = self._tracks
         travel = np.abs(tracks["travel"])
         stands = self._last[:, None] - tracks["since"] > TURN_ROUND
         away = np.abs(sent - position) > ARRIVED
-        asked = (self._verdict == _UNKNOWN) & (travel > _EARLIEST) & stands & away
+        asked = (self._verdict == _UNKNOWN) & (travel > _EARLIEST) & stands & away & (tracks["moved"] >= MOVED)
         if not asked.any():
-            return asked
+            return asked, asked
         lever = self._levers(position)
         stuck = np.where(tracks["moves"] >= SETTLED, tracks["stuck"], np.maximum(tracks["stuck"], STICKS))
-        judged = asked & (lever > SHORT_LEVER) & (tracks["moved"] >= MOVED)
-        return judged & (travel - STICKING * stuck > TRAVEL / lever)
+        beyond = travel - STICKING * stuck
+        return asked & (lever > SHORT_LEVER) & (beyond > TRAVEL / lever), asked & (beyond > 0.0)
 
     def _levers(self, position: Array) -> Array:
         """How far (B, n) [m/rad] the tool goes with each joint."""
