@@ -162,6 +162,27 @@ def test_an_address_is_told_from_logs(tmp_path: Path) -> None:
         rejoint.identify()
 
 
+def test_what_is_none_of_the_things_taken_is_refused_in_words_before_anything_moves(motion: rejoint.RunLog) -> None:
+    robot = rejoint.connect("emulated:worn")
+    before = robot.read().time[0]
+    wrong = [
+        (lambda: rejoint.diagnose(robot.arm), "type Arm was given, expected run logs"),
+        (lambda: rejoint.diagnose(motion.position), "expected run logs .rejoint.RunLog.of makes one of arrays"),
+        (lambda: rejoint.diagnose("emulated:worn", arm=280), "type int was given, expected an arm, its name"),
+        (lambda: rejoint.diagnose("emulated:worn", period=0.02), "shortest and the longest in seconds"),
+        (lambda: rejoint.deploy(robot.arm), "type Arm was given, expected a robot"),
+        (lambda: rejoint.replay(motion, motion), "type RunLog was given, expected a twin"),
+        (lambda: rejoint.report(motion), "type RunLog was given, expected a run or its folder"),
+        (lambda: rejoint.diagnose("emulated:worn", run=motion), "expected a run or its folder"),
+        (lambda: rejoint.deploy(robot, motion), "type RunLog was given, expected the name of a controller"),
+        (lambda: rejoint.deploy(robot, lambda arm: arm), "type Arm was given, expected for controller a controller"),
+    ]
+    for call, said in wrong:
+        with pytest.raises(rejoint.InputError, match=said):
+            call()
+    assert robot.read().time[0] == before
+
+
 def test_progress_of_a_part_is_progress_of_the_whole() -> None:
     seen = []
     one = part(lambda share, what: seen.append((share, what)), 0.5, 0.75, "arm 1: ")

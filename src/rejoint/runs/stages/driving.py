@@ -32,7 +32,7 @@ from rejoint.logs.journal import Journal
 from rejoint.logs.runlog import read_log
 from rejoint.robots import place_of
 from rejoint.robots.own import unloaded
-from rejoint.runs.given import CalibrationLike, Period, as_calibration, as_policy
+from rejoint.runs.given import CalibrationLike, Period, as_calibration, as_policy, unfit
 from rejoint.runs.run import Run
 from rejoint.system.errors import AddressError, ContractError, FileError, InputError
 from rejoint.system.files import read_json
@@ -168,6 +168,8 @@ def make_factories(
     factories = {name: _factory(one, run, twin, usual) for name, one in named.items()}
     for name, make in factories.items():
         controller = make(arm)
+        if not hasattr(controller, "reset"):
+            raise unfit(controller, f"for {name} a controller, with the methods of rejoint.Controller")
         check_controller_period(controller, usual)
         if posed and not heeds_turn(controller):
             raise InputError(
@@ -270,8 +272,10 @@ def _factory(given: ControllerLike, run: Run | None, twin: Twin | None, period: 
         return as_policy(given).controller
     if hasattr(given, "controller"):
         return given.controller
-    if hasattr(given, "command") and not isinstance(given, type):
+    if hasattr(given, "reset") and not isinstance(given, type):
         return partial(_itself, cast(Controller, given))
+    if not callable(given):
+        raise unfit(given, "the name of a controller, a policy or its file, or a controller")
     return given
 
 
