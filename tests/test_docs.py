@@ -177,6 +177,15 @@ def test_help_uses_the_words_of_the_field(name: str) -> None:
     check_words("\n\n".join(filter(None, texts)), name)
 
 
+def test_every_option_says_what_it_is() -> None:
+    for name, command in COMMANDS.items():
+        assert "Example" in command.help, name
+        for parameter in command.params:
+            text = getattr(parameter, "help", None)
+            assert text, f"rejoint {name}: {parameter.opts} says nothing"
+            assert text.endswith("."), f"rejoint {name}: {text}"
+
+
 def test_the_glossary_gives_a_word_one_meaning() -> None:
     words = re.findall(r"^\| ([^|]+?) \| [^|]+ \|", PAGES["docs/glossary.md"], re.MULTILINE)
     words = [word for word in words if word not in ("word", "---")]

@@ -48,7 +48,9 @@ def fleet(
     controllers: opt.Controllers = "all",
     sets: opt.RepairSets = None,
     repetitions: opt.RepairRepetitions = None,
-    seed: opt.RunSeed = None,
+    seed: Annotated[
+        int | None, typer.Option(help="Seed of the repairs; by default that of the run that goes on, or 0.", min=0)
+    ] = None,
     quick: opt.Quick = False,
     json: opt.Json = False,
 ) -> None:

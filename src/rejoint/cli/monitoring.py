@@ -46,7 +46,9 @@ def check(
     tip: opt.Tip = None,
     hold: opt.Hold = None,
     period: opt.Period = None,
-    seed: opt.RunSeed = None,
+    seed: Annotated[
+        int | None, typer.Option(help="Seed of everything random; by default the number of earlier checks.", min=0)
+    ] = None,
     live: opt.Live = None,
     json: opt.Json = False,
 ) -> None:
