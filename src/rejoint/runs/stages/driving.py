@@ -153,17 +153,17 @@ def _own_policy(run: Run) -> str:
 
 def make_factories(
     given: Controllers, arm: Arm, period: Period | None, *, run: Run | None = None, twin: Twin | None = None,
-    real: bool = False, posed: bool = False, paper: bool | None = None,
+    real: bool = False, posed: bool = False,
 ) -> dict[str, Factory]:  # fmt: skip
     """Return what makes each controller, by its name; the feed-forward believes the stiffness of ``twin``.
 
-    Nothing given means the `contenders` for a ``real`` arm or one in virtual time, with the ``paper``'s PIDs or not.
+    Nothing given means the `contenders` for a ``real`` arm or one in virtual time.
     A name, a policy or a control period that does not fit is refused here, before anything moves. For ``posed``
     targets, which have an orientation, those take part that turn the tool.
     """
     usual = np.nan if period is None else sum(period) / 2
     if not given:
-        given = _contenders(arm, usual, run, twin, real=real, posed=posed, paper=paper)
+        given = _contenders(arm, usual, run, twin, real=real, posed=posed)
     named = given if isinstance(given, Mapping) else _unique(given)
     factories = {name: _factory(one, run, twin, usual) for name, one in named.items()}
     for name, make in factories.items():
@@ -180,7 +180,7 @@ def make_factories(
 
 
 def _contenders(
-    arm: Arm, period: float, run: Run | None, twin: Twin | None, *, real: bool, posed: bool, paper: bool | None = None
+    arm: Arm, period: float, run: Run | None, twin: Twin | None, *, real: bool, posed: bool
 ) -> tuple[str, ...]:
     """Name who takes part in a comparison: what the run has made, under tuned gains where it was made for those.
 
@@ -189,7 +189,7 @@ def _contenders(
     own, tuned = run is not None and run.folder.policy.exists() and not posed, tuned_gains(run) is not None
     plain = contenders(
         real=real, shelf=not posed and _on_shelf(arm, period), policy=own,
-        twin=twin is not None and not tuned and not posed, paper=paper,
+        twin=twin is not None and not tuned and not posed,
     )  # fmt: skip
     if not tuned:
         return plain
