@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 
 import rejoint
+from commandline import run_cli
 from rejoint.arms import mycobot280
-from rejoint.cli import main
 from rejoint.cli.console import Terminal
 from rejoint.cli.options import controller_names, period_seconds
 from rejoint.control.comparison.result import Comparison
@@ -31,14 +31,6 @@ from rejoint.system.errors import FileError, GuardTripError, InputError
 from rejoint.system.files import read_json, write_json
 from rejoint.system.shell import command
 from rejoint.training.train import TrainingOptions, train
-
-
-def run_cli(*words: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> tuple[int, str, str]:
-    monkeypatch.setattr(sys, "argv", ["rejoint", *words])
-    with pytest.raises(SystemExit) as stopped:
-        main()
-    captured = capsys.readouterr()
-    return int(stopped.value.code or 0), captured.out, captured.err
 
 
 @pytest.fixture(scope="module")

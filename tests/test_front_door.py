@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import rejoint
+from commandline import run_cli
 from rejoint.arms import mycobot280, write_arm_toml
-from rejoint.cli import main
 from rejoint.control.integrator import IntegratorController
 from rejoint.logs.runlog import write_log
 from rejoint.runs.given import is_robot
@@ -191,23 +191,17 @@ def test_progress_of_a_part_is_progress_of_the_whole() -> None:
     assert seen == [(0.5, "arm 1: a"), (0.75, "arm 1: b")]
 
 
-def run_cli(*words: str | Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys, "argv", ["rejoint", *map(str, words)])
-    with pytest.raises(SystemExit) as stopped:
-        main()
-    assert not stopped.value.code
-
-
-def test_a_command_and_its_function_write_the_same_files(motion, tmp_path: Path, monkeypatch) -> None:
+def test_a_command_and_its_function_write_the_same_files(motion, tmp_path: Path, monkeypatch, capsys) -> None:
     monkeypatch.chdir(tmp_path)
     write_log(tmp_path / "logs" / "motion.parquet", motion)
-    run_cli("diagnose", "--logs", "logs", "--run", "command", monkeypatch=monkeypatch)
+    tools = {"capsys": capsys, "monkeypatch": monkeypatch}
+    assert run_cli("diagnose", "--logs", "logs", "--run", "command", **tools)[0] == 0
     run = rejoint.Run.plan("function", "logs:logs", ARM)
     assert rejoint.diagnose(Path("logs"), run=run).verdict == run.diagnosis.verdict
     points = tmp_path / "points.csv"
     points.write_text("x,y,z\n170,0,200\n")
     few = ("--targets", points, "--repetitions", "1", "--controllers", "integrator")
-    run_cli("compare", "emulated:worn", "command", *few, monkeypatch=monkeypatch)
+    assert run_cli("compare", "emulated:worn", "command", *few, **tools)[0] == 0
     rejoint.compare("emulated:worn", ["integrator"], points, run="function", repetitions=1)
     names = (
         "diagnosis.json",
