@@ -98,7 +98,7 @@ def fleet(
         found, verb, make_executor, rules,
         only=opt.controller_names(only), options=options, anew=anew, tell=view.tell, begins=view.begins,
     )  # fmt: skip
-    terminal.table(f"{len(result.rows)} arms, the worst first", HEADERS, [row.cells for row in result.rows])
+    terminal.table("All arms, the worst first", HEADERS, [row.cells for row in result.rows])
     for row in result.rows:
         terminal.result(f"{row.name}: {row.found}")
     if quick:

@@ -116,7 +116,7 @@ def history(
     for problem in unread:
         terminal.say(f"left out: {problem}")
     arms = arms_of(rows)
-    terminal.table(f"{len(arms)} arms, the worst first", HEADERS, [cells(one) for one in arms])
+    terminal.table("All arms, the worst first", HEADERS, [cells(one) for one in arms])
     from rejoint.runs.history.page import write_history
 
     path = page or folder / "history.html"
