@@ -5,40 +5,27 @@ The URDFs ship inside ManipulaPy, which is installed with the development extra 
 
 import json
 import re
-import sys
-from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from commandline import run_cli
+from modelfiles import packaged
 from rejoint.arms import load_arm
-from rejoint.cli import main
 from rejoint.cli.console import Terminal
 from rejoint.cli.options import choose_arm, held_positions
 from rejoint.diagnosis.excitation import plan_excitation
 from rejoint.runs.run import Run
 from rejoint.system.errors import InputError
 
-
-def urdf(path: str) -> str:
-    found = find_spec("ManipulaPy")
-    assert found is not None, "the extra dev brings ManipulaPy"
-    return str(Path(found.submodule_search_locations[0]) / "ManipulaPy_data" / path)
-
-
-def run_cli(*words: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> tuple[int, str, str]:
-    monkeypatch.setattr(sys, "argv", ["rejoint", *words])
-    with pytest.raises(SystemExit) as stopped:
-        main()
-    captured = capsys.readouterr()
-    return int(stopped.value.code or 0), captured.out, captured.err
+UR10 = "ManipulaPy_data/universal_robots/ur10/ur10.urdf"
 
 
 def test_a_worn_ur10_is_diagnosed_and_brought_to_its_targets(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    run, file = str(tmp_path / "run"), urdf("universal_robots/ur10/ur10.urdf")
+    run, file = str(tmp_path / "run"), str(packaged("ManipulaPy", UR10))
     words = (
         "diagnose",
         "emulated:worn",
@@ -139,7 +126,7 @@ def test_a_wrong_base_or_tip_is_one_clear_line(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:  # fmt: skip
     run = tmp_path / "run"
-    options = ("--arm", urdf("universal_robots/ur10/ur10.urdf"), *words, "--run", str(run))
+    options = ("--arm", str(packaged("ManipulaPy", UR10)), *words, "--run", str(run))
     code, _, err = run_cli("diagnose", "emulated:worn", *options, capsys=capsys, monkeypatch=monkeypatch)
     assert code == 2
     assert err.startswith("error: ")

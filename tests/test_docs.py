@@ -74,6 +74,24 @@ def check_command(words: list[str], *, whole: bool) -> None:
         command.make_context(words[0], with_place(words[1:]))
 
 
+def check_program(words: list[str]) -> None:
+    """Raise unless the module or script of a `python` command is there and reads the options."""
+    name = words[2] if words[1:2] == ["-m"] else words[1]
+    if name.partition(".")[0] not in ("benchmarks", "rejoint") and not name.endswith(".py"):
+        return  # a module of Python itself, or of another package
+    if name == "benchmarks":
+        main = (ROOT / "benchmarks" / "__main__.py").read_text(encoding="utf-8")
+        for one in (word for word in words[3:] if not word.startswith("-") and word != "NAME"):
+            assert f'"{one}"' in main, f"{words}: make bench knows no {one}"
+        return
+    place = name.removesuffix(".py").replace(".", "/")
+    files = [ROOT / f"{place}.py", ROOT / f"src/{place}.py", ROOT / f"src/{place}/__main__.py"]
+    text = "".join(file.read_text(encoding="utf-8") for file in files if file.exists())
+    assert '__name__ == "__main__"' in text or "argparse" in text, f"{words}: there is no such program"
+    for option in (word for word in words if word.startswith("--")):
+        assert f'"{option}"' in text, f"{words}: it has no {option}"
+
+
 @each_page
 def test_python_runs(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The blocks of a page build on one another; they run in an empty folder, beside the modules of the examples."""
@@ -102,14 +120,18 @@ def test_calls_take_what_they_are_given(page: str) -> None:
 @each_page
 def test_commands_are_known(page: str) -> None:
     makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
+    for _, text in blocks(page, ""):
+        assert not re.search(r"^(pip|rejoint|python) ", text, re.MULTILINE), f"{page}: commands stand in blocks of sh"
     for words in shell(page):
         program = words[0].rpartition("/")[2]
         if program == "rejoint":
             check_command(words[1:], whole=True)
         elif program == "make":
             assert f"\n{words[1]}:" in makefile, words
+        elif program == "python":
+            check_program(words)
         else:
-            assert program in ("pip", "python", "source"), f"{page}: what is {program}?"
+            assert program in ("pip", "source"), f"{page}: what is {program}?"
     for code in inline(page):
         words = shlex.split(code) if re.match(r"(rejoint|make|python) ", code) else []
         if words[:1] == ["rejoint"]:
@@ -117,8 +139,8 @@ def test_commands_are_known(page: str) -> None:
         elif words[:1] == ["make"]:
             for target in words[1:]:
                 assert f"\n{target}:" in makefile or "=" in target, code
-        elif words[:3] == ["python", "-m", "benchmarks"] and words[3:] not in ([], ["NAME"]):
-            assert (ROOT / "benchmarks" / f"{words[3].lower()}.py").exists(), code
+        elif words[:1] == ["python"]:
+            check_program(words)
 
 
 @each_page
@@ -175,6 +197,15 @@ def test_pages_use_the_words_of_the_field(page: str) -> None:
 def test_help_uses_the_words_of_the_field(name: str) -> None:
     texts = [COMMANDS[name].help, *(getattr(parameter, "help", None) for parameter in COMMANDS[name].params)]
     check_words("\n\n".join(filter(None, texts)), name)
+
+
+def test_every_option_says_what_it_is() -> None:
+    for name, command in COMMANDS.items():
+        assert "Example" in command.help, name
+        for parameter in command.params:
+            text = getattr(parameter, "help", None)
+            assert text, f"rejoint {name}: {parameter.opts} says nothing"
+            assert text.endswith("."), f"rejoint {name}: {text}"
 
 
 def test_the_glossary_gives_a_word_one_meaning() -> None:

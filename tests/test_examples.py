@@ -3,11 +3,12 @@
 import re
 import runpy
 import sys
-from importlib.util import find_spec
 from pathlib import Path
 
 import matplotlib
 import pytest
+
+from modelfiles import packaged
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
 
@@ -64,9 +65,7 @@ def test_a_twin_predicts_targets_that_it_has_not_seen(run) -> None:
 
 
 def test_an_arm_that_only_a_file_describes_is_repaired(run) -> None:
-    found = find_spec("ManipulaPy")
-    assert found is not None, "the extra dev brings ManipulaPy"
-    file = Path(found.submodule_search_locations[0]) / "ManipulaPy_data/universal_robots/ur10/ur10.urdf"
+    file = packaged("ManipulaPy", "ManipulaPy_data/universal_robots/ur10/ur10.urdf")
     said = run("repair_an_arm_from_urdf.py", file, "--base", "base_link", "--tip", "tool0", "--quick", "--run", "ur10")
     assert "Use: " in said
     assert is_figure("urdf.png")

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import rejoint
+from commandline import run_cli
 from rejoint.arms import mycobot280, write_arm_toml
-from rejoint.cli import main
 from rejoint.control.integrator import IntegratorController
 from rejoint.logs.runlog import write_log
 from rejoint.runs.given import is_robot
@@ -162,6 +162,27 @@ def test_an_address_is_told_from_logs(tmp_path: Path) -> None:
         rejoint.identify()
 
 
+def test_what_is_none_of_the_things_taken_is_refused_in_words_before_anything_moves(motion: rejoint.RunLog) -> None:
+    robot = rejoint.connect("emulated:worn")
+    before = robot.read().time[0]
+    wrong = [
+        (lambda: rejoint.diagnose(robot.arm), "type Arm was given, expected run logs"),
+        (lambda: rejoint.diagnose(motion.position), "expected run logs .rejoint.RunLog.of makes one of arrays"),
+        (lambda: rejoint.diagnose("emulated:worn", arm=280), "type int was given, expected an arm, its name"),
+        (lambda: rejoint.diagnose("emulated:worn", period=0.02), "shortest and the longest in seconds"),
+        (lambda: rejoint.deploy(robot.arm), "type Arm was given, expected a robot"),
+        (lambda: rejoint.replay(motion, motion), "type RunLog was given, expected a twin"),
+        (lambda: rejoint.report(motion), "type RunLog was given, expected a run or its folder"),
+        (lambda: rejoint.diagnose("emulated:worn", run=motion), "expected a run or its folder"),
+        (lambda: rejoint.deploy(robot, motion), "type RunLog was given, expected the name of a controller"),
+        (lambda: rejoint.deploy(robot, lambda arm: arm), "type Arm was given, expected for controller a controller"),
+    ]
+    for call, said in wrong:
+        with pytest.raises(rejoint.InputError, match=said):
+            call()
+    assert robot.read().time[0] == before
+
+
 def test_progress_of_a_part_is_progress_of_the_whole() -> None:
     seen = []
     one = part(lambda share, what: seen.append((share, what)), 0.5, 0.75, "arm 1: ")
@@ -170,23 +191,17 @@ def test_progress_of_a_part_is_progress_of_the_whole() -> None:
     assert seen == [(0.5, "arm 1: a"), (0.75, "arm 1: b")]
 
 
-def run_cli(*words: str | Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys, "argv", ["rejoint", *map(str, words)])
-    with pytest.raises(SystemExit) as stopped:
-        main()
-    assert not stopped.value.code
-
-
-def test_a_command_and_its_function_write_the_same_files(motion, tmp_path: Path, monkeypatch) -> None:
+def test_a_command_and_its_function_write_the_same_files(motion, tmp_path: Path, monkeypatch, capsys) -> None:
     monkeypatch.chdir(tmp_path)
     write_log(tmp_path / "logs" / "motion.parquet", motion)
-    run_cli("diagnose", "--logs", "logs", "--run", "command", monkeypatch=monkeypatch)
+    tools = {"capsys": capsys, "monkeypatch": monkeypatch}
+    assert run_cli("diagnose", "--logs", "logs", "--run", "command", **tools)[0] == 0
     run = rejoint.Run.plan("function", "logs:logs", ARM)
     assert rejoint.diagnose(Path("logs"), run=run).verdict == run.diagnosis.verdict
     points = tmp_path / "points.csv"
     points.write_text("x,y,z\n170,0,200\n")
     few = ("--targets", points, "--repetitions", "1", "--controllers", "integrator")
-    run_cli("compare", "emulated:worn", "command", *few, monkeypatch=monkeypatch)
+    assert run_cli("compare", "emulated:worn", "command", *few, **tools)[0] == 0
     rejoint.compare("emulated:worn", ["integrator"], points, run="function", repetitions=1)
     names = (
         "diagnosis.json",

@@ -7,13 +7,13 @@ None is imported.
 
 import dataclasses
 from functools import lru_cache
-from importlib.util import find_spec
 from pathlib import Path
 
 import mujoco
 import numpy as np
 import pytest
 
+from modelfiles import packaged
 from real_so101 import MODEL, NO_MODEL
 from rejoint.arms import (
     Arm,
@@ -33,13 +33,6 @@ from rejoint.arms.draft import DEFAULT_SPEED, finish
 from rejoint.arms.modelfile import read_tree
 from rejoint.control.guard import GuardLimits
 from rejoint.diagnosis.excitation import plan_excitation
-
-
-def packaged(package: str, path: str) -> Path:
-    found = find_spec(package)
-    assert found is not None, f"the extra dev brings {package}"
-    return Path(found.submodule_search_locations[0]) / path
-
 
 ROBOPAL = "assets/models/manipulators"
 FILES = {

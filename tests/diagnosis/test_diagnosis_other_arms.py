@@ -1,12 +1,11 @@
 """Diagnosis of arms that are not a myCobot: plans that fit, thresholds that go with the size, a reference on demand."""
 
 import dataclasses
-from importlib.util import find_spec
-from pathlib import Path
 
 import numpy as np
 import pytest
 
+from modelfiles import packaged, ur5e
 from rejoint.arms import Arm, gravity_torque, load_arm, mycobot280, so101
 from rejoint.arms.room import is_safe
 from rejoint.arms.size import heaviest_load, torque_size
@@ -20,18 +19,10 @@ from rejoint.system.errors import InputError
 ARM = mycobot280()
 
 
-def ur5e() -> Arm:
-    found = find_spec("airo_models")
-    assert found is not None, "the extra dev brings airo-models"
-    return load_arm(str(Path(found.origin).parent / "arms/ur5e/ur5e.urdf"))
-
-
 def low_shoulder() -> Arm:
     """A UR5, whose shoulder sits 89 mm above the base, less than what other joints keep from the floor."""
-    found = find_spec("ManipulaPy")
-    assert found is not None, "the extra dev brings ManipulaPy"
-    folder = Path(found.submodule_search_locations[0])
-    return load_arm(str(folder / "ManipulaPy_data/universal_robots/ur5/ur5.urdf"), base="base_link", tip="tool0")
+    file = packaged("ManipulaPy", "ManipulaPy_data/universal_robots/ur5/ur5.urdf")
+    return load_arm(file, base="base_link", tip="tool0")
 
 
 @pytest.mark.parametrize("make", [so101, ur5e, low_shoulder])

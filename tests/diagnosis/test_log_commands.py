@@ -3,13 +3,13 @@
 import dataclasses
 import html
 import json
-import sys
+from functools import partial
 
 import numpy as np
 import pytest
 from plant_logs import ARM, HEALTHY, record_motions, with_joint
 
-from rejoint.cli import main
+from commandline import run_cli
 from rejoint.diagnosis.diagnosis import Diagnosis
 from rejoint.logs.runfolder.folder import LOGS, RunFolder, RunInfo
 from rejoint.logs.runlog import write_log
@@ -39,14 +39,7 @@ def run(capsys, monkeypatch, tmp_path):
     """Run the command line in an empty folder: exit code, standard output, standard error."""
     monkeypatch.chdir(tmp_path)
 
-    def command(*words):
-        monkeypatch.setattr(sys, "argv", ["rejoint", *(str(word) for word in words)])
-        with pytest.raises(SystemExit) as stopped:
-            main()
-        told = capsys.readouterr()
-        return int(stopped.value.code or 0), told.out, told.err
-
-    return command
+    return partial(run_cli, capsys=capsys, monkeypatch=monkeypatch)
 
 
 def test_logs_alone_become_diagnosis_twin_report_and_replay(run, logs, tmp_path):

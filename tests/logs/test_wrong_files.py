@@ -2,7 +2,6 @@
 
 import os
 import shutil
-import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -15,8 +14,8 @@ from wrong_files import FOUND, Case, Maker
 from wrong_recordings import wrong_bags, wrong_datasets, wrong_folders
 
 import rejoint.cli
+from commandline import run_cli
 from rejoint.arms import so101
-from rejoint.cli import main
 from rejoint.logs import ImportOptions, import_logs
 from rejoint.logs.runlog import RunLog, read_log, write_log
 from rejoint.system.errors import FileError
@@ -49,12 +48,8 @@ def spare(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def run(words: list[str], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> tuple[int, str, str]:
-    monkeypatch.setattr(sys, "argv", ["rejoint", *words])
     monkeypatch.setattr(rejoint.cli, "app", COMMANDS)
-    with pytest.raises(SystemExit) as stopped:
-        main()
-    captured = capsys.readouterr()
-    return int(stopped.value.code or 0), captured.out, captured.err
+    return run_cli(*words, capsys=capsys, monkeypatch=monkeypatch)
 
 
 def left(folder: Path) -> set[str]:

@@ -3,14 +3,13 @@
 import errno
 import os
 import shutil
-import sys
 from pathlib import Path
 
 import pytest
 
 import rejoint
+from commandline import run_cli
 from rejoint.arms import mycobot280
-from rejoint.cli import main
 from rejoint.logs.runfolder.folder import RunFolder, locked
 from rejoint.logs.runlog import read_log
 from rejoint.runs.run import Run
@@ -28,13 +27,6 @@ def points(tmp_path: Path) -> Path:
     path = tmp_path / "points.csv"
     path.write_text("x,y,z\n170,0,200\n")
     return path
-
-
-def run_cli(*words: str | Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(sys, "argv", ["rejoint", *map(str, words)])
-    with pytest.raises(SystemExit) as stopped:
-        main()
-    return (stopped.value.code, *capsys.readouterr())
 
 
 def fill(monkeypatch: pytest.MonkeyPatch, name: str) -> None:

@@ -80,8 +80,8 @@ class Draft:
     notes: tuple[str, ...] = ()
 
 
-def finish(draft: Draft, seed: int = 0) -> Loaded:
-    """Complete a draft; ``seed`` is that of the sampling in :mod:`rejoint.arms.workspace`.
+def finish(draft: Draft) -> Loaded:
+    """Complete a draft, by sampling (:mod:`rejoint.arms.workspace`) where it says too little.
 
     UnfinishedArmError when no rest posture or target region can be found.
     """
@@ -121,16 +121,16 @@ def finish(draft: Draft, seed: int = 0) -> Loaded:
         arm = replace(arm, floor=round(FLOOR_RATIO * reach(arm), 3))
         notes.append(f"floor: none given; {1e3 * arm.floor:.0f} mm above the base's origin assumed")
     try:
-        arm = _with_workspace(arm, draft, seed, notes)
+        arm = _with_workspace(arm, draft, notes)
     except NoPostureError as error:
         raise UnfinishedArmError(error, arm, notes) from error
     return Loaded(arm=arm, notes=tuple(notes))
 
 
-def _with_workspace(arm: Arm, draft: Draft, seed: int, notes: list[str]) -> Arm:
+def _with_workspace(arm: Arm, draft: Draft, notes: list[str]) -> Arm:
     if draft.rest is not None and draft.targets is not None:
         return arm
-    if on_a_surface(arm, seed):
+    if on_a_surface(arm):
         tcp = tcp_position(arm, arm.rest)
         notes.append(
             f"targets: the {arm.joints} joint{'s move' if arm.joints > 1 else ' moves'} the TCP on a line or a surface "
@@ -138,9 +138,9 @@ def _with_workspace(arm: Arm, draft: Draft, seed: int, notes: list[str]) -> Arm:
         )
         return replace(arm, targets=Box(lower=tcp - POINT, upper=tcp + POINT))
     if draft.rest is not None:
-        arm = replace(arm, targets=derive_targets(arm, seed))
+        arm = replace(arm, targets=derive_targets(arm))
     elif draft.targets is None:
-        rest, targets = derive_workspace(arm, seed)
+        rest, targets = derive_workspace(arm)
         arm = replace(arm, rest=rest, targets=targets)
     else:
         raise InputError(f"arm {arm.name}: targets are given without a rest posture; give rest_deg as well, or neither")

@@ -12,6 +12,10 @@ from rejoint.arms.kinematics import frames, position_kinematics
 
 DAMPING = 0.05
 """Damping factor lambda [m] of the paper (its section III-C), with positions in metres."""
+TOLERANCE, ROUNDS = 1e-5, 200
+"""[m] within which a place counts as found, and the most steps towards it (chosen)"""
+MOST_STEP, REST_GAIN = float(np.radians(10.0)), 0.05
+"""[rad] of a joint in a step, and the pull to the rest posture in one (chosen)"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -67,10 +71,9 @@ def solve_position(
     start: Array,
     *,
     rotation: Array | None = None,
-    tolerance: float = 1e-5,
-    iterations: int = 200,
-    max_step: float = np.radians(10.0),
-    rest_gain: float = 0.05,
+    tolerance: float = TOLERANCE,
+    iterations: int = ROUNDS,
+    rest_gain: float = REST_GAIN,
 ) -> Solution:
     """Find joint positions whose TCP is at ``target`` (..., 3) [m], searching from ``start`` (..., n).
 
@@ -99,6 +102,6 @@ def solve_position(
             step = towards + pull - back
         else:
             step = dls(j, e, damping)
-        step = np.where(converged[..., None], 0.0, clip_norm(step, max_step))
+        step = np.where(converged[..., None], 0.0, clip_norm(step, MOST_STEP))
         q = np.minimum(np.maximum(q + step, arm.lower), arm.upper)
     return Solution(q=q, error=np.linalg.norm(e[..., :3], axis=-1), converged=converged)

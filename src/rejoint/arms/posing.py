@@ -8,7 +8,7 @@ import numpy as np
 
 from rejoint.arms.arm import Arm, Array
 from rejoint.arms.collision import collides
-from rejoint.arms.inverse import DAMPING, clip_norm, dls, solve_position
+from rejoint.arms.inverse import DAMPING, MOST_STEP, REST_GAIN, TOLERANCE, clip_norm, dls, solve_position
 from rejoint.arms.kinematics import frames
 from rejoint.arms.orientation import Orientation, task
 
@@ -17,27 +17,27 @@ NEAR, TURNED = 1e-3, float(np.radians(0.5))
 _STARTS = 48
 """Random postures from which a pose is searched where that from nearby fails (measured: of 200 poses that a myCobot 280
 shows, 24 find 199 and 48 all)"""
-_MOST_STEP, _REST_GAIN = np.radians(10.0), 0.05  # as in `solve_position`
-_TOLERANCE = 1e-5  # [m]
+_ROUNDS = 100
+"""Most steps towards a pose (chosen)"""
 
 
-def solve_pose(arm: Arm, target: Array, start: Array, turn: Orientation, *, iterations: int = 100) -> Array:
+def solve_pose(arm: Arm, target: Array, start: Array, turn: Orientation) -> Array:
     """Search joint positions (..., n) [rad] for a place (..., 3) [m] and a ``turn`` (...), from ``start`` (..., n).
 
     Ends where place and orientation are right, or at the least weighted sum of squares nearby. Limits are kept.
     """
     shape = np.broadcast_shapes(target.shape[:-1], start.shape[:-1])
     q = np.clip(np.broadcast_to(start, (*shape, arm.joints)), arm.lower, arm.upper)
-    for _ in range(iterations):
+    for _ in range(_ROUNDS):
         missed, jacobian = task(arm, q, target, turn)
-        done = np.abs(missed).max(axis=-1) < _TOLERANCE
+        done = np.abs(missed).max(axis=-1) < TOLERANCE
         if done.all():
             break
         damping = np.minimum(DAMPING, np.linalg.norm(missed, axis=-1) + 1e-4)
-        pull = _REST_GAIN * (arm.rest - q)
+        pull = REST_GAIN * (arm.rest - q)
         drift = (jacobian @ pull[..., None])[..., 0]
         step = dls(jacobian, missed, damping) + pull - dls(jacobian, drift, 1e-4)
-        step = np.where(done[..., None], 0.0, clip_norm(step, _MOST_STEP))
+        step = np.where(done[..., None], 0.0, clip_norm(step, MOST_STEP))
         q = np.clip(q + step, arm.lower, arm.upper)
     return q
 

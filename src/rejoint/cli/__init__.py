@@ -15,6 +15,7 @@ import sys
 import tempfile
 import traceback
 from collections.abc import Callable
+from typing import Annotated
 
 import msgspec
 import typer
@@ -38,9 +39,12 @@ from rejoint.cli.live import with_place
 from rejoint.system.errors import RejointError, first_line
 from rejoint.system.extras import explain
 from rejoint.system.stopping import Interrupted, close, install, interruption
+from rejoint.system.version import __version__
 
 BUG = 1
 """Exit code for what should never happen"""
+
+HELP = {"help_option_names": ["-h", "--help"]}
 
 app = typer.Typer(
     name="rejoint",
@@ -49,6 +53,7 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode="markdown",
+    context_settings=HELP,
 )
 COMMANDS: tuple[Callable[..., None], ...] = (
     chain.repair, monitoring.check, monitoring.history, fleet.fleet, stages.diagnose, stages.identify, stages.train,
@@ -57,7 +62,21 @@ COMMANDS: tuple[Callable[..., None], ...] = (
     evaluation.evaluate, evaluation.tune,
 )  # fmt: skip
 for command in COMMANDS:
-    app.command(command.__name__.rstrip("_"), context_settings={"help_option_names": ["-h", "--help"]})(command)
+    app.command(command.__name__.rstrip("_"), context_settings=HELP)(command)
+
+
+def _version(asked: bool) -> None:
+    if asked:
+        sys.stdout.write(f"rejoint {__version__}\n")
+        raise typer.Exit
+
+
+@app.callback(help=app.info.help)
+def _whole(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version and exit.")
+    ] = False,
+) -> None: ...
 
 
 def main() -> None:
@@ -84,6 +103,9 @@ def main() -> None:
         code = _bug(error, json=json) if line is None else _fail(line, "MissingExtraError", 2, json=json)
     except typer.TyperException as error:
         told = getattr(error, "format_message", error.__str__)()  # names the option, which str() does not
+        context = getattr(error, "ctx", None)
+        told = told.rstrip(".") or "no command given"
+        told += f"{' See' if told.endswith('?') else '; see'} {context.command_path if context else 'rejoint'} --help"
         code = _fail(told, "UsageError", 2, json=json)
     except BrokenPipeError:
         code = 0  # whoever read our output has seen enough

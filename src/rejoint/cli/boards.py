@@ -17,14 +17,16 @@ from rejoint.system.extras import require
 def board(
     file: Annotated[Path, typer.Argument(help="PDF to write; its description goes beside it, as .toml.")],
     on: Annotated[str, typer.Option(help="Where it is for: tool (20 mm squares) or table (30 mm squares).")] = "tool",
-    squares: Annotated[str | None, typer.Option(help="Squares along x and y, such as 7x5.")] = None,
-    square: Annotated[float | None, typer.Option(help="Edge of a square [mm].")] = None,
+    squares: Annotated[
+        str | None, typer.Option(help="Squares along x and y, such as 7x5; by default those of --on.")
+    ] = None,
+    square: Annotated[float | None, typer.Option(help="Edge of a square in mm; by default that of --on.")] = None,
     page: Annotated[str, typer.Option(help="Page, landscape: A4, A3 or letter.")] = "A4",
     measured_x: Annotated[
-        float | None, typer.Option(help="What the 100 mm ruler along x measures on your print [mm].")
+        float | None, typer.Option(help="Length in mm that the 100 mm ruler along x has on your print.")
     ] = None,
     measured_y: Annotated[
-        float | None, typer.Option(help="What the 100 mm ruler along y measures on your print [mm].")
+        float | None, typer.Option(help="Length in mm that the 100 mm ruler along y has on your print.")
     ] = None,
     json: Json = False,
 ) -> None:

@@ -48,7 +48,9 @@ def fleet(
     controllers: opt.Controllers = "all",
     sets: opt.RepairSets = None,
     repetitions: opt.RepairRepetitions = None,
-    seed: opt.RunSeed = None,
+    seed: Annotated[
+        int | None, typer.Option(help="Seed of the repairs; by default that of the run that goes on, or 0.", min=0)
+    ] = None,
     quick: opt.Quick = False,
     json: opt.Json = False,
 ) -> None:
@@ -96,7 +98,7 @@ def fleet(
         found, verb, make_executor, rules,
         only=opt.controller_names(only), options=options, anew=anew, tell=view.tell, begins=view.begins,
     )  # fmt: skip
-    terminal.table(f"{len(result.rows)} arms, the worst first", HEADERS, [row.cells for row in result.rows])
+    terminal.table("All arms, the worst first", HEADERS, [row.cells for row in result.rows])
     for row in result.rows:
         terminal.result(f"{row.name}: {row.found}")
     if quick:

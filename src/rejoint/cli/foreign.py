@@ -24,8 +24,12 @@ def import_(
     kind: Annotated[
         str | None, typer.Option("--format", help=f"One of {', '.join(FORMATS)}; by default found from the content.")
     ] = None,
-    angle_unit: Annotated[str | None, typer.Option(help=f"Unit of angles: {', '.join(ANGLE_UNITS)}.")] = None,
-    time_unit: Annotated[str | None, typer.Option(help=f"Unit of times: {', '.join(TIME_UNITS)}.")] = None,
+    angle_unit: Annotated[
+        str | None, typer.Option(help=f"Unit of angles, where the source is silent: {', '.join(ANGLE_UNITS)}.")
+    ] = None,
+    time_unit: Annotated[
+        str | None, typer.Option(help=f"Unit of times, where the source is silent: {', '.join(TIME_UNITS)}.")
+    ] = None,
     joints: Annotated[
         str | None, typer.Option(help="Names in the source and in the arm: theirs=ours,theirs=ours.")
     ] = None,

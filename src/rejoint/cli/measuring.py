@@ -68,7 +68,8 @@ def calibrate(
         ),
     ] = None,
     once: Annotated[bool, typer.Option("--once", help="Come to each posture from one side only.")] = False,
-    noise: Annotated[float, typer.Option(help="Standard deviation of a coordinate in mm.", min=0.001)] = 1e3 * NOISE,
+    noise: Annotated[float, typer.Option(help="Standard deviation of a measured coordinate in mm.", min=0.001)] = 1e3
+    * NOISE,
     afresh: Annotated[
         bool, typer.Option("--afresh", help="Do not start from the run's earlier calibration or pictures.")
     ] = False,

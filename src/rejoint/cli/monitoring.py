@@ -46,7 +46,9 @@ def check(
     tip: opt.Tip = None,
     hold: opt.Hold = None,
     period: opt.Period = None,
-    seed: opt.RunSeed = None,
+    seed: Annotated[
+        int | None, typer.Option(help="Seed of everything random; by default the number of earlier checks.", min=0)
+    ] = None,
     live: opt.Live = None,
     json: opt.Json = False,
 ) -> None:
@@ -114,7 +116,7 @@ def history(
     for problem in unread:
         terminal.say(f"left out: {problem}")
     arms = arms_of(rows)
-    terminal.table(f"{len(arms)} arms, the worst first", HEADERS, [cells(one) for one in arms])
+    terminal.table("All arms, the worst first", HEADERS, [cells(one) for one in arms])
     from rejoint.runs.history.page import write_history
 
     path = page or folder / "history.html"

@@ -56,17 +56,21 @@ RayAddress = Annotated[
 ]
 Quick = Annotated[bool, typer.Option("--quick", help="Do little of everything, for a first try; no result.")]
 RepairSets = Annotated[
-    int | None, typer.Option("--sets", help="Target sets to compare on (3 emulated, 1 real).", min=1)
+    int | None, typer.Option("--sets", help="Target sets of ten targets each; by default 3, on a real arm 1.", min=1)
 ]
 RepairRepetitions = Annotated[
-    int | None, typer.Option("--repetitions", help="Repetitions of each (2 emulated, 1 real).", min=1)
+    int | None,
+    typer.Option("--repetitions", help="Repetitions of every target set; by default 2, on a real arm 1.", min=1),
 ]
 Device = Annotated[
     str, typer.Option(help="What simulates the twins: cpu, or cuda (extra gpu); without such a GPU, the processors.")
 ]
 Json = Annotated[bool, typer.Option("--json", help="End standard output with one line of JSON.")]
 Preset = Annotated[
-    str, typer.Option(help="Training recipe: default, scratch (from random weights), or paper (the literal method).")
+    str,
+    typer.Option(
+        help="Training recipe: default, scratch (from random weights), or paper (Park et al. 2024 to the letter)."
+    ),
 ]
 Calibration = Annotated[
     str | None,
@@ -98,7 +102,12 @@ Camera = Annotated[
     ),
 ]
 Targets = Annotated[Path | None, typer.Option(help="CSV file of targets in mm: x,y,z, and perhaps an orientation.")]
-Controllers = Annotated[str, typer.Option(help="Comma-separated controllers, or 'all': those of docs/commands.md.")]
+Controllers = Annotated[
+    str,
+    typer.Option(
+        help="Comma-separated controllers, such as default,integrator,policy; all: those that suit the robot."
+    ),
+]
 Live = Annotated[
     str | None,
     typer.Option(

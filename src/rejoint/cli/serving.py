@@ -28,7 +28,8 @@ def emulate(
     wear: Annotated[
         str | None,
         typer.Option(
-            help="Wear profile: a name, `worn?seed=N`, or a .toml file; by default worn, or so101 for that arm."
+            help="Wear profile: healthy, worn, `play-in-loop`, so101, `worn?seed=N`, or a .toml file; by default worn, "
+            "of an SO-101 so101."
         ),
     ] = None,
     host: Annotated[str, typer.Option(help="Address to listen on; 0.0.0.0 lets other machines in.")] = "127.0.0.1",
@@ -87,7 +88,7 @@ def serve(
     pty: Annotated[bool, typer.Option("--pty", help="Serve a serial line (pseudo terminal) instead of TCP.")] = False,
     stdio: Annotated[
         bool,
-        typer.Option("--stdio", help="Follow joint goals from standard input, a line of JSON each, as LeRobot's need."),
+        typer.Option("--stdio", help="Follow joint goals from standard input, a line of JSON each, as from LeRobot."),
     ] = False,
     calibration: opt.Calibration = None,
     payload: opt.Payload = None,

@@ -29,20 +29,19 @@ if TYPE_CHECKING:
 
 def stage(terminal: Terminal, name: str, result: Any) -> None:  # noqa: ANN401 - of each stage another
     """Print what the function ``name`` of the front door returned; nothing for None, a result that was kept."""
-    if result is None or name == "report":
-        return
-    if name == "diagnose":
-        diagnosis(terminal, result.diagnosis)
-    elif name == "identify":
-        twin(terminal, result)
-    elif name == "train":
-        training(terminal, result.training)
-    elif name == "gains":
-        gains(terminal, result)
-    elif name == "calibrate":
-        calibration(terminal, result)
-    elif name == "compare":
-        comparison(terminal, result.comparison, result.recommendation)
+    match None if result is None else name:
+        case "diagnose":
+            diagnosis(terminal, result.diagnosis)
+        case "identify":
+            twin(terminal, result)
+        case "train":
+            training(terminal, result.training)
+        case "gains":
+            gains(terminal, result)
+        case "calibrate":
+            calibration(terminal, result)
+        case "compare":
+            comparison(terminal, result.comparison, result.recommendation)
 
 
 def diagnosis(terminal: Terminal, result: Diagnosis) -> None:

@@ -182,10 +182,10 @@ def compare(
     targets: opt.Targets = None,
     controllers: opt.Controllers = "all",
     sets: Annotated[
-        int | None, typer.Option(help="Target sets of ten targets each (10; on a real arm 1).", min=1)
+        int | None, typer.Option(help="Target sets of ten targets each; by default 10, on a real arm 1.", min=1)
     ] = None,
     repetitions: Annotated[
-        int | None, typer.Option(help="Repetitions of every target set (6; on a real arm 1).", min=1)
+        int | None, typer.Option(help="Repetitions of every target set; by default 6, on a real arm 1.", min=1)
     ] = None,
     full: opt.Full = False,
     calibration: opt.Calibration = None,
@@ -230,6 +230,9 @@ def deploy(
         ),
     ] = None,
     arm: opt.ArmOption = None,
+    base: opt.Base = None,
+    tip: opt.Tip = None,
+    hold: opt.Hold = None,
     dwell: Annotated[float, typer.Option(help="Time per target in seconds.", min=0.1)] = 4.0,
     within: Annotated[float, typer.Option(help="Distance in mm at which a target counts as reached.", min=0.01)] = (
         1e3 * REACHED
@@ -250,9 +253,10 @@ def deploy(
     Example: `rejoint deploy tcp://192.168.1.20:9000 runs/mine --targets points.csv`; before any repair
     `rejoint deploy tcp://192.168.1.20:9000`
     """
-    if run is not None and arm is not None:
-        raise InputError("deploy takes the arm from RUN; leave out --arm")
+    if run is not None and any((arm, base, tip, hold)):
+        raise InputError("deploy takes the arm from RUN; leave out --arm, --base, --tip and --hold")
     terminal = Terminal(json=json)
+    chosen = None if run is not None else opt.choose_arm(terminal, arm, base, tip, robot, hold)
     tell = partial(show.deployment, terminal, 1e-3 * within)
     with (
         terminal.unsaved(tell),
@@ -260,7 +264,7 @@ def deploy(
         terminal.progress("deploying") as update,
     ):
         done = rejoint.deploy(
-            robot, controller, targets, run=run, arm=arm, dwell=dwell, within=1e-3 * within,
+            robot, controller, targets, run=run, arm=chosen, dwell=dwell, within=1e-3 * within,
             payload=opt.payload_of(payload), tool=opt.tool_of(tool), say=terminal.say,
             calibration=calibration, eye=camera, period=opt.period_seconds(period), seed=seed,
             on_progress=shared(update, view), on_end=tell, live=view,

@@ -39,18 +39,16 @@ ON_REQUEST = ("pid-sum", "pid-literal")
 paper"""
 
 
-def contenders(*, real: bool, shelf: bool, policy: bool, twin: bool, paper: bool | None = None) -> tuple[str, ...]:
+def contenders(*, real: bool, shelf: bool, policy: bool, twin: bool) -> tuple[str, ...]:
     """Return who takes part in a comparison where nobody is named, on a ``real`` arm or in virtual time.
 
-    ``shelf``, ``policy`` and ``twin`` tell whether there is one for this arm; ``paper`` whether the paper's PIDs take
-    part, by default in virtual time. A real arm is driven with the policy from
+    ``shelf``, ``policy`` and ``twin`` tell whether there is one for this arm. A real arm is driven with the policy from
     the shelf until it has its own: to drive both takes a minute more and buys nothing (`python -m benchmarks.racing
     --shelf`). The push is for servos that hold still under it, and so takes part under tuned gains (`geared.UNDER`), or
     where it is asked for.
     """
     missing = {PUSH: True, SHELF: not shelf or (real and policy), POLICY: not policy, PREDICTIVE: not twin}
-    asked = not real if paper is None else paper
-    return tuple(name for name in CONTROLLERS if not missing.get(name) and (asked or name not in ON_REQUEST))
+    return tuple(name for name in CONTROLLERS if not missing.get(name) and not (real and name in ON_REQUEST))
 
 
 def make_controller(

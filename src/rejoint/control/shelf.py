@@ -37,7 +37,8 @@ def shelf_policy(arm: Arm) -> Policy:
     if arm.name not in shelf_arms():
         known = ", ".join(shelf_arms())
         raise ContractError(
-            f"no policy comes with rejoint for the arm {arm.name!r}, only for {known}; train one with: rejoint repair"
+            f"no policy comes with rejoint for the arm {arm.name!r}, only for {known}; train one with: "
+            "rejoint repair, or take another controller, such as integrator"
         )
     from rejoint.control.policy import Policy  # ONNX Runtime is slow to import and not needed elsewhere
 

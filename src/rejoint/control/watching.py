@@ -210,6 +210,19 @@ def fill_overdue(tracks, time, position, push, out):  # noqa: ANN001, ANN201
                 out[j] = True
 
 
+@njit(cache=True)
+def _by_load(track, load, loaded, unsettled, low, high, step):  # noqa: ANN001, ANN202
+    """Judge a joint by its encoder, and by the ``load`` that its servo told, if ``loaded``."""
+    stands = track.still >= STILL
+    if not loaded:
+        return UNKNOWN if stands else FINE
+    if unsettled or np.isnan(load):
+        return UNKNOWN if stands and not track.given else STANDING if stands else FINE
+    median = max(min(load, track.load1), min(max(load, track.load1), track.load2))
+    track.load2, track.load1, track.load = track.load1, load, median
+    return _judge(track, load, low, high, step) if stands else FINE
+
+
 @njit(void(_TRACKS, float64[:, ::1], float64[:, :, ::1], _IN1, _IN1, _IN2, _IN2, _IN2, bool_, _IN2, float64,
            int64[:, ::1]), **_OPTIONS)  # fmt: skip
 def watch(tracks, sent_at, sent, now, last, position, command, load, loaded, balance, step, verdict):  # noqa: ANN001, ANN201
@@ -238,21 +251,12 @@ def watch(tracks, sent_at, sent, now, last, position, command, load, loaded, bal
             low = high = sent[i, reach, j]
             for h in range(reach):
                 low, high = min(low, sent[i, h, j]), max(high, sent[i, h, j])
+            low, high = low - position[i, j], high - position[i, j]
             track = tracks[i, j]
             _follow(track, now[i], position[i, j], sent[i, reach, j])
-            verdict[i, j] = STANDING if track.still >= STILL else FINE
-            if track.still >= STILL and not loaded:
-                verdict[i, j] = UNKNOWN
-            if loaded and (unsettled or np.isnan(load[i, j])):
-                verdict[i, j] = UNKNOWN if track.still >= STILL and not track.given else min(verdict[i, j], STANDING)
-            elif loaded:
-                told = load[i, j]
-                median = max(min(told, track.load1), min(max(told, track.load1), track.load2))
-                track.load2, track.load1, track.load = track.load1, told, median
-                if track.still >= STILL:
-                    verdict[i, j] = _judge(track, told, low - position[i, j], high - position[i, j], step)
+            verdict[i, j] = _by_load(track, load[i, j], loaded, unsettled, low, high, step)
             if unsettled or (loaded and track.given and not np.isnan(load[i, j])):
                 continue
-            track.push = _push(low - position[i, j], high - position[i, j], balance[i, j], track.reach)
+            track.push = _push(low, high, balance[i, j], track.reach)
             if _overdue(track, now[i] - last[i]):
                 verdict[i, j] = OVERDUE

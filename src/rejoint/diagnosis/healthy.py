@@ -83,12 +83,12 @@ def healthy_reference(arm: Arm) -> HealthyReference | None:
     return measure_healthy(arm, count=ARMS_ON_DEMAND)
 
 
-def measure_healthy(arm: Arm, *, count: int = ARMS, seed: int = SEED) -> HealthyReference:
+def measure_healthy(arm: Arm, *, count: int = ARMS) -> HealthyReference:
     """Diagnose ``count`` emulated healthy arms, each with noise and excitation of its own."""
     logs: list[DiagnosisLogs] = []
     for offset in range(2):  # two excitations, each on half of the arms
-        robot = open_robot("emulated:healthy", arm=arm, seed=seed + offset, count=count // 2)
-        logs += record(robot, seed=seed + offset)
+        robot = open_robot("emulated:healthy", arm=arm, seed=SEED + offset, count=count // 2)
+        logs += record(robot, seed=SEED + offset)
     return reference_from(arm, logs, source=f"{len(logs)} emulated arms with wear profile 'healthy'")
 
 

@@ -60,6 +60,6 @@ class CommandPath:
             self._position.append(np.array(goal, dtype=float))
 
 
-def smooth_ramp(time: Array, rise: float = 1.0) -> Array:
-    """Go from 0 at time 0 to 1 after ``rise`` [s] without a kink; any shape."""
-    return 0.5 - 0.5 * np.cos(np.pi * np.clip(time / rise, 0.0, 1.0))
+def smooth_ramp(time: Array) -> Array:
+    """Go from 0 at time 0 to 1 after a second without a kink; any shape."""
+    return 0.5 - 0.5 * np.cos(np.pi * np.clip(time, 0.0, 1.0))

@@ -133,14 +133,7 @@ def _checked(text: str, name: str, path: Path) -> str:
 
 def _parsed(text: str, encoding: str, path: Path, *, strict: bool = True) -> Sheet:
     lines = text.splitlines()
-    first, comment, separator = 0, None, None
-    while first < len(lines) and (not lines[first].strip() or _is_aside(lines[first])):
-        declared = _DECLARED.match(lines[first].strip())
-        if declared:
-            separator = declared[1]
-        elif lines[first].strip():
-            comment = lines[first].lstrip().lstrip("#%/").strip()
-        first += 1
+    first, comment, separator = _asides(lines)
     if first == len(lines):
         raise FileError(path, f"text in {encoding} without a table", "record it again")
     separator = separator or _separator([line for line in lines[first : first + _LINES] if line.strip()])
@@ -154,12 +147,8 @@ def _parsed(text: str, encoding: str, path: Path, *, strict: bool = True) -> She
         titles = tuple(title.strip() for title in before) if named else tuple(str(i + 1) for i in range(len(titles)))
     else:
         del rows[0], numbers[0]
-        values = [title for title in titles if _NUMBER.fullmatch(title)]
-        if strict and len(values) > 1:
-            raise FileError(
-                path, f"line {first + 1} has no titles, but values such as {values[0]} and words such as "
-                f"{next(title for title in titles if not _NUMBER.fullmatch(title))[:40]!r}", "put titles first",
-            )  # fmt: skip
+        if strict:
+            _require_titles(titles, first + 1, path)
     if strict:
         rows = _same_width(rows, numbers, titles, separator, path)
     # a text without columns has no separator; "none" keeps an error about it true
@@ -170,6 +159,30 @@ def _parsed(text: str, encoding: str, path: Path, *, strict: bool = True) -> She
         + (f", after {prints} other line(s)" if prints else ""),
         plain=encoding == "UTF-8" and separator == "," and named and not prints, ends=text.endswith(("\n", "\r")),
     )  # fmt: skip
+
+
+def _asides(lines: list[str]) -> tuple[int, str | None, str | None]:
+    """Count the lines before a table that are empty, comments or ``sep=``; the last comment and that separator."""
+    first, comment, separator = 0, None, None
+    while first < len(lines) and (not lines[first].strip() or _is_aside(lines[first])):
+        declared = _DECLARED.match(lines[first].strip())
+        if declared:
+            separator = declared[1]
+        elif lines[first].strip():
+            comment = lines[first].lstrip().lstrip("#%/").strip()
+        first += 1
+    return first, comment, separator
+
+
+def _require_titles(titles: tuple[str, ...], line: int, path: Path) -> None:
+    """Raise FileError where what should be titles, at least one of them a word, holds values."""
+    values = [title for title in titles if _NUMBER.fullmatch(title)]
+    if len(values) > 1:
+        word = next(title for title in titles if not _NUMBER.fullmatch(title))
+        raise FileError(
+            path, f"line {line} has no titles, but values such as {values[0]} and words such as {word[:40]!r}",
+            "put titles first",
+        )  # fmt: skip
 
 
 def _prints(rows: list[list[str]]) -> int:

@@ -5,7 +5,7 @@ A robot, an arm, logs, a twin or a policy may be given either way; here each bec
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, Protocol, TypeAlias, cast
@@ -75,9 +75,18 @@ FIRST_ROBOT = "emulated:worn"
 """The robot where none is named: a worn arm in this process"""
 
 
+def unfit(given: object, expected: str) -> InputError:
+    """Make the error for an object that is nothing a function takes."""
+    return InputError(f"an object of type {type(given).__name__} was given, expected {expected}")
+
+
 def as_arm(given: ArmLike) -> Arm:
     """Return the arm, from the catalogue or its file where it is not given itself."""
-    return given if isinstance(given, Arm) else load_arm(given)
+    if isinstance(given, Arm):
+        return given
+    if not isinstance(given, str | Path):
+        raise unfit(given, "an arm, its name, or its TOML, URDF or MJCF file")
+    return load_arm(given)
 
 
 def is_robot(given: RobotLike | LogsLike) -> bool:
@@ -93,6 +102,8 @@ def address_of(robot: RobotLike) -> str:
 def arm_of(robot: RobotLike, arm: ArmLike | None) -> Arm:
     """Arm that a robot is driven as: its own where it is open, else ``arm``, by default what its address names."""
     if not isinstance(robot, str):
+        if not hasattr(robot, "step"):
+            raise unfit(robot, "a robot, as rejoint.connect opens it, or its address")
         return robot.arm
     return as_arm(place_of(robot).default_arm if arm is None else arm)
 
@@ -103,7 +114,7 @@ def opened(robot: RobotLike, arm: Arm, seed: int, period: Period | None) -> Iter
     if not isinstance(robot, str):
         yield robot
         return
-    with closing(open_robot(robot, arm=arm, seed=seed, period=period)) as connection:
+    with closing(open_robot(robot, arm=arm, seed=seed, period=period_of(robot, period))) as connection:
         yield connection
 
 
@@ -140,6 +151,8 @@ def is_batchable(robot: RobotLike) -> bool:
 
 def period_of(robot: RobotLike, period: Period | None) -> Period | None:
     """[s] interval of the control periods that a robot will have; None where only the open robot knows."""
+    if period is not None and np.shape(period) != (2,):
+        raise InputError(f"period {period}: expected the shortest and the longest in seconds, such as (0.02, 0.03)")
     return period or (place_of(robot).default_period if isinstance(robot, str) else None)
 
 
@@ -147,8 +160,10 @@ def as_logs(given: LogsLike) -> list[RunLog]:
     """Return run logs: those given, or of the files, or of every file in a folder; FileError if there is none."""
     if isinstance(given, RunLog):
         return [given]
-    if not isinstance(given, Path | str):
+    if isinstance(given, Iterable) and not isinstance(given, str):
         return [log for one in given for log in as_logs(one)]
+    if not isinstance(given, Path | str):
+        raise unfit(given, "run logs (rejoint.RunLog.of makes one of arrays), files of them, or a folder of such files")
     path = Path(given)
     if path.is_file():
         return [read_log(path)]
@@ -169,6 +184,8 @@ def source_of(logs: LogsLike) -> str:
 def as_twin(given: TwinLike) -> Twin:
     """Return the twin, from its file where it is not given itself."""
     if not isinstance(given, Path | str):
+        if not hasattr(given, "parameters"):
+            raise unfit(given, "a twin, as rejoint.identify returns it, or its file")
         return given
     from rejoint.twin.file import read_twin
 
@@ -202,7 +219,11 @@ def as_calibration(given: CalibrationLike | None, run: Run | None, arm: Arm) -> 
 
 def as_run(given: RunLike) -> Run:
     """Return the run, from its folder where it is not given itself."""
-    return given if isinstance(given, Run) else Run.open(given)
+    if isinstance(given, Run):
+        return given
+    if not isinstance(given, str | Path):
+        raise unfit(given, "a run or its folder")
+    return Run.open(given)
 
 
 def run_about(run: RunLike | None, robot: str, arm: Arm, seed: int | None) -> Run | None:
@@ -212,10 +233,9 @@ def run_about(run: RunLike | None, robot: str, arm: Arm, seed: int | None) -> Ru
     """
     if run is None:
         return None
-    if not isinstance(run, Run):
-        if not RunFolder(Path(run)).info.exists():
-            return Run.plan(run, robot, arm, seed or 0)
-        run = Run.open(run)
+    if isinstance(run, str | Path) and not RunFolder(Path(run)).info.exists():
+        return Run.plan(run, robot, arm, seed or 0)
+    run = as_run(run)
     run.require(robot=robot, arm=arm, seed=run.seed if seed is None else seed)
     return run
 

@@ -119,13 +119,13 @@ def above_zero(estimate: Estimate) -> bool:
     return estimate.low is not None and estimate.low > 0.0
 
 
-def spread(values: Array, labels: Labels, *, seed: int = 0) -> Spread | None:
+def spread(values: Array, labels: Labels) -> Spread | None:
     """Mean with interval, standard deviation and 95th percentile of ``values`` (N,); None without finite values."""
     known = values[np.isfinite(values)]
     if len(known) == 0:
         return None
     return Spread(
-        mean=bootstrap_mean(values, labels, seed=seed),
+        mean=bootstrap_mean(values, labels),
         std=float(known.std(ddof=1)) if len(known) > 1 else None,
         p95=float(np.quantile(known, 0.95)),
         count=len(known),

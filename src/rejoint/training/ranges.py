@@ -269,10 +269,10 @@ class PaperRanges:
         )
 
 
-def identified_ranges(arm: Arm, twin: Twin, share: float = TWIN_SHARE) -> MixedRanges:
-    """Mix draws around an identified twin with the broad ranges; ``share`` of the arms come from the twin."""
+def identified_ranges(arm: Arm, twin: Twin) -> MixedRanges:
+    """Mix draws around an identified twin with the broad ranges; `TWIN_SHARE` of the arms come from the twin."""
     broad = BroadRanges(arm=arm).reaching(twin)
-    return MixedRanges(first=IdentifiedRanges(broad=broad, twin=twin), second=broad, share=share)
+    return MixedRanges(first=IdentifiedRanges(broad=broad, twin=twin), second=broad, share=TWIN_SHARE)
 
 
 def _log_uniform(rng: np.random.Generator, interval: Interval, shape: tuple[int, ...]) -> Array:

@@ -17,7 +17,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from rejoint.arms import Arm, load_arm
-from rejoint.system.progress import Progress, no_progress
 from rejoint.training.presets import DEFAULT, Preset
 from rejoint.training.ranges import SLOW_BACKLASH, BroadRanges, MixedRanges, Ranges
 from rejoint.training.train import DECAY_START, TrainingOptions, TrainingResult, train
@@ -60,14 +59,14 @@ def _so101_preset() -> Preset:
 RECIPES = {"mycobot280": Recipe(), "so101": Recipe(preset=_so101_preset(), ranges=_so101_ranges)}
 
 
-def make_shelf_policy(name: str, file: Path, on_progress: Progress = no_progress) -> TrainingResult:
+def make_shelf_policy(name: str, file: Path) -> TrainingResult:
     """Train the policy for the arm of the catalogue that is called ``name``, and put it into ``file``."""
     arm, recipe = load_arm(name), RECIPES[name]
     with tempfile.TemporaryDirectory(prefix="rejoint-shelf-") as folder:
         options = TrainingOptions(  # one thread, so that the number of cores does not matter
             seed=recipe.seed, threads=1, preset=recipe.preset, ranges=recipe.ranges(arm)
         )
-        result = train(arm, None, out=Path(folder), options=options, on_progress=on_progress)
+        result = train(arm, None, out=Path(folder), options=options)
         file.parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(result.policy, file)
     return result

@@ -1,24 +1,16 @@
 """Worn arms that are not a myCobot: the default misses, and what integrates brings them to their targets."""
 
-from importlib.util import find_spec
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-from rejoint.arms import Arm, load_arm, so101
+from modelfiles import ur5e
+from rejoint.arms import so101
 from rejoint.control.catalogue import make_controller
 from rejoint.control.comparison.compare import Settings, compare
 from rejoint.control.comparison.result import Protocol
 from rejoint.control.comparison.targets import draw_targets
 from rejoint.robots import open_robot
 from rejoint.twin.parameters import nominal_parameters
-
-
-def ur5e() -> Arm:
-    found = find_spec("airo_models")
-    assert found is not None, "the extra dev brings airo-models"
-    return load_arm(str(Path(found.origin).parent / "arms/ur5e/ur5e.urdf"))
 
 
 @pytest.mark.parametrize(

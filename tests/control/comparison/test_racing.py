@@ -27,6 +27,7 @@ from rejoint.logs.runlog import write_log
 from rejoint.pages.report.tables import comparison_table, comparison_view
 from rejoint.runs.openloop import trials
 from rejoint.runs.run import Run
+from rejoint.runs.stages.compare import comparison_job
 from rejoint.system.errors import InputError, NoReplyError
 from rejoint.system.files import read_json, write_json
 
@@ -321,7 +322,12 @@ def test_a_real_arm_is_driven_with_the_policy_from_the_shelf_until_it_has_its_ow
 def test_the_paper_s_pids_are_driven_side_by_side_or_where_they_are_asked_for():
     known = {"shelf": True, "policy": True, "twin": True}
     assert set(contenders(real=False, **known)) - set(contenders(real=True, **known)) == {"shelf", *ON_REQUEST}
-    assert set(contenders(real=False, **known)) - set(contenders(real=False, **known, paper=False)) == set(ON_REQUEST)
+    compared, repaired = (
+        list(comparison_job("emulated:worn", (), None, run=None, arm=ARM, seed=0, paper=paper).factories)
+        for paper in (True, False)
+    )
+    assert repaired == [name for name in compared if name not in ON_REQUEST]
+    assert len(compared) - len(repaired) == len(ON_REQUEST)
 
 
 def test_an_interrupted_race_goes_on_where_it_was(tmp_path):

@@ -1,23 +1,16 @@
 import json
-import sys
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from rejoint.cli import main
+from commandline import run_cli
 
 
 @pytest.fixture
 def cli(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch):
-    def call(*words: str) -> tuple[int, str, str]:
-        monkeypatch.setattr(sys, "argv", ["rejoint", *words])
-        with pytest.raises(SystemExit) as stopped:
-            main()
-        captured = capsys.readouterr()
-        return int(stopped.value.code or 0), captured.out, captured.err
-
-    return call
+    return partial(run_cli, capsys=capsys, monkeypatch=monkeypatch)
 
 
 def test_a_family_is_evaluated_and_resumed(cli, tmp_path: Path):

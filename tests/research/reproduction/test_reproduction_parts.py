@@ -2,15 +2,14 @@
 
 import json
 import pickle
-import sys
 
 import numpy as np
 import pytest
 from sketchbook import Sketchbook
 
+from commandline import run_cli
 from readpage import rounds
 from rejoint.arms import mycobot280, tcp_position
-from rejoint.cli import main
 from rejoint.control.comparison.protocols import Crossings
 from rejoint.control.comparison.targets import draw_targets
 from rejoint.pages.report.palette import BLUE, RED
@@ -46,14 +45,6 @@ def nothing(*event):
 
 def by_name(findings):
     return {number.what: number for number in findings.numbers}
-
-
-def cli(*words, capsys, monkeypatch):
-    monkeypatch.setattr(sys, "argv", ["rejoint", *words])
-    with pytest.raises(SystemExit) as stopped:
-        main()
-    captured = capsys.readouterr()
-    return int(stopped.value.code or 0), captured.out, captured.err
 
 
 def test_a_page_says_what_was_not_run(tmp_path):
@@ -92,16 +83,16 @@ def test_experiments_that_are_done_elsewhere_find_the_same(tmp_path):
 
 def test_the_command_line_lists_runs_and_refuses(tmp_path, capsys, monkeypatch):
     tools = {"capsys": capsys, "monkeypatch": monkeypatch}
-    code, out, _ = cli("reproduce", "--list", "--json", **tools)
+    code, out, _ = run_cli("reproduce", "--list", "--json", **tools)
     assert code == 0
     assert [one["name"] for one in json.loads(out.splitlines()[-1])] == [one.name for one in EXPERIMENTS]
     words = ("--run", str(tmp_path / "run"), "--out", str(tmp_path / "page.md"))
-    code, out, _ = cli("reproduce", "table-1", *words, "--quick", "--json", **tools)
+    code, out, _ = run_cli("reproduce", "table-1", *words, "--quick", "--json", **tools)
     assert code == 0
     found = json.loads(out.splitlines()[-1])["experiments"][0]
     assert found["findings"]["numbers"][0]["value"] == pytest.approx(0.97, abs=0.02)
     assert (tmp_path / "page.md").exists()
-    code, _, err = cli("reproduce", "table-9", **tools)
+    code, _, err = run_cli("reproduce", "table-9", **tools)
     assert code == 2
     assert "table-4" in err
 

@@ -132,8 +132,8 @@ def at_angles(here: Array, angles: Array) -> bool:
     return bool((np.abs(here - angles) < HAS_ARRIVED_ANGLE).all())
 
 
-def at_place(here: Array, pose: Array, within: float = HAS_ARRIVED_LENGTH) -> bool:
-    """Whether the pose ``here`` (4, 4) is ``within`` [m] and a degree of ``pose``."""
+def at_place(here: Array, pose: Array) -> bool:
+    """Whether the pose ``here`` (4, 4) is within three millimetres and a degree of ``pose``."""
     cosine = (np.trace(pose[:3, :3] @ here[:3, :3].T) - 1.0) / 2.0
-    near = np.linalg.norm(pose[:3, 3] - here[:3, 3]) < within
+    near = np.linalg.norm(pose[:3, 3] - here[:3, 3]) < HAS_ARRIVED_LENGTH
     return bool(near and cosine > np.cos(HAS_ARRIVED_ANGLE))

@@ -221,7 +221,7 @@ class Routes:
         return stacked(known, axis=1) if len(known) == len(found) else None
 
 
-def played(path: Path, rate: float, lead_in: float = LEAD_IN) -> Stream:
+def played(path: Path, rate: float) -> Stream:
     """Return a stream that tells a path ``rate`` [Hz] times a second, as it goes, after a time at its start.
 
     InputError for a rate that is not between 1 and 1000 Hz.
@@ -230,6 +230,6 @@ def played(path: Path, rate: float, lead_in: float = LEAD_IN) -> Stream:
         raise InputError(f"stream: the rate must be between 1 and 1000 Hz, got {rate}")
     stream = Stream(axis=path.axis)
     stream.put(path.pose_at(0.0), 0.0)
-    for time in np.arange(lead_in, lead_in + path.duration + 1.0 / rate, 1.0 / rate):
-        stream.put(path.pose_at(time - lead_in), float(time))
+    for time in np.arange(LEAD_IN, LEAD_IN + path.duration + 1.0 / rate, 1.0 / rate):
+        stream.put(path.pose_at(time - LEAD_IN), float(time))
     return stream

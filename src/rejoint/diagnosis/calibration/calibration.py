@@ -107,9 +107,9 @@ class Calibration:
         there = (np.linalg.solve(np.linalg.cholesky(self.spread(position)), middle) ** 2).sum(axis=(-2, -1)) < _NEAR
         return np.where(there, 0.0, low), high
 
-    def expected(self, position: Array, target: Array | None = None, approach: Array | None = None) -> Array:
+    def expected(self, position: Array, target: Array | None = None) -> Array:
         """Mean (...) [m] of the distance whose interval `interval` tells."""
-        return np.asarray(self._distances(position, target, approach).mean(axis=-1))
+        return np.asarray(self._distances(position, target, None).mean(axis=-1))
 
     def _distances(self, position: Array, target: Array | None, approach: Array | None) -> Array:
         """Draws (..., d) [m] of that distance."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from rejoint.arms import Arm, Array
-from rejoint.arms.kinematics import GRAVITY
 from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.diagnosis.calibration.framing import align
 from rejoint.diagnosis.calibration.gate import leave_out, merge_repeats
@@ -42,13 +41,12 @@ LINKS_FROM = 5
 
 
 def fit(
-    arm: Arm, measurements: Measurements, *, prior: Calibration | None = None, gravity: Array = GRAVITY,
-    date: str = "",
+    arm: Arm, measurements: Measurements, *, prior: Calibration | None = None, date: str = ""
 ) -> Calibration:  # fmt: skip
     """Fit a displacement to ``measurements`` of ``arm`` and try it on points left out.
 
-    ``prior`` is an earlier calibration of the same arm (ContractError for another), ``gravity`` (3,) [m/s^2] where it
-    is believed to pull in the frame of the base. InputError where the measurements cannot be used.
+    ``prior`` is an earlier calibration of the same arm (ContractError for another). InputError where the measurements
+    cannot be used.
     """
     if measurements.position.shape[1] != arm.joints:
         raise InputError(
@@ -61,21 +59,21 @@ def fit(
     foreign = measurements.frame != "base"
     layout = DisplacementLayout(joints=arm.joints, frame=foreign)
     frame = align(arm, measurements) if foreign else np.eye(4)
-    beliefs = beliefs_of(arm, layout, prior, len(np.unique(measurements.posture)), gravity)
+    beliefs = beliefs_of(arm, layout, prior, len(np.unique(measurements.posture)))
     solved = [_solved(arm, measurements, layout, frame, one) for one, _ in beliefs]
     best = int(np.argmax([fitted.evidence + odds for (_, fitted), (_, odds) in zip(solved, beliefs, strict=True)]))
     return _judged(*solved[best], date)
 
 
 def beliefs_of(
-    arm: Arm, layout: DisplacementLayout, prior: Calibration | None, postures: int, gravity: Array = GRAVITY
+    arm: Arm, layout: DisplacementLayout, prior: Calibration | None, postures: int
 ) -> list[tuple[Belief, float]]:
     """Return what may be believed before so many ``postures`` are fitted, each with the logarithm of its odds."""
     if prior is not None:
         prior.require(arm)
         return [(earlier(arm, layout, prior), 0.0)]
     cases = [case for case in CASES if not (case.twist and postures < LINKS_FROM)]
-    return [(belief(arm, layout, case, gravity), case.odds) for case in cases]
+    return [(belief(arm, layout, case), case.odds) for case in cases]
 
 
 def earlier(arm: Arm, layout: DisplacementLayout, prior: Calibration) -> Belief:

@@ -109,15 +109,14 @@ class PriorCase:
     """logarithm of how much more likely than others, before anything was measured"""
 
 
-def belief(arm: Arm, layout: DisplacementLayout, case: PriorCase, gravity: Array = GRAVITY) -> Belief:
-    """Return what is believed of an arm of some case; ``gravity`` (3,): where it is believed to pull, in the base."""
+def belief(arm: Arm, layout: DisplacementLayout, case: PriorCase) -> Belief:
+    """Return what is believed of an arm of some case, on a base that stands upright or nearly so."""
     n, sigma, mean = arm.joints, np.zeros(layout.size), np.zeros(layout.size)
     lower, upper = np.full(layout.size, -np.inf), np.full(layout.size, np.inf)
     if case.twist == 0.0:
         lower[layout.at("twist")] = upper[layout.at("twist")] = 0.0
     soft = case.compliance / torque_size(arm)
     mean[layout.at("compliance")], mean[layout.at("play")] = soft, case.play
-    mean[layout.at("tilt")] = tilt_of(gravity)
     sigma[layout.at("offset")], sigma[layout.at("compliance")], sigma[layout.at("play")] = (
         OFFSET, soft, case.play_sigma
     )  # fmt: skip

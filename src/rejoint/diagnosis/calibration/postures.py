@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, collides, frames, heights, solve_position
-from rejoint.arms.kinematics import GRAVITY
 from rejoint.arms.size import length_size
 from rejoint.arms.workspace import rising_frames
 from rejoint.diagnosis.calibration.calibration import Calibration
@@ -58,7 +57,7 @@ class Suggestion:
 
 def suggest(
     arm: Arm, count: int, *, visits: int = 2, sigma: float = 5e-4, prior: Calibration | None = None,
-    gravity: Array = GRAVITY, seed: int = 0,
+    seed: int = 0,
 ) -> Suggestion:  # fmt: skip
     """Choose ``count`` visits for measurements of standard deviation ``sigma`` [m] on each coordinate.
 
@@ -66,7 +65,7 @@ def suggest(
     InputError where the region of targets has too few postures that are free.
     """
     layout = DisplacementLayout(joints=arm.joints)
-    known = earlier(arm, layout, prior) if prior is not None else belief(arm, layout, PriorCase(twist=1.0), gravity)
+    known = earlier(arm, layout, prior) if prior is not None else belief(arm, layout, PriorCase(twist=1.0))
     postures = _candidates(arm, seed)
     if len(postures) * visits < count:
         raise InputError(

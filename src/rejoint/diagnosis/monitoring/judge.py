@@ -25,8 +25,6 @@ SCATTER_MM = {"hysteresis": 0.03, "reversal": 0.05, "sag": 0.07, "deviation": 0.
 """[mm] standard deviation of one check of an arm that does not change (measured: `python -m benchmarks years`)"""
 SCATTER_SHARE = 0.005
 """The same as a share of the value, which friction that is uneven makes of it (measured as above)"""
-SOON_DAYS = 90.0
-"""[days] within which a tolerance that will be reached is worth a warning (chosen: to plan a repair in)"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from rejoint.arms import Array
-from rejoint.control.guard import GuardLimits
 from rejoint.control.loop import play
 from rejoint.control.recording import Cycle, OnCycle
 from rejoint.control.robot import Robot
@@ -22,8 +21,7 @@ LABEL = "check"
 
 
 def record_check(
-    robot: Robot, *, limits: GuardLimits | None = None, on_progress: Progress = no_progress,
-    on_cycle: OnCycle | None = None,
+    robot: Robot, *, on_progress: Progress = no_progress, on_cycle: OnCycle | None = None
 ) -> Sequence[tuple[RunLog, Array | None]]:  # fmt: skip
     """Drive every arm of ``robot`` through the check; returns its log and the servos' temperatures (n,) [deg C].
 
@@ -31,7 +29,7 @@ def record_check(
     Temperatures are the mean of those at the start and at the end, None where the servos do not tell.
     """
     plan = plan_check(robot.arm)  # refused, if it is, before anything moves
-    begin(robot, limits)
+    begin(robot)
     since, before = float(robot.read().time[0]), robot.read().temperature
 
     def see(cycle: Cycle) -> None:
@@ -39,7 +37,7 @@ def record_check(
             on_cycle(cycle)
         on_progress(min((float(cycle.time[0]) - since) / plan.duration, 1.0), "check")
 
-    done = play(robot, plan.command, plan.duration, limits=limits, on_cycle=see)
+    done = play(robot, plan.command, plan.duration, on_cycle=see)
     after = robot.read().temperature
     warm = None if before is None or after is None else 0.5 * (np.array(before) + np.array(after))
     return [

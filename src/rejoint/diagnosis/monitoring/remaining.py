@@ -45,7 +45,7 @@ class Remaining:
 
 
 def remaining(
-    use: Array, error: Array, warm: Array, tolerance: float, *, scatter: float, per_degree: float, seed: int = 0
+    use: Array, error: Array, warm: Array, tolerance: float, *, scatter: float, per_degree: float
 ) -> Remaining | None:
     """Tell how much more use an arm has until its ``error`` (T,) [mm] reaches ``tolerance`` [mm].
 
@@ -72,7 +72,7 @@ def remaining(
             weights.append(fit[0] + _log_prior(uneven / _UNEVEN, _UNEVEN_FACTOR) + _log_prior(factor, _SCATTER_FACTOR))
             fits.append((fit[1], fit[2], diffusion, noise))
     weight = np.exp(np.array(weights) - max(weights))
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     counts = rng.multinomial(DRAWS, weight / weight.sum())
     drawn = [_passages(rng, fit, int(n), x, error, design, tolerance) for fit, n in zip(fits, counts, strict=True) if n]
     times, drifts = (np.concatenate(part) for part in zip(*drawn, strict=True))

@@ -30,7 +30,7 @@ def say(found: Outlook, robot: str) -> str:
         again = f"check again, {missing} more time{'s' * (missing > 1)}; the first ones may follow each other at once"
         return (
             f"Check {found.checks} since {_day(found.since)}: {FEWEST} are needed to know what is usual for this arm, "
-            f"nothing can be said yet of a change. {error}. Do: {repair if found.over else again}."
+            f"and one more to see a change. {error}. Do: {repair if found.over else again}."
         )
     worst = found.changes[0]
     if found.state == "steady":

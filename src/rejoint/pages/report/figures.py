@@ -209,8 +209,8 @@ def _path(axes: Axes, path: Path3, across: int, up: int) -> None:
         )  # fmt: skip
 
 
-def error_over_time(time: Array, series: Sequence[Series], ylabel: str = "encoder error [mm]") -> Figure:
-    """Draw error [mm] over ``time`` (K,) [s] since the target was set, log axis, with its spread."""
+def error_over_time(time: Array, series: Sequence[Series]) -> Figure:
+    """Draw the encoder error [mm] over ``time`` (K,) [s] since the target was set, log axis, with its spread."""
     figure, grid = canvas((WIDE, 3.8))
     axes = grid[0, 0]
     for one in series:
@@ -221,7 +221,7 @@ def error_over_time(time: Array, series: Sequence[Series], ylabel: str = "encode
     plain_log(axes.yaxis)
     for level in (10.0, 5.0, 2.0):
         axes.axhline(level, color=INK, linewidth=0.6, alpha=0.5, linestyle=(0, (4, 3)))
-    axes.set(xlabel="time since the target was set [s]", ylabel=ylabel, xlim=(time[0], time[-1]))
+    axes.set(xlabel="time since the target was set [s]", ylabel="encoder error [mm]", xlim=(time[0], time[-1]))
     legend(figure, axes, [one.label for one in series])
     return figure
 

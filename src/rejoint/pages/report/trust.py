@@ -70,9 +70,9 @@ def answer(judgement: Judgement) -> tuple[str, ...]:
     return tuple(lines)
 
 
-def gap(one: Score, other: Score, where: str = "free") -> Estimate | None:
-    """Mean of how much larger ``other``'s error is, motion by motion [mm], with its interval over motions."""
-    difference = getattr(other, f"{where}_mm") - getattr(one, f"{where}_mm")
+def gap(one: Score, other: Score) -> Estimate | None:
+    """Mean of how much larger ``other``'s error in free space is, motion by motion [mm], with its interval."""
+    difference = other.free_mm - one.free_mm
     known = difference[np.isfinite(difference)]
     return bootstrap_mean(known, np.arange(len(known)), fewest=FEWEST) if len(known) >= FEWEST else None
 

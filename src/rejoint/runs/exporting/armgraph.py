@@ -9,13 +9,10 @@ from numpy.typing import ArrayLike
 from onnx import TensorProto, helper
 
 from rejoint.arms import Arm, Array
-from rejoint.arms.inverse import DAMPING
+from rejoint.arms.inverse import DAMPING, MOST_STEP, REST_GAIN, ROUNDS, TOLERANCE
 from rejoint.arms.kinematics import GRAVITY
 from rejoint.arms.rotations import cross_matrix
 from rejoint.runs.exporting.tensors import Graph, Tensor, solved, where
-
-IK_TOLERANCE, IK_ROUNDS, IK_STEP, IK_REST = 1e-5, 200, float(np.radians(10.0)), 0.05
-"""Those of `rejoint.arms.solve_position`; a test compares the results"""
 
 
 class LinkFrames(NamedTuple):
@@ -83,11 +80,11 @@ def solve_position(graph: Graph, arm: Arm, target: Tensor, start: Tensor, wanted
     q = Tensor(body, "ik.posture")
     seen = pose(body, arm, q)
     error = target_in(body, target) - seen.tcp
-    found = error.largest() < IK_TOLERANCE
+    found = error.largest() < TOLERANCE
     damping = (error.norm() + 1e-4).at_most(DAMPING)
-    pull = (body.constant(arm.rest) - q) * IK_REST
+    pull = (body.constant(arm.rest) - q) * REST_GAIN
     back = dls(seen.transpose, pull @ seen.transpose, 1e-6)
-    step = clip_norm(dls(seen.transpose, error, damping) + pull - back, IK_STEP)
+    step = clip_norm(dls(seen.transpose, error, damping) + pull - back, MOST_STEP)
     following = where(found, q, (q + step).between(arm.lower, arm.upper))
     again = ~found
     tensor = helper.make_tensor_value_info
@@ -97,7 +94,7 @@ def solve_position(graph: Graph, arm: Arm, target: Tensor, start: Tensor, wanted
          tensor(q.name, TensorProto.DOUBLE, [arm.joints])],
         [tensor(again.name, TensorProto.BOOL, []), tensor(following.name, TensorProto.DOUBLE, [arm.joints])],
     )  # fmt: skip
-    rounds = graph.constant(IK_ROUNDS, np.int64)
+    rounds = graph.constant(ROUNDS, np.int64)
     return graph.node("Loop", rounds, wanted, start.between(arm.lower, arm.upper), body=inner)
 
 

@@ -45,9 +45,9 @@ class Graph:
         """Return a tensor as it is, and a number as a constant."""
         return value if isinstance(value, Tensor) else self.constant(value)
 
-    def joined(self, parts: Sequence[Tensor], axis: int = 0) -> Tensor:
+    def joined(self, parts: Sequence[Tensor]) -> Tensor:
         """Return tensors one behind the other."""
-        return self.node("Concat", *parts, axis=axis)
+        return self.node("Concat", *parts, axis=0)
 
     def initializers(self) -> list[TensorProto]:
         """Return the constants as ONNX keeps them."""

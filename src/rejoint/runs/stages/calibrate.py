@@ -194,12 +194,7 @@ def calibrate(
         result = _fitted(chosen, measured, believed, tip)
         if about is not None:
             with saving(result):
-                about.begin()
-                write_measurements(about.folder.measurements, chosen, result.measurements)
-                set_aside(about.folder.calibration)
-                write_calibration(about.folder.calibration, result.calibration)
-                if isinstance(measured, Film) and result.filmed is not None:
-                    write_filmed(about, chosen, measured, result.filmed, taken=points is None)
+                _write(about, measured, result, taken=points is None)
         on_progress(1.0, "fitted")
         return result
 
@@ -220,6 +215,16 @@ def _fitted(arm: Arm, measured: Measurements | Film, prior: Calibration | None, 
     return Calibrated(
         calibration=found, measurements=measured, reversal=reversals(arm, measured, found.frame), filmed=filmed
     )
+
+
+def _write(run: Run, measured: Measurements | Film, result: Calibrated, *, taken: bool) -> None:
+    """Keep what was found in the run; ``taken`` tells whether a film was taken just now."""
+    run.begin()
+    write_measurements(run.folder.measurements, run.arm, result.measurements)
+    set_aside(run.folder.calibration)
+    write_calibration(run.folder.calibration, result.calibration)
+    if isinstance(measured, Film) and result.filmed is not None:
+        write_filmed(run, run.arm, measured, result.filmed, taken=taken)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from rejoint.arms import Arm
+from rejoint.control.catalogue import ON_REQUEST
 from rejoint.control.comparison.compare import Settings
 from rejoint.control.comparison.racing import Race
 from rejoint.control.comparison.result import Protocol
@@ -72,7 +73,6 @@ def compare(
     directions: bool = False,
     seed: int | None = None,
     full: bool = False,
-    paper: bool | None = None,
     on_progress: Progress = no_progress,
     say: Say = silent,
     live: Live | None = None,
@@ -131,8 +131,6 @@ def compare(
         of targets and an emulated arm's noise; by default that of the run, else 0
     full
         no race: a real arm is driven to all targets with every controller that does not miss three in a row
-    paper
-        whether the paper's PIDs take part where no controllers are given; by default on emulated arms
     on_progress
         called with the share that is done and what is being tried
     say
@@ -166,7 +164,7 @@ def compare(
         return comparison_job(
             robot, controllers, targets, run=about, arm=chosen, twin=twin, calibration=calibration, payload=payload,
             tool=tool, sets=sets, repetitions=repetitions, protocol=protocol, period=period, directions=directions,
-            seed=seed or 0 if about is None else about.seed, full=full, paper=paper, say=say, live=live,
+            seed=seed or 0 if about is None else about.seed, full=full, say=say, live=live,
         ).drive(on_progress)  # fmt: skip
 
 
@@ -175,9 +173,12 @@ def comparison_job(
     twin: TwinLike | None = None, calibration: CalibrationLike | None = None, payload: PayloadLike | None = None,
     tool: ArrayLike | None = None, sets: int | None = None, repetitions: int | None = None,
     protocol: Protocol | None = None, period: Period | None = None, directions: bool = False, full: bool = False,
-    paper: bool | None = None, say: Say = silent, live: Live | None = None,
+    paper: bool = True, say: Say = silent, live: Live | None = None,
 ) -> ComparisonJob:  # fmt: skip
-    """Put together what `compare` is to do, in a ``run`` or without one, and refuse what does not fit."""
+    """Put together what `compare` is to do, in a ``run`` or without one, and refuse what does not fit.
+
+    Not for the ``paper``: its PIDs (`ON_REQUEST`) take part only where they are named.
+    """
     chosen = with_load(arm, robot, payload, tool)
     real = not is_batchable(robot)
     race = Race() if real and not full else None
@@ -185,9 +186,10 @@ def comparison_job(
     known = as_twin(twin) if twin is not None else None if run is None else run.twin
     say_heavy(chosen, known, points, say, turns)
     factories = make_factories(
-        controllers, chosen, period_of(robot, period), run=run, twin=known, real=real, posed=turns is not None,
-        paper=paper,
-    )  # fmt: skip
+        controllers, chosen, period_of(robot, period), run=run, twin=known, real=real, posed=turns is not None
+    )
+    if not (controllers or paper):
+        factories = {name: make for name, make in factories.items() if name not in ON_REQUEST}
     settings = Settings(
         repetitions=repetitions or (REPETITIONS if race is None else 1), seed=seed, batched=not real,
         protocol=protocol or (Protocol() if race is None else RACE_PROTOCOL), leave_out=not controllers, race=race,

@@ -32,7 +32,7 @@ from rejoint.logs.journal import Journal, free_path
 from rejoint.logs.runlog import read_log
 from rejoint.robots import place_of
 from rejoint.robots.own import unloaded
-from rejoint.runs.given import CalibrationLike, Period, as_calibration, as_policy
+from rejoint.runs.given import CalibrationLike, Period, as_calibration, as_policy, unfit
 from rejoint.runs.run import Run
 from rejoint.system.errors import AddressError, ContractError, FileError, InputError
 from rejoint.system.files import read_json
@@ -153,21 +153,23 @@ def _own_policy(run: Run) -> str:
 
 def make_factories(
     given: Controllers, arm: Arm, period: Period | None, *, run: Run | None = None, twin: Twin | None = None,
-    real: bool = False, posed: bool = False, paper: bool | None = None,
+    real: bool = False, posed: bool = False,
 ) -> dict[str, Factory]:  # fmt: skip
     """Return what makes each controller, by its name; the feed-forward believes the stiffness of ``twin``.
 
-    Nothing given means the `contenders` for a ``real`` arm or one in virtual time, with the ``paper``'s PIDs or not.
+    Nothing given means the `contenders` for a ``real`` arm or one in virtual time.
     A name, a policy or a control period that does not fit is refused here, before anything moves. For ``posed``
     targets, which have an orientation, those take part that turn the tool.
     """
     usual = np.nan if period is None else sum(period) / 2
     if not given:
-        given = _contenders(arm, usual, run, twin, real=real, posed=posed, paper=paper)
+        given = _contenders(arm, usual, run, twin, real=real, posed=posed)
     named = given if isinstance(given, Mapping) else _unique(given)
     factories = {name: _factory(one, run, twin, usual) for name, one in named.items()}
     for name, make in factories.items():
         controller = make(arm)
+        if not hasattr(controller, "reset"):
+            raise unfit(controller, f"for {name} a controller, with the methods of rejoint.Controller")
         check_controller_period(controller, usual)
         if posed and not heeds_turn(controller):
             raise InputError(
@@ -178,7 +180,7 @@ def make_factories(
 
 
 def _contenders(
-    arm: Arm, period: float, run: Run | None, twin: Twin | None, *, real: bool, posed: bool, paper: bool | None = None
+    arm: Arm, period: float, run: Run | None, twin: Twin | None, *, real: bool, posed: bool
 ) -> tuple[str, ...]:
     """Name who takes part in a comparison: what the run has made, under tuned gains where it was made for those.
 
@@ -187,7 +189,7 @@ def _contenders(
     own, tuned = run is not None and run.folder.policy.exists() and not posed, tuned_gains(run) is not None
     plain = contenders(
         real=real, shelf=not posed and _on_shelf(arm, period), policy=own,
-        twin=twin is not None and not tuned and not posed, paper=paper,
+        twin=twin is not None and not tuned and not posed,
     )  # fmt: skip
     if not tuned:
         return plain
@@ -270,8 +272,10 @@ def _factory(given: ControllerLike, run: Run | None, twin: Twin | None, period: 
         return as_policy(given).controller
     if hasattr(given, "controller"):
         return given.controller
-    if hasattr(given, "command") and not isinstance(given, type):
+    if hasattr(given, "reset") and not isinstance(given, type):
         return partial(_itself, cast(Controller, given))
+    if not callable(given):
+        raise unfit(given, "the name of a controller, a policy or its file, or a controller")
     return given
 
 

@@ -161,9 +161,9 @@ def require_repeatable(path: PathLike | Stream, repeat: int, rate: float | None)
         raise InputError("follow: to be repeated at least once, and more often only where the path is known ahead")
 
 
-def servos_of(twin: Twin, count: int = 1) -> Servos:
-    """Return what a tracker of ``count`` arms takes from a twin."""
-    own = twin.parameters.repeat(count)
+def servos_of(twin: Twin) -> Servos:
+    """Return what a tracker takes from the twin of one arm."""
+    own = twin.parameters.repeat(1)
     return Servos(
         stiffness=own.stiffness, damping=own.damping, coulomb=own.coulomb, armature=own.armature,
         torque_limit=own.torque_limit, offset=own.offset, delay=own.delay,

@@ -8,7 +8,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from rejoint.arms import Arm, Box, load_arm, mycobot280, so101, solve_position, tcp_position
+from modelfiles import ur5e
+from rejoint.arms import Arm, Box, mycobot280, so101, solve_position, tcp_position
 from rejoint.arms.workspace import reach
 from rejoint.robots.lab.plant.plant import Plant, joint_records
 from rejoint.robots.lab.plant.scaling import effort, largest_load, scale_of
@@ -32,12 +33,6 @@ def resized(arm: Arm, length: float, mass: float) -> Arm:
         inertia=mass * length**2 * arm.inertia, floor=length * arm.floor,
         targets=Box(lower=length * arm.targets.lower, upper=length * arm.targets.upper),
     )  # fmt: skip
-
-
-def ur5e() -> Arm:
-    found = find_spec("airo_models")
-    assert found is not None, "the extra dev brings airo-models"
-    return load_arm(str(Path(found.origin).parent / "arms/ur5e/ur5e.urdf"))
 
 
 def seven_joints() -> Arm:

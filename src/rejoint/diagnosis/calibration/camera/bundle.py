@@ -114,14 +114,13 @@ def bundle(
     size: tuple[int, int],
     approach: Array | None = None,
     carried: str = "board",
-    lens: Lens | None = None,
     prior: Belief | None = None,
     tip: Tip | None = None,
 ) -> Bundle:
     """Adjust lens, poses and arm to ``views`` of ``board`` with the encoders at ``position`` (V, n) [rad].
 
     ``size`` [px] is width and height of the pictures, ``approach`` (V, n) where the encoders came from, as far as it
-    is known, ``carried`` what the tool carries (`MOUNTINGS`), ``lens`` what is believed of the lens, ``prior`` of the
+    is known, ``carried`` what the tool carries (`MOUNTINGS`), ``prior`` what is believed of the
     arm, and ``tip`` where the tool's tip is on the board that it carries, where somebody has measured that.
     InputError where the views do not suffice, MissingExtraError without SciPy.
     """
@@ -131,7 +130,7 @@ def bundle(
     came = np.full_like(position, np.nan) if approach is None else np.broadcast_to(approach, position.shape)
     layout = DisplacementLayout(joints=arm.joints)
     believed = belief(arm, layout, USUAL) if prior is None else prior
-    lens = Lens.usual(*size) if lens is None else lens
+    lens = Lens.usual(*size)
     first = first_lens(lens, board, views)
     sights = first_sights(first, board, views)
     rig = first_rig(arm, first, board, carried, position, sights)

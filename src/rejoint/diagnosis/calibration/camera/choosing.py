@@ -54,14 +54,14 @@ def choose_postures(arm: Arm, rig: Rig, count: int, seed: int = 0, before: float
     return candidates[_greedy(slope, spread, count)]
 
 
-def scouting_postures(arm: Arm, carried: str, count: int, before: float, seed: int = 0) -> Array:
+def scouting_postures(arm: Arm, carried: str, count: int, before: float) -> Array:
     """Choose ``count`` postures (count, n) [rad] about the rest posture, the first, for a camera that stands anywhere.
 
     ``carried`` is what the tool carries.
 
     One after the other, each is the one that differs most from those before it.
     """
-    drawn = seen_postures(arm, None, CANDIDATES, seed, spread=SCOUTING[carried], before=before)
+    drawn = seen_postures(arm, None, CANDIDATES, 0, spread=SCOUTING[carried], before=before)
     if len(drawn) < count:
         raise InputError(
             f"arm {arm.name}: {len(drawn)} postures about the rest posture are free of floor, limits and collisions, "

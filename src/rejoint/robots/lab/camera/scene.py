@@ -21,6 +21,8 @@ LENS = Lens(width=1920, height=1080, f=1400.0, cx=950.0, cy=545.0, k1=-0.08, k2=
 """A web camera of 69 degrees with some distortion (chosen)"""
 AWAY = 0.6
 """[m] of the camera from the region of targets (issue: a table beside the arm)"""
+_AZIMUTH = np.radians(-60.0)
+"""[rad] at which it stands beside the arm, about the vertical, from the front (chosen)"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -48,14 +50,14 @@ class Scene:
         )
 
 
-def beside(arm: Arm, *, board: Board = ON_TOOL, lens: Lens = LENS, azimuth: float = np.radians(-60.0)) -> Scene:
+def beside(arm: Arm, *, board: Board = ON_TOOL) -> Scene:
     """Put a camera beside an arm, and a board upright on its tool that faces the camera where the arm rests.
 
-    The camera looks at the middle of the region of targets from ``azimuth`` [rad] and somewhat above. The board hangs
+    The camera looks at the middle of the region of targets, from the arm's right and somewhat above. The board hangs
     beside the tool, its middle 30 mm before the TCP towards the camera.
     """
     middle = 0.5 * (arm.targets.lower + arm.targets.upper)
-    level = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
+    level = np.array([np.cos(_AZIMUTH), np.sin(_AZIMUTH), 0.0])
     standing = looking(middle + AWAY * (0.95 * level + [0.0, 0.0, 0.31]), middle)
     rest = tcp_pose(arm, arm.rest)
     towards = standing[:3, 3] - rest[:3, 3]
@@ -64,11 +66,11 @@ def beside(arm: Arm, *, board: Board = ON_TOOL, lens: Lens = LENS, azimuth: floa
     hung = upright.copy()
     hung[:3, 3] += origin
     return Scene(
-        arm=arm, rig=Rig(lens=lens, board=board, carried="board", standing=standing, mounted=inverse(rest) @ hung)
+        arm=arm, rig=Rig(lens=LENS, board=board, carried="board", standing=standing, mounted=inverse(rest) @ hung)
     )
 
 
-def on_tool(arm: Arm, *, board: Board, lens: Lens = LENS) -> Scene:
+def on_tool(arm: Arm, *, board: Board) -> Scene:
     """Put a camera on an arm's tool that looks along with it, and a board flat on the table below the targets."""
     middle = 0.5 * (arm.targets.lower + arm.targets.upper)
     lying = np.eye(4)
@@ -77,7 +79,7 @@ def on_tool(arm: Arm, *, board: Board, lens: Lens = LENS) -> Scene:
     lying[:3, 3] -= lying[:3, :3] @ np.array([*(0.5 * board.size), 0.0])
     rest = tcp_pose(arm, arm.rest)
     camera = looking(rest[:3, 3] + [0.0, 0.0, 0.05], np.array([middle[0], middle[1], 0.0]))
-    return Scene(arm=arm, rig=Rig(lens=lens, board=board, carried="camera", standing=lying,
+    return Scene(arm=arm, rig=Rig(lens=LENS, board=board, carried="camera", standing=lying,
                                   mounted=inverse(rest) @ camera))  # fmt: skip
 
 

@@ -113,9 +113,9 @@ class Known(NamedTuple):
     meaning: str
 
 
-def _number(text: str | None, *, above: float = 0.0, most: float = math.inf) -> float:
+def _number(text: str | None, *, most: float = math.inf) -> float:
     value = float(text or "")
-    if not (math.isfinite(value) and above <= value <= most):
+    if not (math.isfinite(value) and 0.0 <= value <= most):
         raise ValueError
     return value
 
