@@ -16,6 +16,7 @@ from rejoint.arms.rotations import same_side
 from rejoint.control.moving.errors import interpolated
 from rejoint.control.moving.path import Path
 from rejoint.control.poses import Pose, turn_knot, turned_as
+from rejoint.control.robot import Mask
 from rejoint.system.errors import InputError
 
 LEAD_IN = 2.0
@@ -203,6 +204,11 @@ class Routes:
     def count(self) -> int:
         """Number B of arms."""
         return len(self.guides)
+
+    @property
+    def waits(self) -> Mask:
+        """(B,) that are known ahead, and so can wait for their arm."""
+        return np.array([isinstance(guide, Ahead) for guide in self.guides])
 
     def place(self, now: Array) -> Array:
         """Return the targets (B, 3) [m] at ``now`` (B,) [s]."""
