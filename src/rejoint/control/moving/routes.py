@@ -232,10 +232,15 @@ def played(path: Path, rate: float, lead_in: float = LEAD_IN) -> Stream:
 
     InputError for a rate that is not between 1 and 1000 Hz.
     """
-    if not 1.0 <= rate <= 1000.0:
-        raise InputError(f"stream: the rate must be between 1 and 1000 Hz, got {rate}")
+    require_rate(rate)
     stream = Stream(axis=path.axis)
     stream.put(path.pose_at(0.0), 0.0)
     for time in np.arange(lead_in, lead_in + path.duration + 1.0 / rate, 1.0 / rate):
         stream.put(path.pose_at(time - lead_in), float(time))
     return stream
+
+
+def require_rate(rate: float) -> None:
+    """Raise InputError for a ``rate`` [Hz] at which no stream is told."""
+    if not 1.0 <= rate <= 1000.0:
+        raise InputError(f"stream: the rate must be between 1 and 1000 Hz, got {rate}")
