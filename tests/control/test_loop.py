@@ -376,3 +376,23 @@ def test_a_cycle_that_is_merely_late_allows_no_longer_step_than_usual():
     assert not (rec.reasons & np.uint16(Reason.GAP.value)).any()
     steps = np.abs(np.diff(rec.command[:, 0], axis=0)).max(axis=1)
     assert steps.max() <= 0.05 * ARM.max_speed.max() + 1e-9
+
+
+def test_a_slow_motion_that_was_interrupted_by_a_gap_goes_on_as_slowly():
+    way = np.array([1.5, 0.0, 0.0, 0.0, 0.0, 0.0])
+    robot = PausingRobot(at=10, pause=4.0)
+    rec = move(robot, ARM.rest + way, speed=0.5)
+    assert np.count_nonzero(rec.gaps()) == 1
+    speed = np.abs(np.diff(rec.command[:, 0, 0])) / 0.05
+    assert speed.max() < 1.3 * 0.5, "what the clock says is caught up with at full speed"
+    assert rec.command[-1, 0] == pytest.approx(ARM.rest + way), "and it still arrives"
+    assert rec.since_target[-1, 0] == pytest.approx(4.0, abs=0.1)
+    ((at, waited),) = rec.waits()
+    assert at == pytest.approx(0.5, abs=0.06)
+    assert waited == pytest.approx(4.0, abs=0.06)
+
+
+def test_a_target_does_not_lose_its_time_to_a_gap():
+    rec = run(PausingRobot(at=5, pause=3.0), Straight(), np.tile(TARGETS[:1, :1], (1, 2, 1)), Schedule(dwell=1.0))
+    for k in range(2):
+        assert np.count_nonzero(rec.target_index == k) == pytest.approx(21, abs=1)

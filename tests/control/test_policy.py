@@ -1,5 +1,6 @@
 import dataclasses
 import json
+import os
 import subprocess
 import sys
 
@@ -229,3 +230,17 @@ def test_it_is_called_policy(policy):
     controller = load_policy(policy, ARM)
     assert isinstance(controller, PolicyController)
     assert controller.name == "policy"
+
+
+def test_a_policy_is_run_without_a_word_to_anybody(tmp_path):
+    code = (
+        "from rejoint.arms import mycobot280\n"
+        "from rejoint.control.shelf import shelf_policy\n"
+        "import numpy as np\n"
+        "policy = shelf_policy(mycobot280())\n"
+        "assert policy(np.zeros(policy.contract.observation_size)).shape == (6,)\n"
+    )
+    variables = {name: value for name, value in os.environ.items() if not name.startswith(("ORT_", "XDG_"))}
+    subprocess.run([sys.executable, "-c", code], env={**variables, "HOME": str(tmp_path)}, check=True)
+    kept = [path for path in tmp_path.rglob("*") if path.is_file() and "numba" not in str(path).lower()]
+    assert kept == [], "ONNX Runtime keeps a number of this machine beside what it is about to send"

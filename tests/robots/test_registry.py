@@ -4,7 +4,8 @@ import sys
 
 import pytest
 
-from rejoint.robots import Family, Place, place_of, registry
+from rejoint.arms import load_arm
+from rejoint.robots import Family, Place, open_robot, place_of, registry
 from rejoint.system.errors import AddressError, InputError
 
 GOOD = """
@@ -122,3 +123,12 @@ def test_a_scheme_that_two_packages_bring_is_refused_for_both(install):
     with pytest.raises(AddressError) as caught:
         place_of("carrier-pigeon:1")
     assert str(caught.value).count("is refused") == 2
+
+
+@pytest.mark.parametrize(
+    ("address", "arm"),
+    [("feetech://127.0.0.1:1", "mycobot280"), ("tcp://127.0.0.1:1", "so101"), ("serial:///dev/nowhere", "so101")],
+)
+def test_an_arm_of_another_kind_is_refused_before_anything_is_opened(address, arm):
+    with pytest.raises(InputError, match=f"this is about a {arm}; check the address"):
+        open_robot(address, arm=load_arm(arm))

@@ -7,14 +7,26 @@ import numpy as np
 import pytest
 
 import rejoint
-from rejoint.arms import gravity_torque, mycobot280, position_kinematics, solve_position, tcp_pose, tcp_position
+from rejoint.arms import (
+    Displacement,
+    gravity_torque,
+    mycobot280,
+    position_kinematics,
+    solve_position,
+    tcp_pose,
+    tcp_position,
+)
 from rejoint.arms.kinematics import GRAVITY
 from rejoint.arms.loaded import Payload, bare, loaded
 from rejoint.control.controller import ControlInput
 from rejoint.control.feedforward import FeedforwardController
 from rejoint.control.robot import JointState
+from rejoint.diagnosis.calibration.calibration import Calibration
+from rejoint.diagnosis.calibration.file import write_calibration
+from rejoint.diagnosis.calibration.parameters import DisplacementLayout
 from rejoint.robots import open_robot, place_of
 from rejoint.robots.own import unloaded
+from rejoint.runs.given import as_calibration
 from rejoint.runs.run import Run
 from rejoint.runs.stages.driving import guard_limits
 from rejoint.runs.stages.loads import say_heavy
@@ -141,3 +153,25 @@ def test_a_policy_drives_its_arm_with_a_told_load_and_guard_and_calibration_are_
 
 def _fields(arm: rejoint.Arm) -> dict[str, object]:
     return {name: getattr(arm, name) for name in rejoint.Arm.__dataclass_fields__}
+
+
+def test_a_calibrated_arm_takes_a_tool_and_a_payload_and_aims_by_them(run: Path, tmp_path: Path) -> None:
+    askew = replace(Displacement.none(ARM), offset=np.array([0.0, 0.01, -0.01, 0.0, 0.0, 0.0]))
+    size = DisplacementLayout(joints=ARM.joints).size
+    own = Calibration(
+        arm=ARM, displacement=askew, covariance=1e-12 * np.eye(size), frame=np.eye(4), frame_name="base",
+        source="touch", date="", points=4, before=2e-3, after=1e-3, used=True, floor=1e-6,
+    )  # fmt: skip
+    write_calibration(run / "calibration.toml", own)
+    told = loaded(ARM, 0.1, [0.0, 0.0, 0.05])
+    for given in (None, own):
+        found = as_calibration(given, Run.open(run), told)
+        assert found is not None
+        assert found.arm is told, "it says where this tool is"
+        assert np.linalg.norm(found.tool(ARM.rest) - tcp_position(told, ARM.rest + askew.offset)) < 1e-9
+    done = rejoint.deploy("emulated:worn", "feedforward", TARGETS[:1], run=run, dwell=2.0, tool=[0.0, 0.0, 0.02])
+    shift = done.log.aim[-1] - done.log.target[-1]
+    assert 1e-3 < np.linalg.norm(shift) < 5e-3
+    own.require(told)
+    with pytest.raises(rejoint.ContractError, match="differ in tip"):
+        own.require(replace(ARM, tip=told.tip))

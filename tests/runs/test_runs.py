@@ -14,8 +14,14 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+import rejoint
+from rejoint.arms import mycobot280
+from rejoint.logs.journal import CUT_SHORT, recover
 from rejoint.logs.runfolder.folder import RunFolder, locked
 from rejoint.logs.runlog import RunLog, read_log, write_log
+from rejoint.robots import open_robot
+from rejoint.runs.run import Run
+from rejoint.runs.stages import driving
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import read_json, set_aside, write_json, write_whole
 
@@ -133,5 +139,30 @@ def test_what_another_result_replaces_is_kept_by_its_time(tmp_path: Path) -> Non
         write_json(path, day)
         os.utime(path, (0, datetime(2026, 1, day, 12, 0, 5).timestamp()))
         set_aside(path)
+    write_json(path, 3)
+    os.utime(path, (0, datetime(2026, 1, 1, 12, 0, 5).timestamp()))  # the clock was set back
+    set_aside(path)
     kept = {file.name: read_json(file, int) for file in tmp_path.iterdir()}
-    assert kept == {"comparison-20260101-120005.json": 1, "comparison-20260102-120005.json": 2}
+    assert kept == {
+        "comparison-20260101-120005.json": 1,
+        "comparison-20260102-120005.json": 2,
+        "comparison-20260101-120005-2.json": 3,
+    }
+
+
+def test_under_a_clock_that_stands_still_no_log_takes_the_place_of_another(tmp_path: Path, monkeypatch) -> None:
+    class Stopped(datetime):
+        @classmethod
+        def now(cls, tz=None):
+            return cls(2026, 1, 1, 12, 0, 5, tzinfo=tz)
+
+    monkeypatch.setattr(driving, "datetime", Stopped)
+    run = Run.create(tmp_path / "run", "emulated:worn", mycobot280(), 0)
+    for _ in range(2):
+        rejoint.deploy("emulated:worn", "integrator", [[0.17, 0.0, 0.2]], run=run.path, dwell=0.5)
+    assert set(run.folder.logs()) == {"deploy-20260101-120005", "deploy-20260101-120005-2"}
+    whole = driving.start_journal(run, "deploy", open_robot("emulated:worn"), "deploy/killed")
+    whole.append(0.0, *np.zeros((2, 6)), *np.zeros((2, 3)))
+    whole.close()  # as `kill -9` leaves it
+    (found,) = recover(run.path / "logs")
+    assert found.stem == f"deploy-20260101-120005-3-{CUT_SHORT}"

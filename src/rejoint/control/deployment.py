@@ -51,7 +51,9 @@ class Deployment:
     """(K,) how the tool is to be turned there; None where that does not matter"""
 
     def __post_init__(self) -> None:
-        if not self.within > 0.0:
+        if not 0.0 < self.dwell < np.inf:
+            raise InputError(f"deployment: a target has a positive, finite time in seconds, got {self.dwell}")
+        if not 0.0 < self.within < np.inf:
             raise InputError(f"deployment: a target is reached within a positive distance, got {self.within} m")
 
 

@@ -7,7 +7,6 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-import onnxruntime as ort
 
 from rejoint.arms import Arm, Array
 from rejoint.control.contract import (
@@ -27,6 +26,7 @@ from rejoint.control.observation import Observation, Observer
 from rejoint.control.onnxfile import content_digest, read_metadata
 from rejoint.control.residual import Commander
 from rejoint.control.robot import Mask
+from rejoint.control.runtime import ort
 from rejoint.system.errors import ContractError, FileError, InputError
 from rejoint.system.files import MEGABYTE, read_bounded, write_whole
 

@@ -118,6 +118,13 @@ class Recording:
         gaps[rows] = np.where(marked, np.diff(self.time[rows, b], prepend=self.time[rows[:1], b]), 0.0)
         return gaps
 
+    def waits(self, b: int = 0) -> Array:
+        """When [s since its target was set] the motion of arm ``b`` waited in its gaps, and how long [s]: (k, 2)."""
+        rows = np.flatnonzero(self.gaps(b))
+        rows = rows[self.target_index[rows, b] == self.target_index[rows - 1, b]]
+        since = self.since_target[:, b]
+        return np.stack([since[rows], self.gaps(b)[rows] - (since[rows] - since[rows - 1])], axis=-1)
+
     def log(self, b: int, label: str, extra: Mapping[str, str] | None = None) -> RunLog:
         """Return the run log of arm ``b``: the rows with news, on a clock that increases."""
         rows = np.flatnonzero(self.active[:, b])

@@ -6,6 +6,7 @@ from typing import Protocol
 
 from rejoint.arms import Array
 from rejoint.arms.orientation import Orientation
+from rejoint.control.robot import Mask
 
 
 class Route(Protocol):
@@ -14,6 +15,10 @@ class Route(Protocol):
     @property
     def count(self) -> int:
         """Number B of arms."""
+
+    @property
+    def waits(self) -> Mask:
+        """(B,) whose time stands still while an arm does not answer; what arrives as it goes does not wait."""
 
     def place(self, now: Array) -> Array:
         """Return the targets (B, 3) [m] at ``now`` (B,) [s]."""

@@ -45,6 +45,7 @@ class RunState:
     speed: Array
     index: NDArray[np.intp]
     set_at: Array
+    """(B,) [s] when the target was set; later by the gaps since then, see `_wait`"""
     active: Mask
     tripped: Reasons
     period: Array
@@ -157,12 +158,25 @@ class RunState:
         # A repeated answer has no news of the clock: the last period stands.
         self.period = np.where(elapsed > 0.0, np.where(late, self.usual, elapsed), self.period)
         known = np.where(np.isnan(self.usual), elapsed, self.usual)
+        if np.count_nonzero(self.gap):
+            self._wait(self.gap, elapsed)
         self.usual = np.where(elapsed > 0.0, known + _SMOOTHING * (np.minimum(elapsed, GAP) - known), self.usual)
         self.state, self.last_time = state, state.time
         if self.route is not None:
             self._take_aim(self.active)
         if np.count_nonzero(self.gap):
             self._begin_again(self.gap)
+
+    def _wait(self, where: Mask, elapsed: Array) -> None:
+        """Leave a gap of ``elapsed`` (B,) [s] out of the time that targets, trajectories and paths take.
+
+        What goes by the clock waits for its arm: it would have to be caught up with at full speed otherwise. A route
+        that arrives as it goes does not wait.
+        """
+        if self.route is not None:
+            where = where & self.route.waits
+        usual = np.where(np.isnan(self.usual), FIRST_PERIOD, self.usual)
+        self.set_at = np.where(where, self.set_at + (elapsed - usual), self.set_at)
 
     def _begin_again(self, where: Mask) -> None:
         """After a gap, nothing is known of what happened: go on as from a start."""

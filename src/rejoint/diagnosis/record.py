@@ -61,7 +61,7 @@ def record(
     return tuple(
         DiagnosisLogs(
             targets=open_loop.log(b, TARGETS_LABEL, extra),
-            excitation=attach_segments(excited.log(b, EXCITATION_LABEL, extra), excitation.segments),
+            excitation=attach_segments(excited.log(b, EXCITATION_LABEL, extra), excitation.segments, excited.waits(b)),
         )
         for b in range(robot.count)
     )

@@ -32,10 +32,18 @@ class Segment:
     """indices of the joints that it judges"""
 
 
-def attach_segments(log: RunLog, segments: tuple[Segment, ...]) -> RunLog:
-    """Return the log with the segments of its excitation in it; the excitation began with the first row."""
-    begin = float(log.time[0])
-    shifted = [dataclasses.replace(s, start=begin + s.start, stop=begin + s.stop) for s in segments]
+def attach_segments(log: RunLog, segments: tuple[Segment, ...], waits: Array | None = None) -> RunLog:
+    """Return the log with the segments of its excitation in it; the excitation began with the first row.
+
+    The motion waited for the arm as ``waits`` (k, 2) [s] tell: when, since it began, and for how long
+    (`Recording.waits`).
+    """
+    begin, waited = float(log.time[0]), np.zeros((0, 2)) if waits is None else waits
+
+    def on_clock(time: float) -> float:
+        return begin + time + float(waited[waited[:, 0] <= time, 1].sum())
+
+    shifted = [dataclasses.replace(s, start=on_clock(s.start), stop=on_clock(s.stop)) for s in segments]
     return dataclasses.replace(log, extra={**log.extra, _KEY: msgspec.json.encode(shifted).decode()})
 
 

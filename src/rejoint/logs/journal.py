@@ -23,7 +23,7 @@ import numpy as np
 
 from rejoint.logs.runlog import LOG_MOST, Array, RunLog, write_log
 from rejoint.system.errors import FileError, InputError
-from rejoint.system.files import read_bounded, require_space, unwritable
+from rejoint.system.files import read_bounded, require_space, unused, unwritable
 
 INTERVAL = 0.25
 """[s] between two writes (chosen: half of what may be lost)"""
@@ -186,7 +186,7 @@ def _convert(file: Path, path: Path) -> Path | None:
         file.replace(file.with_name(f"{path.stem}-damaged{_ENDING}"))
     made = None
     if log is not None and len(log):
-        made = free_path(path.with_stem(f"{path.stem}-{CUT_SHORT}"))
+        made = unused(path.with_stem(f"{path.stem}-{CUT_SHORT}"))
         write_log(made, log)
     file.unlink(missing_ok=True)
     return made
@@ -230,15 +230,6 @@ def _row_size(joints: int) -> int:
 
 def _journal_path(path: Path) -> Path:
     return path.with_name(f".{path.stem}{_ENDING}")
-
-
-def free_path(path: Path) -> Path:
-    """Return ``path``, with a number where there is such a file."""
-    number, free = 1, path
-    while free.exists():
-        number += 1
-        free = path.with_stem(f"{path.stem}-{number}")
-    return free
 
 
 def _write(handle: int, data: bytes) -> None:

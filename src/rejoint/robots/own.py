@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from rejoint.arms import Arm
+from rejoint.arms import CATALOGUE, Arm
 from rejoint.arms.loaded import bare
 from rejoint.control.robot import Robot
 from rejoint.robots.address import SerialAddress, TcpAddress, serial_address, tcp_address
@@ -15,6 +15,7 @@ from rejoint.robots.busrobot import bus_family
 from rejoint.robots.family import DEFAULT_ARM, Family, Opening, Place
 from rejoint.robots.feetech.address import FORM, FeetechAddress, feetech_address
 from rejoint.robots.feetech.gains import KNOBS, Gains, read_gains
+from rejoint.system.errors import InputError
 
 SIMULATOR = "mujoco"
 """Module that emulated arms need."""
@@ -24,6 +25,7 @@ _BAUD = 1_000_000
 """[1/s] of the serial port on a myCobot's Raspberry Pi (vendor's manual); the M5 version needs 115200"""
 _MYCOBOT_PERIOD = (0.050, 0.050)
 """[s] shortest cycle of control and feedback that the vendor of the myCobot names (its FAQ)"""
+_FEETECH_ARM = "so101"
 _FEETECH_PERIOD = (0.020, 0.020)
 """[s] 50 Hz (chosen: a cycle needs 3 ms of the bus, and controllers the rest on a slow computer)"""
 _EMULATED_PERIOD = (0.020, 0.030)
@@ -108,13 +110,27 @@ def unloaded(address: str) -> str:
 def _mycobot(address: TcpAddress | SerialAddress, arm: Arm) -> Bus:
     from rejoint.robots.mycobot import MyCobotBus
 
+    _require_kind(arm, DEFAULT_ARM, "tcp: and serial:")
     return MyCobotBus(address, arm)
 
 
 def _feetech(address: FeetechAddress, arm: Arm) -> Bus:
     from rejoint.robots.feetech.bus import FeetechBus
 
+    _require_kind(arm, _FEETECH_ARM, "feetech:")
     return FeetechBus(address, arm)
+
+
+def _require_kind(arm: Arm, kind: str, schemes: str) -> None:
+    """Raise InputError for an arm of the catalogue of which none is behind such addresses, whatever joints it has.
+
+    The guard would judge every command by another arm's links. What a file describes may be a build of one's own.
+    """
+    if arm.name in CATALOGUE and arm.name != kind:
+        raise InputError(
+            f"at {schemes} addresses there are arms of the kind {kind}, and this is about a {arm.name}; check the "
+            "address, and whose run it is"
+        )
 
 
 EMULATED = Family(
@@ -132,7 +148,7 @@ MYCOBOT_SERIAL = bus_family(
 )  # fmt: skip
 FEETECH = bus_family(
     _feetech, scheme="feetech", form=FORM, parse=feetech_address,
-    default_arm="so101", default_period=_FEETECH_PERIOD, tunable=True,
+    default_arm=_FEETECH_ARM, default_period=_FEETECH_PERIOD, tunable=True,
     needs=("feetech",),
 )  # fmt: skip
 

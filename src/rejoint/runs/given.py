@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import closing, contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, Protocol, TypeAlias, cast
 
@@ -214,7 +215,7 @@ def as_calibration(given: CalibrationLike | None, run: Run | None, arm: Arm) -> 
     if isinstance(given, Path | str):
         return None if str(given) == "none" else read_calibration(Path(given), arm)
     given.require(arm)
-    return given
+    return replace(given, arm=arm)  # with what was told of its hand
 
 
 def as_run(given: RunLike) -> Run:

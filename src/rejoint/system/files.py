@@ -159,7 +159,19 @@ def set_aside(path: Path) -> None:
     """Rename a file, if there is one, that another takes the place of, by its time: it may have cost hours."""
     if path.exists():
         made = datetime.fromtimestamp(path.stat().st_mtime)
-        path.replace(path.with_stem(f"{path.stem}-{made:%Y%m%d-%H%M%S}"))
+        path.replace(unused(path.with_stem(f"{path.stem}-{made:%Y%m%d-%H%M%S}")))
+
+
+def unused(path: Path) -> Path:
+    """Return ``path``, with a number behind its stem where something is there.
+
+    A name with the time in it may be taken: a clock is set back, or begins anew where none goes on without power.
+    """
+    number, free = 2, path
+    while os.path.lexists(free):
+        free = path.with_stem(f"{path.stem}-{number}")
+        number += 1
+    return free
 
 
 def digest(data: bytes) -> bytes:

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import onnx
-import onnxruntime as ort
 from numpy.typing import NDArray
 from onnx import TensorProto, helper, numpy_helper
 from torch import nn
@@ -22,6 +21,7 @@ from rejoint.control.contract import (
     probe_observations,
 )
 from rejoint.control.onnxfile import content_digest
+from rejoint.control.runtime import ort
 from rejoint.system.files import write_whole
 
 _OPSET = 17

@@ -68,8 +68,11 @@ def test_out_of_reach_and_too_fast_are_refused_with_where():
     with pytest.raises(InputError, match="they look like metres, and millimetres are expected"):
         metres.require_followable(ARM)
     milliseconds = Path(time=np.array([0.0, 5500.0]), place=np.array([[0.18, 0, 0.2], [0.19, 0, 0.2]]))
-    with pytest.raises(InputError, match="takes 5500 s, 3600 s at most were expected; give times in seconds"):
+    with pytest.raises(InputError, match=r"takes 5500 s, 0\.1 to 3600 s were expected; give times in"):
         milliseconds.require_followable(ARM)
+    no_time = Path(time=np.array([0.0, 1e-9]), place=np.array([[0.18, 0, 0.2], [0.18, 0, 0.2]]))
+    with pytest.raises(InputError, match=r"takes 1e-09 s, 0\.1 to 3600 s were expected"):
+        no_time.require_followable(ARM)
     quick = standard_path("circle-0.5s", ARM)
     with pytest.raises(InputError, match=r"at \d+\.\d\d s .* joint\d would have to turn at \d+ deg/s, 120 at most"):
         quick.require_followable(ARM)

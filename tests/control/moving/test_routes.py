@@ -126,3 +126,8 @@ def test_courses_keep_arms_apart():
     assert np.array_equal(aims[1, 0], CIRCLE.at(1.2))
     assert np.array_equal(aims[0, 1], other.at(2.1))
     assert np.array_equal(routes.place(now)[1], other.at(2.0))
+
+
+def test_only_what_is_known_ahead_waits_for_its_arm():
+    straight = Path(time=np.array([0.0, 2.0]), place=np.array([[0.2, 0.0, 0.2], [0.2, 0.1, 0.2]]))
+    assert Routes([Ahead(path=straight), played(straight, 30.0)]).waits.tolist() == [True, False]

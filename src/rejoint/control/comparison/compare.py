@@ -73,6 +73,9 @@ class Trial:
 OnTrial = Callable[[Trial], object]
 """Called after every trial, so that its log can be kept."""
 
+MOST = 10_000
+"""Target sets times repetitions of a comparison at most (chosen: a month of processor time, and memory for all)"""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Settings:
@@ -129,6 +132,8 @@ def compare(
     if not controllers:
         raise InputError("comparison: no controllers given")
     shape = (targets.shape[0], settings.repetitions, targets.shape[1])
+    if shape[0] * shape[1] > MOST:
+        raise InputError(f"comparison: {shape[0]} sets times {shape[1]} repetitions, at most {MOST} were expected")
     trips = len(KINDS) if settings.race is None else 1
     session = TrialRunner(
         open_robot=open_robot, controllers=dict(controllers), targets=targets, settings=settings, shape=shape,

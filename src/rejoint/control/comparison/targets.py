@@ -23,6 +23,8 @@ T = TypeVar("T")
 _HEADER = ["x", "y", "z"]
 _MOST = 250_000
 """[bytes] largest file that is read (chosen: ten thousand targets, half a day of an arm)"""
+_MOST_SETS = 10_000
+"""Sets that are drawn at most (chosen: more than any comparison drives; ever more take all memory)"""
 _REACHED = 1e-3
 """[m] a target that the inverse kinematics misses by more is out of reach (chosen)"""
 _POSTURES, _STARTS = 5000, 4
@@ -39,8 +41,8 @@ def draw_targets(arm: Arm, *, sets: int, count: int = 10, seed: int = 0) -> Arra
 
     A set depends on the seed and its own number only: more sets leave the first ones as they were.
     """
-    if sets < 1 or count < 1:
-        raise InputError(f"targets: sets and count must be at least 1, got {sets} and {count}")
+    if not 1 <= sets <= _MOST_SETS or count < 1:
+        raise InputError(f"targets: expected 1 to {_MOST_SETS} sets of at least 1, got {sets} of {count}")
     streams = np.random.SeedSequence(seed).spawn(sets)
     return np.stack([arm.targets.sample(np.random.default_rng(stream), (count,)) for stream in streams])
 

@@ -25,6 +25,8 @@ _MOST = 4_000_000
 """[bytes] largest file that is read (chosen: ten minutes at 100 Hz)"""
 LONGEST = 3600.0
 """[s] that a path may take (chosen: in memory it is judged every 40 ms; longer ones are rather in milliseconds)"""
+SHORTEST = 0.1
+"""[s] that a path takes at least (chosen: two control periods of a real arm; in less it has no cycle)"""
 _LOOK = 0.04
 """[s] between the places of a path that are judged before the arm moves (chosen: a control cycle or two)"""
 _OPPOSITE = -0.5
@@ -137,10 +139,10 @@ class Path:
 
     def require_followable(self, arm: Arm) -> None:
         """Raise InputError, which says where, unless ``arm`` can reach every place and is fast enough for it."""
-        if self.duration > LONGEST:
+        if not SHORTEST <= self.duration <= LONGEST:
             raise InputError(
-                f"path: it takes {self.duration:g} s, {LONGEST:.0f} s at most were expected; give times in seconds, or "
-                "shorter paths one after the other"
+                f"path: it takes {self.duration:g} s, {SHORTEST:g} to {LONGEST:.0f} s were expected; give times in "
+                "seconds, and what takes longer as paths one after the other"
             )
         times = np.union1d(np.linspace(0.0, self.duration, max(2, round(self.duration / _LOOK))), self.time[:1])
         places = self.at(times)

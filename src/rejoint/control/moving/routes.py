@@ -16,6 +16,7 @@ from rejoint.arms.rotations import same_side
 from rejoint.control.moving.errors import interpolated
 from rejoint.control.moving.path import Path
 from rejoint.control.poses import Pose, turn_knot, turned_as
+from rejoint.control.robot import Mask
 from rejoint.system.errors import InputError
 
 LEAD_IN = 2.0
@@ -204,6 +205,11 @@ class Routes:
         """Number B of arms."""
         return len(self.guides)
 
+    @property
+    def waits(self) -> Mask:
+        """(B,) that are known ahead, and so can wait for their arm."""
+        return np.array([isinstance(guide, Ahead) for guide in self.guides])
+
     def place(self, now: Array) -> Array:
         """Return the targets (B, 3) [m] at ``now`` (B,) [s]."""
         return np.stack([guide.place(float(time)) for guide, time in zip(self.guides, now, strict=True)])
@@ -226,10 +232,15 @@ def played(path: Path, rate: float) -> Stream:
 
     InputError for a rate that is not between 1 and 1000 Hz.
     """
-    if not 1.0 <= rate <= 1000.0:
-        raise InputError(f"stream: the rate must be between 1 and 1000 Hz, got {rate}")
+    require_rate(rate)
     stream = Stream(axis=path.axis)
     stream.put(path.pose_at(0.0), 0.0)
     for time in np.arange(LEAD_IN, LEAD_IN + path.duration + 1.0 / rate, 1.0 / rate):
         stream.put(path.pose_at(time - LEAD_IN), float(time))
     return stream
+
+
+def require_rate(rate: float) -> None:
+    """Raise InputError for a ``rate`` [Hz] at which no stream is told."""
+    if not 1.0 <= rate <= 1000.0:
+        raise InputError(f"stream: the rate must be between 1 and 1000 Hz, got {rate}")

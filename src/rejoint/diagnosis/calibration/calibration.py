@@ -72,7 +72,7 @@ class Calibration:
 
     def require(self, arm: Arm) -> None:
         """Refuse with a ContractError if this calibration is of another arm."""
-        check_arm(self.arm.name, geometry_of(self.arm), bare(arm))
+        check_arm(self.arm.name, geometry_of(self.arm), arm)
 
     def tool(self, position: Array, approach: Array | None = None) -> Array:
         """Where the tool (..., 3) [m] is by this calibration while the encoders say ``position`` (..., n) [rad].
@@ -146,8 +146,8 @@ class Calibration:
 
 
 def geometry_of(arm: Arm) -> dict[str, str]:
-    """Digest what of an arm a calibration was computed with, field by field."""
-    digests = law_digests(arm)
+    """Digest what of an arm a calibration was computed with, field by field: of its hand as described, not as told."""
+    digests = law_digests(bare(arm))
     return {name: digests[name] for name in GEOMETRY}
 
 

@@ -41,6 +41,6 @@ def record_check(
     after = robot.read().temperature
     warm = None if before is None or after is None else 0.5 * (np.array(before) + np.array(after))
     return [
-        (attach_segments(done.log(b, LABEL), plan.segments), None if warm is None else warm[b])
+        (attach_segments(done.log(b, LABEL), plan.segments, done.waits(b)), None if warm is None else warm[b])
         for b in range(robot.count)
     ]

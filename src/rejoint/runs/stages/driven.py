@@ -179,9 +179,7 @@ class DrivenArm:
         GuardTripError or RobotError where the motion had to be ended. In any case the arm then holds.
         """
         self._require_free()
-        require_repeatable(path, repeat, rate_hz)
-        if not within_m > 0.0:
-            raise InputError(f"follow: within_m is positive, got {within_m}")
+        require_repeatable(path, repeat, rate_hz, within_m)
         given = followable(path, self.arm, self._run.seed, duration_s)
         name, make = follower(TRACKER, self.arm, self._period, self._run, self._twin)
         self._followed = None

@@ -28,14 +28,14 @@ from rejoint.control.robot import Robot
 from rejoint.control.servogains import ServoGains, differing, gains_in_force, in_words, stiffness_under
 from rejoint.control.shelf import SHELF, shelf_controller, shelf_policy
 from rejoint.control.start import Stance
-from rejoint.logs.journal import Journal, free_path
+from rejoint.logs.journal import Journal
 from rejoint.logs.runlog import read_log
 from rejoint.robots import place_of
 from rejoint.robots.own import unloaded
 from rejoint.runs.given import CalibrationLike, Period, as_calibration, as_policy, unfit
 from rejoint.runs.run import Run
 from rejoint.system.errors import AddressError, ContractError, FileError, InputError
-from rejoint.system.files import read_json
+from rejoint.system.files import read_json, unused
 
 if TYPE_CHECKING:
     from rejoint.control.policy import Policy
@@ -52,8 +52,8 @@ Factory = Callable[[Arm], Controller]
 
 
 def start_journal(run: Run, name: str, robot: Robot, label: str, rows: int = 0) -> Journal:
-    """Start the journal of a run log whose name ends with the time."""
-    path = free_path(run.folder.log(f"{name}-{datetime.now():%Y%m%d-%H%M%S}"))
+    """Start the journal of a run log whose name ends with the time; no log takes the place of another."""
+    path = unused(run.folder.log(f"{name}-{datetime.now():%Y%m%d-%H%M%S}"))
     return Journal.begin(
         path, arm=run.arm.name, joint_names=run.arm.joint_names, robot=robot.address, label=label, rows=rows
     )

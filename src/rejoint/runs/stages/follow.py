@@ -153,7 +153,7 @@ def follow(
     about = None if run is None else as_run(run).seeded(seed)
     chosen = with_load(arm_of(robot, arm) if about is None else about.arm, robot, payload, tool)
     seed = seed or 0 if about is None else about.seed
-    require_repeatable(path, repeat, rate)
+    require_repeatable(path, repeat, rate, within)
     with exclusive(about):
         given = followable(path, chosen, seed, duration)
         known = as_twin(twin) if twin is not None else None if about is None else about.twin

@@ -20,7 +20,7 @@ from rejoint.control.correction import Modelled
 from rejoint.control.moving.drive import Followed, Pass, corrected_path, corrector, judge, missed
 from rejoint.control.moving.path import Path, read_path
 from rejoint.control.moving.repeating import Repetition
-from rejoint.control.moving.routes import LAG, LEAD_IN, Ahead, Stream, played
+from rejoint.control.moving.routes import LAG, LEAD_IN, Ahead, Stream, played, require_rate
 from rejoint.control.moving.sender import Sender
 from rejoint.control.moving.servos import Servos
 from rejoint.control.moving.standard import is_standard, standard_path
@@ -147,7 +147,7 @@ def as_path(given: PathLike, arm: Arm, seed: int) -> Path:
 def followable(given: PathLike | Stream, arm: Arm, seed: int, duration: float | None) -> Path | Stream:
     """Return the stream, or the path that ``arm`` is able to follow; InputError where it cannot."""
     if isinstance(given, Stream):
-        if duration is None or not duration > 0.0:
+        if duration is None or not 0.0 < duration < np.inf:
             raise InputError("follow: a stream needs a duration in seconds for which it is followed")
         return given
     path = as_path(given, arm, seed).on(arm)
@@ -155,8 +155,12 @@ def followable(given: PathLike | Stream, arm: Arm, seed: int, duration: float | 
     return path
 
 
-def require_repeatable(path: PathLike | Stream, repeat: int, rate: float | None) -> None:
-    """Raise InputError where a path cannot be gone along ``repeat`` times."""
+def require_repeatable(path: PathLike | Stream, repeat: int, rate: float | None, within: float = WITHIN) -> None:
+    """Raise InputError where a path cannot be gone along ``repeat`` times, told at a ``rate``, ``within`` a length."""
+    if rate is not None:
+        require_rate(rate)
+    if not 0.0 < within < np.inf:
+        raise InputError(f"follow: a path is followed within a positive distance, got {within} m")
     if repeat < 1 or (repeat > 1 and (rate is not None or isinstance(path, Stream))):
         raise InputError("follow: to be repeated at least once, and more often only where the path is known ahead")
 

@@ -1,0 +1,55 @@
+"""Numbers that no arm can be driven by are refused before the robot is opened: at these addresses nothing answers."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import rejoint
+from rejoint.arms import mycobot280
+from rejoint.control.comparison.targets import draw_targets
+from rejoint.runs.run import Run
+from runs.test_connect import a_twin
+
+ARM = mycobot280()
+NOBODY = "tcp://127.0.0.1:1"
+TARGETS = [[0.17, 0.0, 0.2]]
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Path:
+    path = Run.create(tmp_path / "run", NOBODY, ARM, 0).path
+    a_twin().save(path / "twin.toml")
+    return path
+
+
+@pytest.mark.parametrize("wrong", [{"dwell": np.inf}, {"dwell": 0.0}, {"within": np.inf}, {"within": np.nan}], ids=str)
+def test_a_deployment_without_end_or_measure(run: Path, wrong: dict[str, float]) -> None:
+    with pytest.raises(rejoint.InputError, match=r"deployment: .* positive"):
+        rejoint.deploy(NOBODY, "integrator", TARGETS, run=run, **wrong)
+
+
+@pytest.mark.parametrize("rate", [0.0, -1.0, np.nan, np.inf])
+def test_a_path_at_no_rate(run: Path, rate: float) -> None:
+    with pytest.raises(rejoint.InputError, match="between 1 and 1000 Hz"):
+        rejoint.follow(NOBODY, "circle-8s", run=run, rate=rate)
+
+
+@pytest.mark.parametrize("within", [0.0, np.nan, np.inf])
+def test_a_path_within_no_distance(run: Path, within: float) -> None:
+    with pytest.raises(rejoint.InputError, match="within a positive distance"):
+        rejoint.follow(NOBODY, "circle-8s", run=run, within=within)
+
+
+def test_a_stream_for_ever(run: Path) -> None:
+    stream = rejoint.Stream()
+    stream.put(TARGETS[0], 0.0)
+    with pytest.raises(rejoint.InputError, match="a stream needs a duration"):
+        rejoint.follow(NOBODY, stream, run=run, duration=np.inf)
+
+
+def test_more_trials_than_any_memory_holds(run: Path) -> None:
+    with pytest.raises(rejoint.InputError, match="1 to 10000 sets"):
+        draw_targets(ARM, sets=10**9)
+    with pytest.raises(rejoint.InputError, match="at most 10000"):
+        rejoint.compare("emulated:worn", ["default"], run=run, sets=2, repetitions=10**9)
