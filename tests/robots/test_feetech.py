@@ -224,23 +224,23 @@ def test_malformed_addresses_name_their_form(text):
     middle=st.lists(st.integers(1500, 2500), min_size=5, max_size=5),
 )
 def test_goals_come_back_within_half_a_count(angles, middle):
-    zeros = Zeros(middle=np.array(middle) / 1.0, zero=np.full(5, 0.1), low=np.zeros(5, int), high=np.full(5, 4095))
+    zeros = Zeros(middle=tuple(map(float, middle)), zero=(0.1,) * 5, low=(0,) * 5, high=(4095,) * 5)
     back = zeros.radians(zeros.counts(np.array(angles)))
-    assert np.abs(back - angles).max() <= np.pi / 4096 + 1e-12
+    assert np.abs(np.subtract(back, angles)).max() <= np.pi / 4096 + 1e-12
 
 
 def test_goals_are_clipped_to_what_the_servos_take():
     zeros = zeros_of(ARM, None, np.zeros(5, int), np.full(5, 1000), np.full(5, 3000), ())
-    assert (zeros.counts(np.full(5, 3.0)) == 3000).all()
-    assert (zeros.counts(np.full(5, -3.0)) == 1000).all()
-    assert (zeros.middle == 2000).all()
+    assert zeros.counts(np.full(5, 3.0)) == [3000] * 5
+    assert zeros.counts(np.full(5, -3.0)) == [1000] * 5
+    assert zeros.middle == (2000.0,) * 5
 
 
 def test_a_calibration_must_be_one_and_that_of_this_arm(tmp_path):
     file = read_calibration(calibration(tmp_path / "a.json"), ARM)
     assert file.ids == (1, 2, 3, 4, 5)
     limits = np.zeros(5, int), np.full(5, 4095)
-    assert (zeros_of(ARM, file, np.array(HOMING[:5]), *limits, ()).middle == (file.low + file.high) / 2).all()
+    assert zeros_of(ARM, file, np.array(HOMING[:5]), *limits, ()).middle == tuple((file.low + file.high) / 2)
     with pytest.raises(RobotError, match="elbow_flex has a homing offset of 5 counts"):
         zeros_of(ARM, file, np.array([HOMING[0], HOMING[1], 5, HOMING[3], HOMING[4]]), *limits, ())
     with pytest.raises(InputError, match="needs 5 angles"):
