@@ -305,7 +305,7 @@ def test_torque_comes_on_where_the_arm_is_and_locks_are_shut():
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        ({"ID": 9}, "elbow_flex .servo 3. is missing"),
+        ({"ID": 9}, "elbow_flex .servo 3. is missing on the bus; check its cable and its ID; others that answer: 9"),
         ({"Model_Number": 1284}, "elbow_flex .servo 3. is of model 1284"),
         ({"Operating_Mode": 1}, "elbow_flex .servo 3. is not in position mode"),
     ],
@@ -337,6 +337,27 @@ def test_without_the_client_the_extra_is_named(monkeypatch):
     monkeypatch.setattr("rejoint.system.extras.find_spec", lambda name: None if name == "scservo_sdk" else object())
     with pytest.raises(MissingExtraError, match=r"rejoint.feetech"):
         open_robot("feetech://127.0.0.1:1")
+
+
+def test_two_programs_do_not_drive_one_arm():
+    with serving(pty=True) as server, closing(open_robot(server.address)) as robot:
+        with pytest.raises(AddressError, match="another program drives the arm there"):
+            open_robot(server.address)
+        assert np.isfinite(robot.read().position).all()
+
+
+def test_a_bus_on_which_nobody_answers_is_told_with_its_rate():
+    arm = build_arm(ARM, "so101")
+    for index, servo in enumerate(arm.servos):
+        servo["ID"] = 20 + index
+    with serving(pty=True, arm=arm) as server, pytest.raises(AddressError, match="no servo answers at 1000000 baud"):
+        open_robot(server.address)
+
+
+def test_an_adapter_that_echoes_is_refused_before_anything_moves():
+    with serving("echo=1") as server, pytest.raises(AddressError, match="use an adapter that does not echo"):
+        open_robot(server.address)
+    assert all(servo.writes == [] for servo in server.arm.servos)
 
 
 def test_where_nothing_is_the_error_is_one_line():

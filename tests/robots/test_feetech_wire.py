@@ -81,6 +81,25 @@ def test_what_came_late_answers_no_later_question():
         assert not wire.quieten(0.01)
 
 
+@pytest.mark.parametrize("size", [1, 2, 4])
+def test_a_question_that_comes_back_is_no_answer(size):
+    echo = encode(Packet(1, 2, bytes([31, size])))
+    with (
+        wire_to(echo + encode(Packet(1, 0, bytes(size)))) as (wire, _),
+        pytest.raises(ValueError, match="use an adapter that does not echo"),
+    ):
+        wire.read(1, 31, size)
+
+
+def test_an_answer_of_another_size_is_no_answer():
+    """As of a synchronous read that comes late."""
+    with (
+        wire_to(encode(Packet(1, 0, bytes(15)))) as (wire, _),
+        pytest.raises(ValueError, match="15 bytes instead of 1"),
+    ):
+        wire.read(1, 33, 1)
+
+
 def test_answers_that_come_in_parts_are_put_together():
     """A USB adapter hands over what it has every millisecond or so."""
     own, client = pty.openpty()

@@ -39,6 +39,8 @@ MODELS = {777: "STS3215", 2825: "STS3250"}
 """Servos with this register table and 4096 counts a turn"""
 ID, LIMITS, HOMING, MODE, TORQUE, GOAL, LOCK, VOLTAGE = 5, 9, 31, 33, 40, 42, 55, 62
 """Addresses of registers (Feetech's memory table of the STS/SMS series)."""
+LAST_ID = 12
+"""up to which another ID is looked for where a servo is missing (chosen: two arms in a row; a second of looking)"""
 QUIET = 0.03
 """[s] of silence after which no answer is on its way any more (chosen: longer than a USB adapter holds bytes back)"""
 RETRY = 0.05
@@ -80,7 +82,7 @@ class FeetechBus(Bus):
                 continue
             if model not in MODELS:
                 raise RobotError(f"{self._call(servo)} is of model {model}, expected {_listed(MODELS)}")
-        self._require(missing)
+        self._require(missing, strangers=() if self._was_ready or not missing else self._strangers())
         for servo in self.ids:
             if self._register(servo, MODE, 1, until) != 0:
                 raise RobotError(f"{self._call(servo)} is not in position mode; set its register {MODE} to 0")
@@ -226,12 +228,22 @@ class FeetechBus(Bus):
     def _send(self, goal: Sequence[int]) -> None:
         self.wire.write_all(self.ids, GOAL, [count.to_bytes(2, "little") for count in goal])
 
-    def _require(self, missing: list[int]) -> None:
+    def _require(self, missing: Sequence[int], strangers: Sequence[int] = ()) -> None:
         """Raise TimeoutError that names the ``missing`` servos, NoReplyError where there is none at all."""
+        others = f"; others that answer: {_listed(strangers)}" if strangers else ""
         if len(missing) == len(self.ids):
-            raise NoReplyError(f"{self.address}: no servo answers; is the arm's supply on, and its bus cable in?")
+            rate = f" at {self.address.baud} baud" if self.address.port.startswith("/") else ""
+            raise NoReplyError(
+                f"{self.address}: no servo answers{rate}; is the arm's supply on, and its bus cable in?{others}"
+            )
         if missing:
-            raise TimeoutError(f"{_listed(map(self._call, missing))} is missing on the bus; check its cable")
+            names = _listed(map(self._call, missing))
+            raise TimeoutError(f"{names} is missing on the bus; check its cable and its ID{others}")
+
+    def _strangers(self) -> list[int]:
+        """Return the IDs of servos that answer, but are neither a joint's nor, next to them, the gripper's."""
+        known = {*self.ids, max(self.ids) + 1}
+        return [servo for servo in range(LAST_ID + 1) if servo not in known and self.wire.answers(servo)]
 
     def _call(self, servo: int) -> str:
         return f"{self._arm.joint_names[self.ids.index(servo)]} (servo {servo})"

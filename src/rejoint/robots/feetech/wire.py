@@ -7,6 +7,7 @@ every request, as this driver relies on.
 
 from __future__ import annotations
 
+import errno
 import os
 import socket
 import time
@@ -20,6 +21,10 @@ from scservo_sdk import (
     COMM_RX_TIMEOUT,
     COMM_SUCCESS,
     COMM_TX_FAIL,
+    INST_READ,
+    PKT_ERROR,
+    PKT_ID,
+    PKT_PARAMETER0,
     GroupSyncRead,
     GroupSyncWrite,
     PortHandler,
@@ -61,8 +66,15 @@ class _Port(PortHandler):  # type: ignore[misc]  # the maker's package has no ty
 
     def setupPort(self, _rate: int) -> bool:  # noqa: N802 - the maker's name
         """Open it; OSError where that fails."""
-        kind = _Remote if self.port_name.startswith("socket://") else serial.Serial
-        self.ser = kind(self.port_name, baudrate=self.baudrate)
+        try:
+            if self.port_name.startswith("socket://"):
+                self.ser = _Remote(self.port_name)
+            else:
+                self.ser = serial.Serial(self.port_name, baudrate=self.baudrate, exclusive=True)
+        except serial.SerialException as error:
+            if error.errno != errno.EWOULDBLOCK:
+                raise
+            raise OSError("another program drives the arm there; end it first") from error
         self._descriptor: int = self.ser.fileno()
         self.is_open = True
         self.tx_time_per_byte = (1000.0 / self.baudrate) * 10.0
@@ -107,11 +119,17 @@ class Wire:
     def read(self, servo: int, address: int, size: int) -> bytes:
         """Read ``size`` registers of a servo."""
         self._free()
-        data, result, _ = self._client.readTxRx(servo, address, size)
+        packet: list[int] = []
+        result = self._client.readTx(servo, address, size)
+        while result == COMM_SUCCESS and (not packet or packet[PKT_ID] != servo):
+            packet, result = self._client.rxPacket()
         _judge(result, servo)
-        if len(data) != size:
+        data = bytes(packet[PKT_PARAMETER0:-1])
+        if packet[PKT_ERROR] == INST_READ and data == bytes((address, size)):  # the client takes it for an answer
+            raise ValueError("the question itself came back; use an adapter that does not echo")
+        if len(data) != size:  # the client would cut a late answer to an earlier question to this size
             raise ValueError(f"servo {servo} answered {len(data)} bytes instead of {size}")
-        return bytes(data)
+        return data
 
     def write(self, servo: int, address: int, data: Sequence[int]) -> None:
         """Write registers of a servo, which confirms it."""
