@@ -1,12 +1,17 @@
 """What a control cycle of an SO-101 costs: time on the bus, and time of the processor, at the emulated bus.
 
-The emulator runs in a process of its own, on a pseudo-terminal, as slow as the wire and a USB adapter are. With the
-recordings of a real SO-101, `python -m benchmarks.feetech LOGS [EVERY]`, how well the plant on the law of its servos
-predicts them, all or every so many: open loop, from the first measured pose, with the acceleration that LeRobot sets.
-With `gains` instead of LOGS, what gains of the servos leave of the error at ten targets, in virtual time. With
+The emulator runs in a process of its own, on a pseudo-terminal, as slow as the wire and a USB adapter are. In turn with
+the driver, the same bytes are exchanged without it: what they take beyond the time on the wire is the emulator's and
+the system's, and what the driver takes beyond that is its own and that of the maker's client.
+
+With the recordings of a real SO-101, `python -m benchmarks.feetech LOGS [EVERY]`, how well the plant on the law of its
+servos predicts them, all or every so many: open loop, from the first measured pose, with the acceleration that LeRobot
+sets. With `gains` instead of LOGS, what gains of the servos leave of the error at ten targets, in virtual time. With
 `joints ADDRESS RUN`, how near an arm comes to joint goals that a program sends: as they are, and through `PosedArm`.
 """
 
+import os
+import select
 import subprocess
 import sys
 import time
@@ -23,7 +28,20 @@ from rejoint.control.loop import Schedule, run
 from rejoint.logs import import_logs
 from rejoint.robots import place_of
 from rejoint.robots.emulated import EmulatedRobot
-from rejoint.robots.feetech.bus import FeetechBus
+from rejoint.robots.feetech.block import BLOCK, PRESENT
+from rejoint.robots.feetech.bus import GOAL, FeetechBus
+from rejoint.robots.feetech.wire import FRAME
+from rejoint.robots.lab.emulator.feetech.arm import build_arm
+from rejoint.robots.lab.emulator.feetech.bus import BYTE, ServoBus
+from rejoint.robots.lab.emulator.feetech.packets import (
+    BROADCAST,
+    SYNC_READ,
+    SYNC_WRITE,
+    Packet,
+    PacketFinder,
+    encode,
+)
+from rejoint.robots.lab.emulator.feetech.session import ADAPTER
 from rejoint.robots.lab.plant.plant import Plant
 from rejoint.robots.lab.plant.stsplant import StsPlant
 from rejoint.robots.lab.plant.wear import load_wear
@@ -33,6 +51,10 @@ from rejoint.twin.judge import judge_paths
 from rejoint.twin.judgement import NO_TWIN
 
 CYCLES = 2000
+PAUSE = 0.005
+"""[s] between two of them (chosen: enough to sleep, as in a control period of 20 ms)"""
+ANSWER = BLOCK + FRAME
+"""bytes of what one servo answers"""
 DELAY = 0.005
 """[s] from a command to the servos (chosen: half of what the twin's fit finds at most; the error is flat there)"""
 DWELL = 5.0
@@ -43,48 +65,61 @@ BUS, PROCESSOR = 3.0, 0.3
 """[ms] that a cycle should take at most, at the 99th percentile"""
 
 
-def cycles(bus, count=CYCLES):
-    """Return times [s] on the bus and of the processor (count, 2) of a synchronous write and read, NaN for none."""
-    rest = bus.read().position
-    taken = np.empty((count, 2))
-    for k in range(count):
+def cycles(bus, port, count=CYCLES):
+    """Return times [s] (count, 2, 2), NaN for none, of a synchronous write and read: through the driver, and without.
+
+    The last axis is time on the bus and time of the processor.
+    """
+    rest, line = bus.read().position, os.open(port, os.O_RDWR | os.O_NOCTTY)
+    taken = np.full((count, 2, 2), np.nan)
+    for k, (driven, bare) in enumerate(taken):
         goal = rest + 0.05 * np.sin(k / 20)
-        began, worked = time.perf_counter(), time.thread_time()
-        bus.send(goal)
+        request = requests(bus.ids, bus.zeros.counts(goal))
+        time.sleep(PAUSE)
         try:
-            bus.read()
-            taken[k] = time.perf_counter() - began, time.thread_time() - worked
+            driven[:] = timed(lambda goal=goal: (bus.send(goal), bus.read()))
         except (TimeoutError, NoReplyError):  # a busy machine: the emulator was late
-            taken[k] = np.nan
             bus.resynchronise(time.monotonic() + 1.0)
-        time.sleep(0.005)
+        time.sleep(PAUSE)
+        bare[:] = timed(lambda request=request: exchange(line, *request, ANSWER * len(bus.ids)))
+    os.close(line)
     return taken
 
 
-def system_calls(count=CYCLES):
-    """Return times [s] of the processor (count,) in two writes and two waits at a terminal, which any driver needs."""
-    import os
-    import pty
-    import select
-    import tty
+def timed(work):
+    """Return the times [s] that ``work`` takes, by the clock and of the processor."""
+    began, worked = time.perf_counter(), time.thread_time()
+    work()
+    return time.perf_counter() - began, time.thread_time() - worked
 
-    own, client = pty.openpty()
-    tty.setraw(client)
-    taken = np.empty(count)
-    for k in range(count):
-        began = time.thread_time()
-        for _ in range(2):
-            os.write(client, b"x" * 16)
-        select.select([client], [], [], 0.0)
-        taken[k] = time.thread_time() - began
-        os.read(own, 4096)
-    os.close(own)
-    os.close(client)
-    return taken
+
+def requests(ids, counts):
+    """Return the two packets of a cycle that sends servos to ``counts``."""
+    goals = b"".join(bytes([servo, *count.to_bytes(2, "little")]) for servo, count in zip(ids, counts, strict=True))
+    return (
+        encode(Packet(BROADCAST, SYNC_WRITE, bytes([GOAL, 2]) + goals)),
+        encode(Packet(BROADCAST, SYNC_READ, bytes([PRESENT, BLOCK, *ids]))),
+    )
+
+
+def exchange(line, write, read, size):
+    """Write both packets to a terminal, and wait for ``size`` bytes: what any driver has to do at least."""
+    os.write(line, write)
+    os.write(line, read)
+    while size and select.select([line], [], [], 0.05)[0]:
+        size -= len(os.read(line, size))
+
+
+def on_the_wire(ids):
+    """Return the time [s] that the bytes of a cycle take on the wire and in the adapter, as the emulator has them."""
+    write, read = requests(ids, [0] * len(ids))
+    answers = ServoBus(build_arm(_arm(), "so101")).execute(PacketFinder().feed(read)[0])
+    return (len(write) + len(read)) * BYTE + answers[-1].after, ADAPTER
 
 
 def main():
     command = [sys.executable, "-m", "rejoint", "emulate", "--arm", "so101", "--pty"]
+    busy = os.getloadavg()[0]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as emulator:
         try:
             address = next(word for line in emulator.stdout for word in line.split() if word.startswith("feetech:"))
@@ -92,17 +127,17 @@ def main():
             with closing(FeetechBus(place.detail, _arm())) as bus:
                 bus.open()
                 bus.prepare()
-                taken = 1e3 * cycles(bus)
+                taken = 1e3 * cycles(bus, place.detail.port)
+                wire, adapter = (1e3 * part for part in on_the_wire(bus.ids))
         finally:
             emulator.terminate()
+    print(f"{wire + adapter:.2f} ms at least: {wire:.2f} ms on the wire, {adapter:.2f} ms in the adapter")
     for name, column, most in (("bus", 0, BUS), ("processor", 1, PROCESSOR)):
-        low, middle, high = np.nanpercentile(taken[:, column], [10, 50, 99])
-        print(
-            f"{name:10s} p10 {low:.2f} ms, median {middle:.2f} ms, p99 {high:.2f} ms (at most {most} ms is asked for)"
-        )
-    least = 1e3 * np.percentile(system_calls(), [50, 99])
-    print(f"{'system':10s} median {least[0]:.2f} ms, p99 {least[1]:.2f} ms: two writes and a look at a terminal alone")
-    print(f"late answers: {np.isnan(taken[:, 0]).sum()} of {len(taken)}")
+        for who, times in (("driver", taken[:, 0, column]), ("without", taken[:, 1, column])):
+            shown = ", ".join(f"p{share} {np.nanpercentile(times, share):.2f}" for share in (10, 50, 90, 99))
+            print(f"{name:10s} {who:8s} {shown} ms" + f" (at most {most} ms is asked for)" * (who == "driver"))
+    late = np.isnan(taken[:, 0, 0]).sum()
+    print(f"late answers: {late} of {len(taken)}; jobs running {busy:.1f} before and {os.getloadavg()[0]:.1f} after")
 
 
 def predict(folder, every=1):

@@ -224,23 +224,23 @@ def test_malformed_addresses_name_their_form(text):
     middle=st.lists(st.integers(1500, 2500), min_size=5, max_size=5),
 )
 def test_goals_come_back_within_half_a_count(angles, middle):
-    zeros = Zeros(middle=np.array(middle) / 1.0, zero=np.full(5, 0.1), low=np.zeros(5, int), high=np.full(5, 4095))
+    zeros = Zeros(middle=tuple(map(float, middle)), zero=(0.1,) * 5, low=(0,) * 5, high=(4095,) * 5)
     back = zeros.radians(zeros.counts(np.array(angles)))
-    assert np.abs(back - angles).max() <= np.pi / 4096 + 1e-12
+    assert np.abs(np.subtract(back, angles)).max() <= np.pi / 4096 + 1e-12
 
 
 def test_goals_are_clipped_to_what_the_servos_take():
     zeros = zeros_of(ARM, None, np.zeros(5, int), np.full(5, 1000), np.full(5, 3000), ())
-    assert (zeros.counts(np.full(5, 3.0)) == 3000).all()
-    assert (zeros.counts(np.full(5, -3.0)) == 1000).all()
-    assert (zeros.middle == 2000).all()
+    assert zeros.counts(np.full(5, 3.0)) == [3000] * 5
+    assert zeros.counts(np.full(5, -3.0)) == [1000] * 5
+    assert zeros.middle == (2000.0,) * 5
 
 
 def test_a_calibration_must_be_one_and_that_of_this_arm(tmp_path):
     file = read_calibration(calibration(tmp_path / "a.json"), ARM)
     assert file.ids == (1, 2, 3, 4, 5)
     limits = np.zeros(5, int), np.full(5, 4095)
-    assert (zeros_of(ARM, file, np.array(HOMING[:5]), *limits, ()).middle == (file.low + file.high) / 2).all()
+    assert zeros_of(ARM, file, np.array(HOMING[:5]), *limits, ()).middle == tuple((file.low + file.high) / 2)
     with pytest.raises(RobotError, match="elbow_flex has a homing offset of 5 counts"):
         zeros_of(ARM, file, np.array([HOMING[0], HOMING[1], 5, HOMING[3], HOMING[4]]), *limits, ())
     with pytest.raises(InputError, match="needs 5 angles"):
@@ -305,7 +305,7 @@ def test_torque_comes_on_where_the_arm_is_and_locks_are_shut():
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        ({"ID": 9}, "elbow_flex .servo 3. is missing"),
+        ({"ID": 9}, "elbow_flex .servo 3. is missing on the bus; check its cable and its ID; others that answer: 9"),
         ({"Model_Number": 1284}, "elbow_flex .servo 3. is of model 1284"),
         ({"Operating_Mode": 1}, "elbow_flex .servo 3. is not in position mode"),
     ],
@@ -337,6 +337,27 @@ def test_without_the_client_the_extra_is_named(monkeypatch):
     monkeypatch.setattr("rejoint.system.extras.find_spec", lambda name: None if name == "scservo_sdk" else object())
     with pytest.raises(MissingExtraError, match=r"rejoint.feetech"):
         open_robot("feetech://127.0.0.1:1")
+
+
+def test_two_programs_do_not_drive_one_arm():
+    with serving(pty=True) as server, closing(open_robot(server.address)) as robot:
+        with pytest.raises(AddressError, match="another program drives the arm there"):
+            open_robot(server.address)
+        assert np.isfinite(robot.read().position).all()
+
+
+def test_a_bus_on_which_nobody_answers_is_told_with_its_rate():
+    arm = build_arm(ARM, "so101")
+    for index, servo in enumerate(arm.servos):
+        servo["ID"] = 20 + index
+    with serving(pty=True, arm=arm) as server, pytest.raises(AddressError, match="no servo answers at 1000000 baud"):
+        open_robot(server.address)
+
+
+def test_an_adapter_that_echoes_is_refused_before_anything_moves():
+    with serving("echo=1") as server, pytest.raises(AddressError, match="use an adapter that does not echo"):
+        open_robot(server.address)
+    assert all(servo.writes == [] for servo in server.arm.servos)
 
 
 def test_where_nothing_is_the_error_is_one_line():

@@ -7,18 +7,17 @@ but the gains that the address or a controller asks for, until the power goes. O
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array
 from rejoint.control.servogains import Rung, ServoGains
 from rejoint.robots.bus import Bus, Reading
 from rejoint.robots.feetech.address import FeetechAddress
+from rejoint.robots.feetech.block import BLOCK, PRESENT, VOLT, decode, signed
 from rejoint.robots.feetech.gains import RUNGS, for_all
 from rejoint.robots.feetech.gripper import READ, WRITE
 from rejoint.robots.feetech.tuning import Tuning
@@ -38,21 +37,14 @@ T = TypeVar("T")
 
 MODELS = {777: "STS3215", 2825: "STS3250"}
 """Servos with this register table and 4096 counts a turn"""
-ID, LIMITS, HOMING, MODE, TORQUE, GOAL, LOCK, PRESENT, VOLTAGE = 5, 9, 31, 33, 40, 42, 55, 56, 62
+ID, LIMITS, HOMING, MODE, TORQUE, GOAL, LOCK, VOLTAGE = 5, 9, 31, 33, 40, 42, 55, 62
 """Addresses of registers (Feetech's memory table of the STS/SMS series)."""
-BLOCK = 15
-"""registers from `PRESENT` on: position, speed, load, voltage, temperature, -, status, moving, goal, current"""
-FAULTS = {1: "voltage", 2: "encoder", 4: "heat", 8: "over-current", 32: "overload"}
-"""Bits of the status register."""
-SAGGING = 0.75
-"""share of the voltage at the start below which a supply sags (chosen: a motor has lost a quarter of its torque then,
-and servos go silent at about half of it)"""
+LAST_ID = 12
+"""up to which another ID is looked for where a servo is missing (chosen: two arms in a row; a second of looking)"""
 QUIET = 0.03
 """[s] of silence after which no answer is on its way any more (chosen: longer than a USB adapter holds bytes back)"""
 RETRY = 0.05
 """[s] between questions whether a silent servo is back (chosen)"""
-_ROW = struct.Struct("<HHHBBBBBHH")
-_DECI = 0.1
 
 
 class FeetechBus(Bus):
@@ -71,8 +63,8 @@ class FeetechBus(Bus):
             self.ids, for_all(address.gains, len(self.ids)), read=self._read, write=self._write, call=self._call,
             wait=self.clock.wait,
         )  # fmt: skip
-        self._supply: Array | None = None
-        self._goal: Counts | None = None
+        self._supply: tuple[float, ...] | None = None
+        self._goal: list[int] | None = None
         self._was_ready = False
 
     def open(self) -> None:
@@ -90,7 +82,7 @@ class FeetechBus(Bus):
                 continue
             if model not in MODELS:
                 raise RobotError(f"{self._call(servo)} is of model {model}, expected {_listed(MODELS)}")
-        self._require(missing)
+        self._require(missing, strangers=() if self._was_ready or not missing else self._strangers())
         for servo in self.ids:
             if self._register(servo, MODE, 1, until) != 0:
                 raise RobotError(f"{self._call(servo)} is not in position mode; set its register {MODE} to 0")
@@ -101,26 +93,15 @@ class FeetechBus(Bus):
         self._hold(until)
         self._tuning.prepare(until)
         if self._supply is None:
-            self._supply = _DECI * np.array([self._register(servo, VOLTAGE, 1, until) for servo in self.ids])
+            self._supply = tuple(VOLT * self._register(servo, VOLTAGE, 1, until) for servo in self.ids)
         self._was_ready = True
 
     def read(self) -> Reading:
         """Ask all servos for what they measure."""
         answers = self.wire.read_all(self.ids, PRESENT, BLOCK)
-        self._require([servo for servo in self.ids if servo not in answers])
-        columns = zip(*(_ROW.unpack(answers[servo]) for servo in self.ids), strict=True)
-        position, _, duty, volt, heat, _, status, _, goal, _ = columns  # plain numbers: five are too few for arrays
-        place, pushed = [_signed(word, 15) for word in position], [_signed(word, 10) for word in duty]
-        error = [_signed(word, 15) - here for word, here in zip(goal, place, strict=True)]
-        voltage = np.array(volt) * _DECI
-        sags = voltage < SAGGING * self.supply
-        return Reading(
-            position=self.zeros.radians(np.array(place)),
-            load=np.array([law.share(*seen) for law, *seen in zip(self._tuning.laws, pushed, error, strict=True)]),
-            voltage=voltage,
-            temperature=np.array(heat, float), fault=np.array([bits != 0 for bits in status]) | sags,
-            trouble=self._troubles(status, voltage, sags) if any(status) or sags.any() else None,
-        )  # fmt: skip
+        if len(answers) < len(self.ids):
+            self._require([servo for servo in self.ids if servo not in answers])
+        return decode([answers[servo] for servo in self.ids], self.zeros, self._tuning.laws, self.supply)
 
     def send(self, goal: Array) -> None:
         """Send a goal to every servo, clipped to its own limits; nobody answers."""
@@ -195,9 +176,9 @@ class FeetechBus(Bus):
         return self._zeros
 
     @property
-    def supply(self) -> Array:
+    def supply(self) -> tuple[float, ...]:
         """(n,) [V] at the start."""
-        return np.zeros(len(self.ids)) if self._supply is None else self._supply
+        return (0.0,) * len(self.ids) if self._supply is None else self._supply
 
     def _hold(self, until: float | None) -> None:
         """Shut the locks, and switch torque on where it is off, each servo holding where it is."""
@@ -217,7 +198,7 @@ class FeetechBus(Bus):
     def _registers(self, address: int, until: float | None, *, sign: int = 16) -> Counts:
         """Two registers of every servo, as a number whose bit ``sign`` is its sign."""
         words = [self._register(servo, address, 2, until) for servo in self.ids]
-        return np.array([_signed(word, sign) for word in words], dtype=np.int64)
+        return np.array([signed(word, sign) for word in words], dtype=np.int64)
 
     def _register(self, servo: int, address: int, size: int, until: float | None) -> int:
         return int.from_bytes(self._read(servo, address, size, until), "little")
@@ -244,33 +225,28 @@ class FeetechBus(Bus):
     def _quieten(self) -> None:
         self.wire.quieten(QUIET)
 
-    def _send(self, goal: Counts) -> None:
-        self.wire.write_all(self.ids, GOAL, [row.tobytes() for row in goal.astype("<u2")])
+    def _send(self, goal: Sequence[int]) -> None:
+        self.wire.write_all(self.ids, GOAL, [count.to_bytes(2, "little") for count in goal])
 
-    def _require(self, missing: list[int]) -> None:
+    def _require(self, missing: Sequence[int], strangers: Sequence[int] = ()) -> None:
         """Raise TimeoutError that names the ``missing`` servos, NoReplyError where there is none at all."""
+        others = f"; others that answer: {_listed(strangers)}" if strangers else ""
         if len(missing) == len(self.ids):
-            raise NoReplyError(f"{self.address}: no servo answers; is the arm's supply on, and its bus cable in?")
+            rate = f" at {self.address.baud} baud" if self.address.port.startswith("/") else ""
+            raise NoReplyError(
+                f"{self.address}: no servo answers{rate}; is the arm's supply on, and its bus cable in?{others}"
+            )
         if missing:
-            raise TimeoutError(f"{_listed(map(self._call, missing))} is missing on the bus; check its cable")
+            names = _listed(map(self._call, missing))
+            raise TimeoutError(f"{names} is missing on the bus; check its cable and its ID{others}")
+
+    def _strangers(self) -> list[int]:
+        """Return the IDs of servos that answer, but are neither a joint's nor, next to them, the gripper's."""
+        known = {*self.ids, max(self.ids) + 1}
+        return [servo for servo in range(LAST_ID + 1) if servo not in known and self.wire.answers(servo)]
 
     def _call(self, servo: int) -> str:
         return f"{self._arm.joint_names[self.ids.index(servo)]} (servo {servo})"
-
-    def _troubles(self, status: Sequence[int], voltage: Array, sags: NDArray[np.bool_]) -> tuple[str, ...]:
-        """Put into words what each servo complains of; empty for nothing."""
-        found = []
-        for bits, volt, sagging, before in zip(status, voltage, sags, self.supply, strict=True):
-            words = [name for bit, name in FAULTS.items() if bits & bit]
-            if sagging:
-                words.append(f"the supply sags to {volt:.1f} V from {before:.1f} V")
-            found.append(", ".join(words))
-        return tuple(found)
-
-
-def _signed(word: int, bit: int) -> int:
-    """Return a number that is written as its size and a ``bit`` for the sign."""
-    return -(word & ~(1 << bit)) if word & 1 << bit else word
 
 
 def _listed(names: Iterable[object]) -> str:

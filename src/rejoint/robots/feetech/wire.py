@@ -7,8 +7,12 @@ every request, as this driver relies on.
 
 from __future__ import annotations
 
+import errno
+import os
 import socket
+import time
 from collections.abc import Sequence
+from select import select
 from typing import Any
 
 import serial
@@ -17,6 +21,10 @@ from scservo_sdk import (
     COMM_RX_TIMEOUT,
     COMM_SUCCESS,
     COMM_TX_FAIL,
+    INST_READ,
+    PKT_ERROR,
+    PKT_ID,
+    PKT_PARAMETER0,
     GroupSyncRead,
     GroupSyncWrite,
     PortHandler,
@@ -24,6 +32,8 @@ from scservo_sdk import (
 )
 from serial.urlhandler.protocol_socket import Serial as SocketSerial
 
+FRAME = 6
+"""bytes of an answer beside its data: header, ID, length, errors, checksum"""
 MODEL = 3
 """Address of the register that tells a servo's kind"""
 WAIT = 0.02
@@ -48,15 +58,40 @@ class _Remote(SocketSerial):  # type: ignore[misc]  # pyserial has no types
 
 
 class _Port(PortHandler):  # type: ignore[misc]  # the maker's package has no types
-    """A port of the client that may lie behind a URL of pyserial, and sleeps while it waits."""
+    """A port of the client that may lie behind a URL of pyserial, sleeps while it waits, and wakes for what comes.
+
+    pyserial opens and configures it. Bytes go past it: between two cycles it drops out of the processor's caches, and
+    its loops then take longer than all else here.
+    """
 
     def setupPort(self, _rate: int) -> bool:  # noqa: N802 - the maker's name
         """Open it; OSError where that fails."""
-        kind = _Remote if self.port_name.startswith("socket://") else serial.Serial
-        self.ser = kind(self.port_name, baudrate=self.baudrate, timeout=WAIT, write_timeout=0)
+        try:
+            if self.port_name.startswith("socket://"):
+                self.ser = _Remote(self.port_name)
+            else:
+                self.ser = serial.Serial(self.port_name, baudrate=self.baudrate, exclusive=True)
+        except serial.SerialException as error:
+            if error.errno != errno.EWOULDBLOCK:
+                raise
+            raise OSError("another program drives the arm there; end it first") from error
+        self._descriptor: int = self.ser.fileno()
         self.is_open = True
         self.tx_time_per_byte = (1000.0 / self.baudrate) * 10.0
         return True
+
+    def readPort(self, length: int, wait: float = WAIT) -> bytes:  # noqa: N802 - the maker's name
+        """Return what comes within ``wait`` [s], as soon as anything does; OSError where the port is gone."""
+        if not select([self._descriptor], [], [], wait)[0]:
+            return b""
+        data = os.read(self._descriptor, length)
+        if not data:
+            raise OSError("the port is gone")
+        return data
+
+    def writePort(self, packet: Sequence[int]) -> int:  # noqa: N802 - the maker's name
+        """Return how many bytes were taken."""
+        return os.write(self._descriptor, bytes(packet))
 
 
 class Wire:
@@ -84,11 +119,17 @@ class Wire:
     def read(self, servo: int, address: int, size: int) -> bytes:
         """Read ``size`` registers of a servo."""
         self._free()
-        data, result, _ = self._client.readTxRx(servo, address, size)
+        packet: list[int] = []
+        result = self._client.readTx(servo, address, size)
+        while result == COMM_SUCCESS and (not packet or packet[PKT_ID] != servo):
+            packet, result = self._client.rxPacket()
         _judge(result, servo)
-        if len(data) != size:
+        data = bytes(packet[PKT_PARAMETER0:-1])
+        if packet[PKT_ERROR] == INST_READ and data == bytes((address, size)):  # the client takes it for an answer
+            raise ValueError("the question itself came back; use an adapter that does not echo")
+        if len(data) != size:  # the client would cut a late answer to an earlier question to this size
             raise ValueError(f"servo {servo} answered {len(data)} bytes instead of {size}")
-        return bytes(data)
+        return data
 
     def write(self, servo: int, address: int, data: Sequence[int]) -> None:
         """Write registers of a servo, which confirms it."""
@@ -100,34 +141,36 @@ class Wire:
         """Read the same ``size`` registers of all ``servos`` at once; those that did not answer are left out."""
         self._free()
         block = self._blocks.setdefault((address, size), GroupSyncRead(self._client, address, size))
-        for servo in servos:
-            block.data_dict[servo] = []  # what stands there is an answer to an earlier question
-        block.param = list(servos)
+        block.data_dict, block.param = dict.fromkeys(servos), list(servos)
         result = block.txPacket()
-        if result == COMM_SUCCESS:
-            block.rxPacket()
-        elif result in (COMM_PORT_BUSY, COMM_TX_FAIL):
+        if result in (COMM_PORT_BUSY, COMM_TX_FAIL):
             raise OSError("the port did not take the request")
-        found = {servo: bytes(block.data_dict[servo] or ()) for servo in servos}
-        return {servo: data[1:] for servo, data in found.items() if len(data) == size + 1}
+        _, data = self._client.syncReadRx(size, len(servos))
+        found = {}
+        for place, servo in enumerate(servos):
+            own = data[place * (size + FRAME) : (place + 1) * (size + FRAME)]
+            answer, result = block.readRx(own, servo, size)
+            if result != COMM_SUCCESS:  # not where it should be: the client looks for it everywhere
+                answer, result = block.readRx(data, servo, size)
+            if result == COMM_SUCCESS:
+                found[servo] = bytes(answer[1:])
+        return found
 
     def write_all(self, servos: Sequence[int], address: int, data: Sequence[bytes]) -> None:
         """Write registers of all ``servos`` at once; none of them answers."""
         self._free()
         block = GroupSyncWrite(self._client, address, len(data[0]))
         for servo, part in zip(servos, data, strict=True):
-            block.addParam(servo, list(part))
+            block.addParam(servo, part)
         if block.txPacket() != COMM_SUCCESS:
             raise OSError("the port did not take the request")
 
     def quieten(self, pause: float) -> bool:
         """Throw away what lies there or comes within ``pause`` [s]; tell whether there was anything."""
-        line = self._port.ser
-        before, line.timeout = line.timeout, pause
-        try:
-            return bool(line.read(4096))
-        finally:
-            line.timeout = before
+        end, found = time.monotonic() + pause, False
+        while (left := end - time.monotonic()) > 0.0:
+            found = bool(self._port.readPort(4096, left)) or found
+        return found
 
     def close(self) -> None:
         """Release the port; the servos hold."""

@@ -6,6 +6,7 @@ the description of the arm has another zero, ``zero`` of the address says how ma
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -33,27 +34,33 @@ class MotorRanges:
     high: Counts
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True)
 class Zeros:
-    """Counts and radians of n joints."""
+    """Counts and radians of n joints, as plain numbers: a control cycle turns a handful of them into each other."""
 
-    middle: Array
+    middle: tuple[float, ...]
     """(n,) [counts] where the joints are at ``zero``"""
-    zero: Array
+    zero: tuple[float, ...]
     """(n,) [rad]"""
-    low: Counts
+    low: tuple[int, ...]
     """(n,) [counts] lowest goals that the servos take"""
-    high: Counts
+    high: tuple[int, ...]
     """(n,) [counts]"""
 
-    def radians(self, counts: Counts) -> Array:
+    def radians(self, counts: Sequence[int]) -> list[float]:
         """Joint positions (n,) [rad] of what the servos tell."""
-        return np.asarray((counts - self.middle) * _STEP + self.zero)
+        return [
+            (count - middle) * _STEP + zero for count, middle, zero in zip(counts, self.middle, self.zero, strict=True)
+        ]
 
-    def counts(self, position: Array) -> Counts:
+    def counts(self, position: Array) -> list[int]:
         """Goals (n,) of joint positions [rad], within the servos' limits."""
-        goal = np.rint((position - self.zero) / _STEP + self.middle).astype(np.int64)
-        return np.minimum(np.maximum(goal, self.low), self.high)  # a third of the time of `numpy.clip`
+        return [
+            min(max(round((angle - zero) / _STEP + middle), low), high)
+            for angle, middle, zero, low, high in zip(
+                position.tolist(), self.middle, self.zero, self.low, self.high, strict=True
+            )
+        ]
 
 
 def read_calibration(path: Path, arm: Arm) -> MotorRanges:
@@ -89,7 +96,8 @@ def zeros_of(
     limited = low < high
     low, high = np.where(limited, low, 0), np.where(limited, high, COUNTS_PER_TURN - 1)
     ranges = (low, high) if file is None else (file.low, file.high)
+    turned = np.radians(degrees) if degrees else np.zeros(arm.joints)
     return Zeros(
-        middle=(ranges[0] + ranges[1]) / 2, zero=np.radians(degrees) if degrees else np.zeros(arm.joints),
-        low=low, high=high,
+        middle=tuple(((ranges[0] + ranges[1]) / 2).tolist()), zero=tuple(turned.tolist()), low=tuple(low.tolist()),
+        high=tuple(high.tolist()),
     )  # fmt: skip

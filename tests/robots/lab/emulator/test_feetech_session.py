@@ -7,23 +7,37 @@ from rejoint.arms import load_arm
 from rejoint.robots.lab.emulator import emulate
 from rejoint.robots.lab.emulator.faults import parse_faults
 from rejoint.robots.lab.emulator.feetech.arm import build_arm
-from rejoint.robots.lab.emulator.feetech.packets import BROADCAST, READ, SYNC_READ, Packet, PacketFinder, encode
+from rejoint.robots.lab.emulator.feetech.packets import (
+    BROADCAST,
+    READ,
+    SYNC_READ,
+    SYNC_WRITE,
+    Packet,
+    PacketFinder,
+    encode,
+)
 from rejoint.robots.lab.emulator.feetech.session import ADAPTER, BusSession
 from rejoint.system.errors import InputError
 
 ARM = load_arm("so101")
+MOVE = encode(Packet(BROADCAST, SYNC_WRITE, bytes([42, 2, 1, 0, 8, 2, 0, 8])))
 BLOCK = encode(Packet(BROADCAST, SYNC_READ, bytes([56, 15, 1, 2, 3, 4, 5, 6])))
 
 
 class Client:
-    """Asks one question after the other on a clock of its own, ``pause`` [s] apart."""
+    """Asks one question after the other on a clock of its own, ``pause`` [s] apart.
 
-    def __init__(self, requests, fault="", pause=0.02):
+    The emulator is ``busy`` [s] with each of them; ``moved`` [s] is the time of its arm then.
+    """
+
+    def __init__(self, requests, fault="", pause=0.02, busy=0.0):
         faults = parse_faults(fault, 5)
         self.now, self.requests, self.pause = 1e6, list(requests), pause
         self.ask_at, self.asked, self.heard = self.now, [], []
         arm = build_arm(ARM, "so101", resistance=faults.sag)
         self.session = BusSession(arm, faults=faults, clock=lambda: self.now, await_data=self._await)
+        self.moved, self.busy, self._execute = [], busy, self.session.bus.execute
+        self.session.bus.execute = self._obey
         self.session.converse(self)
 
     def fileno(self):
@@ -36,6 +50,11 @@ class Client:
 
     def send(self, data):
         self.heard.append((self.now, data))
+
+    def _obey(self, request):
+        self.moved.append(self.session.bus.arm.plant.time[0])
+        self.now += self.busy
+        return self._execute(request)
 
     def _await(self, readable, pause):
         if readable is not None and self.now + pause >= self.ask_at:
@@ -55,6 +74,26 @@ def test_an_answer_takes_the_time_of_its_bytes_and_of_the_adapter():
     assert client.heard[0][0] - client.asked[0] == pytest.approx(expected, abs=2e-5)
     assert client.packets() == [[1, 2, 3, 4, 5, 6]]
     assert expected < 3e-3
+
+
+def test_packets_follow_each_other_on_the_wire():
+    """A question that is asked right behind an order waits until that has left."""
+    client = Client([MOVE + BLOCK])
+    expected = (len(MOVE) + len(BLOCK) + 5 * 24 + 21) * 10e-6 + 20e-6 + ADAPTER
+    assert client.heard[0][0] - client.asked[0] == pytest.approx(expected, abs=2e-5)
+
+
+def test_the_work_of_the_emulator_is_no_time_on_the_wire():
+    client = Client([MOVE, BLOCK], pause=1e-4, busy=4e-4)
+    expected = (len(MOVE) + len(BLOCK) + 5 * 24 + 21) * 10e-6 + 20e-6 + ADAPTER
+    assert client.heard[0][0] - client.asked[0] == pytest.approx(expected, abs=2e-5)
+
+
+def test_the_arm_has_moved_up_to_the_moment_of_a_question():
+    client = Client([BLOCK] * 20, pause=0.0077)
+    assert len(client.moved) == 20
+    moved, passed = np.subtract(client.moved, client.moved[0]), np.subtract(client.asked[:20], client.asked[0])
+    assert moved == pytest.approx(passed, abs=1.1e-3)
 
 
 def test_a_silent_servo_is_missing_for_as_long_as_it_was_asked_to_be():

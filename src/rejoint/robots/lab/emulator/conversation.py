@@ -87,6 +87,8 @@ class Conversation(ABC, Generic[R]):
         self._wire, self._arm = WireFaults(faults, seed), ArmFaults(faults, arm)
         self._began: float | None = None
         """when the first byte came"""
+        self._came = 0.0
+        """when the newest bytes came; those that came while a request was worked on count as come with that one"""
         self._now: float | None = None
         self._stopping = Event()
 
@@ -112,7 +114,6 @@ class Conversation(ABC, Generic[R]):
                 return True
             if self._clock() >= until:
                 break
-        self._catch_up()
         return False
 
     def outlast_absence(self) -> None:
@@ -128,12 +129,14 @@ class Conversation(ABC, Generic[R]):
     def converse(self, channel: ByteStream) -> None:
         """Answer one client until it is gone or the end was asked for."""
         finder = self._finder()
+        self._came = self._clock()
         try:
             while not self.stopping:
                 requests = self._receive(channel, finder)
                 if requests is None:
                     return
                 for request in requests:
+                    self._catch_up()
                     self._answer(channel, request)
         except OSError:
             return  # a client that breaks the connection is gone, like one that closes it
@@ -141,10 +144,13 @@ class Conversation(ABC, Generic[R]):
     def _receive(self, channel: ByteStream, finder: Finder[R]) -> list[R] | None:
         """Return the requests that came within a tick; None if the client is gone."""
         timeout = HALF_FRAME_TIMEOUT if finder.pending else self._tick
+        lay_there = self._await_data(channel.fileno(), 0.0)
         if not self.wait(channel.fileno(), self._clock() + timeout):
             return finder.expire()
         if not self._moves_on():
             return []
+        if not lay_there:
+            self._came = self._clock()
         data = channel.receive()
         if not data:
             return None

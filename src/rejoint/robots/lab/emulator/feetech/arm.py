@@ -113,7 +113,8 @@ class ServoArm:
         setting["speed"] = float(abs(servo["Goal_Velocity"]) or 50 * servo["Maximum_Velocity_Limit"])
 
     def go(self, index: int) -> None:
-        """Let a servo take over the goal that stands in its register."""
+        """Let a servo take over the goal that stands in its register, and the torque that comes on with it."""
+        self._record("settings", index)["torque_on"] = self.servos[index]["Torque_Enable"]
         goal = self.servos[index]["Goal_Position"] + self._shift(index)
         self._record("status", index)["goal"] = goal
         if index < self.arm.joints:

@@ -89,7 +89,7 @@ class ServoBus:
         if self.arm.servos[index]["Torque_Enable"] == MAKE_MIDDLE:
             self.arm.servos[index]["Torque_Enable"] = 1
             self.arm.centre(index)
-        if touched:
+        if touched - {"Goal_Position"}:
             self.arm.settle(index)
         if "Goal_Position" in touched:
             self.arm.go(index)

@@ -12,10 +12,12 @@ MIDDLE = 2048
 
 _WRITABLE = bytearray(SIZE)
 _SAVED = bytearray(SIZE)
+_NAME = [""] * SIZE
 for _register in TABLE:
     for _cell in range(_register.address, _register.address + _register.size):
         _WRITABLE[_cell] = _register.access is not Access.READ
         _SAVED[_cell] = _register.access is Access.SAVED
+        _NAME[_cell] = _register.name
 
 
 class Servo:
@@ -65,7 +67,7 @@ class Servo:
                 if _SAVED[cell]:
                     kept[cell] = self.cells[cell]
             self._kept = bytes(kept)
-        touched = {register.name for register in TABLE if set(cells) & _cells_of(register.name)}
+        touched = {_NAME[cell] for cell in cells}
         if "Goal_Position" in touched and self["Torque_Enable"] == 0:
             self["Torque_Enable"] = 1
             touched.add("Torque_Enable")
@@ -92,8 +94,3 @@ class Servo:
         """Lose the power and get it back: what was saved stays, the torque is off and the lock shut."""
         self.cells = bytearray(self._kept)
         self["Torque_Limit"] = self["Max_Torque_Limit"]
-
-
-def _cells_of(name: str) -> set[int]:
-    register = BY_NAME[name]
-    return set(range(register.address, register.address + register.size))

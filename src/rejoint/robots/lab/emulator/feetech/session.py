@@ -27,6 +27,8 @@ class BusSession(Conversation[Packet]):
         self.bus = ServoBus(arm)
         self.bus.muted = self._muted
         self._adapter, self._spells = adapter, faults.mute
+        self._free = 0.0
+        """when the last packet has left the wire"""
 
     def _finder(self) -> PacketFinder:
         return PacketFinder()
@@ -36,14 +38,15 @@ class BusSession(Conversation[Packet]):
         return {spell.joint for spell in self._spells if spell.after <= now < spell.after + spell.duration}
 
     def _answer(self, channel: ByteStream, request: Packet) -> None:
-        began = self._clock() + len(encode(request)) * BYTE + self._adapter + self._wire.delay
+        self._free = max(self._came, self._free) + len(encode(request)) * BYTE
         answers = self.bus.execute(request)
         if not answers:
             return
         if request.code in (READ, SYNC_READ):
             self._arm.was_asked(GET_ANGLES)
         pieces = self._on_wire(request, answers)
-        self.wait(None, began + answers[-1].after)
+        self._free += answers[-1].after
+        self.wait(None, self._free + self._adapter + self._wire.delay)
         for place, piece in enumerate(pieces):
             if place:
                 self.wait(None, self._clock() + SPLIT_PAUSE)

@@ -1,0 +1,131 @@
+"""The maker's client on a line whose other end answers with bytes that were written down before."""
+
+import os
+import pty
+import socket
+import threading
+import tty
+from contextlib import closing, contextmanager
+
+import pytest
+
+from rejoint.robots.feetech.wire import Wire
+from rejoint.robots.lab.emulator.feetech.packets import Packet, encode
+
+READ_56 = "FF FF FE 07 82 38 02 01 02 03 38"
+"""A synchronous read of two registers from 56 on, of the servos 1 to 3"""
+WRITE_42 = "FF FF FE 0A 83 2A 02 01 73 08 02 1A 04 AC"
+"""A synchronous write of 2163 and 1050 to 42 of the servos 1 and 2"""
+ANSWERS = {servo: encode(Packet(servo, 0, bytes([servo, 8]))) for servo in (1, 2, 3)}
+DATA = {servo: bytes([servo, 8]) for servo in (1, 2, 3)}
+
+
+@contextmanager
+def wire_to(*answers):
+    """Open a line on which each request gets the next of ``answers``; yields it and the requests that came."""
+    own, client = pty.openpty()
+    tty.setraw(client)
+    requests = []
+
+    def answer():
+        for data in answers:
+            requests.append(os.read(own, 4096))
+            os.write(own, data)
+
+    thread = threading.Thread(target=answer, daemon=True)
+    thread.start()
+    try:
+        with closing(Wire(os.ttyname(client), 1_000_000)) as wire:
+            yield wire, requests
+    finally:
+        thread.join(1.0)
+        os.close(client)
+        os.close(own)
+
+
+def test_the_bytes_of_a_cycle_are_those_of_the_protocol():
+    with wire_to(b"".join(ANSWERS.values()), b"") as (wire, requests):
+        assert wire.read_all((1, 2, 3), 56, 2) == DATA
+        wire.write_all((1, 2), 42, [bytes.fromhex("73 08"), bytes.fromhex("1A 04")])
+        while len(requests) < 2:
+            pass
+    assert requests == [bytes.fromhex(READ_56), bytes.fromhex(WRITE_42)]
+
+
+@pytest.mark.parametrize(
+    ("answer", "found"),
+    [
+        (ANSWERS[1] + ANSWERS[3], {1, 3}),
+        (ANSWERS[3], {3}),
+        (b"\x07\xff" + ANSWERS[1] + ANSWERS[2] + ANSWERS[3][:-2], {1, 2}),
+        (ANSWERS[1] + ANSWERS[2][:-1] + b"\x00" + ANSWERS[3], {1, 3}),
+        (bytes.fromhex(READ_56) + ANSWERS[1] + ANSWERS[2], {1}),
+        (ANSWERS[2] + ANSWERS[1] + ANSWERS[3], {1, 2, 3}),
+        (b"\xff" * 24, set()),
+        (b"", set()),
+    ],
+)
+def test_answers_that_are_missing_shifted_or_wrong_are_left_out(answer, found):
+    with wire_to(answer) as (wire, _):
+        assert wire.read_all((1, 2, 3), 56, 2) == {servo: DATA[servo] for servo in found}
+
+
+def test_what_came_late_answers_no_later_question():
+    old, new = encode(Packet(1, 0, b"\1\1")), encode(Packet(1, 0, b"\2\2"))
+    with wire_to(old + old, new) as (wire, _):
+        assert wire.read(1, 56, 2) == b"\1\1"
+        assert wire.read(1, 56, 2) == b"\2\2"
+    with wire_to(old + old) as (wire, _):
+        assert wire.read(1, 56, 2) == b"\1\1"
+        assert wire.quieten(0.01)
+        assert not wire.quieten(0.01)
+
+
+@pytest.mark.parametrize("size", [1, 2, 4])
+def test_a_question_that_comes_back_is_no_answer(size):
+    echo = encode(Packet(1, 2, bytes([31, size])))
+    with (
+        wire_to(echo + encode(Packet(1, 0, bytes(size)))) as (wire, _),
+        pytest.raises(ValueError, match="use an adapter that does not echo"),
+    ):
+        wire.read(1, 31, size)
+
+
+def test_an_answer_of_another_size_is_no_answer():
+    """As of a synchronous read that comes late."""
+    with (
+        wire_to(encode(Packet(1, 0, bytes(15)))) as (wire, _),
+        pytest.raises(ValueError, match="15 bytes instead of 1"),
+    ):
+        wire.read(1, 33, 1)
+
+
+def test_answers_that_come_in_parts_are_put_together():
+    """A USB adapter hands over what it has every millisecond or so."""
+    own, client = pty.openpty()
+    tty.setraw(client)
+    rest = b"".join(ANSWERS.values())
+
+    def answer():
+        os.read(own, 4096)
+        for start in range(0, len(rest), 5):
+            os.write(own, rest[start : start + 5])
+            threading.Event().wait(0.002)
+
+    thread = threading.Thread(target=answer)
+    thread.start()
+    with closing(Wire(os.ttyname(client), 1_000_000)) as wire:
+        assert wire.read_all((1, 2, 3), 56, 2) == DATA
+    thread.join()
+    os.close(client)
+    os.close(own)
+
+
+def test_a_line_that_ends_is_a_broken_one():
+    with (
+        socket.create_server(("127.0.0.1", 0)) as server,
+        closing(Wire(f"socket://127.0.0.1:{server.getsockname()[1]}", 1_000_000)) as wire,
+    ):
+        server.accept()[0].close()
+        with pytest.raises(OSError, match=r"gone|reset|pipe"):
+            wire.read_all((1, 2), 56, 2)
