@@ -22,9 +22,9 @@ def bare(folder: Path, seconds: float = 12.0) -> Path:
     """A folder with one log of states alone: rest, motion, rest."""
     found = worn_sample(seconds=seconds)
     rng = np.random.default_rng(0)
-    position = found.position.copy()
-    for first in (100, 250, 400, 520):
-        position[first : first + 80] = position[first] + 3e-4 * rng.normal(size=(80, 5))
+    rests = np.isin(np.arange(len(found.time)) // 10, [*range(10, 18), *range(25, 33), *range(40, 48), *range(52, 60)])
+    position = found.position[np.cumsum(~rests) - 1]  # what moves goes on where it stood
+    position = position + 3e-4 * rests[:, None] * rng.normal(size=position.shape)
     position[:, 4] = 0.1
     folder.mkdir()
     source = write_table(folder / "wave.csv", Sample(time=found.time, position=position, command=position))

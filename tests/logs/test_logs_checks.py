@@ -100,7 +100,7 @@ def test_a_reversed_axis_is_told():
 
 def test_joints_outside_their_limits():
     position = sample(rows=200).position.copy()
-    position[:20, 1] += 1.8
+    position[:, 1] += 1.4 * np.exp(-(((np.arange(200) - 30) / 12) ** 2))
     assert (
         f"beyond the limits of joint shoulder_lift in {(position[:, 1] > ARM.upper[1]).sum()} samples"
         in check(changed(position=position))[1]

@@ -221,7 +221,9 @@ def test_names_do_not_decide_what_is_held_out(logs):
 
 
 def test_too_little_free_motion_is_refused(logs):
-    with pytest.raises(InputError, match="of free motion, expected at least 10 s"):
+    with pytest.raises(
+        InputError, match=r"s of free motion in stretches of 2 s .*, expected at least 10 s; record longer motions"
+    ):
         identify_logs(ARM, [logs[0].rows(slice(600))], QUICK)
     with pytest.raises(InputError, match="so101"):
         identify_logs(ARM, [replace(log, arm="other") for log in logs], QUICK)

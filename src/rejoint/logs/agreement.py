@@ -34,6 +34,11 @@ FEWEST_MOVING = 20
 GAIN = 10.0
 """chosen: a joint that moves this much farther than its command, or less, has another unit; friction takes up to 0.75
 of a small motion of a real low-cost arm."""
+STRIDE = 0.2
+"""[s] chosen: between rows in which a joint's distance from a command that never changes is looked at."""
+LEFT = 0.3
+"""[rad] chosen: by which a joint may leave such a command: other joints load it, and it may touch something; on a table
+the elbow of a real low-cost arm is pushed 0.2 rad away."""
 APART = 0.5
 """[rad] chosen: median distance of a joint from its command that no sag explains: another zero, or another joint."""
 
@@ -46,6 +51,7 @@ def check_agreement(state: Track, command: Array, doubts: Doubts) -> list[str]:
     """
     notes = _check_order(state, command)
     _check_copies(state, command, doubts)
+    _check_still(state, command, doubts)
     _check_scale(state, command, doubts)
     return notes + _check_lag(state, command, doubts) + _stale(state, command)
 
@@ -89,6 +95,22 @@ def _correlations(state: Track, command: Array) -> tuple[Array, Array]:
     if not found:
         return np.zeros((n, n)), np.ones((n, n))
     return np.min(found, axis=0), np.max(found, axis=0)
+
+
+def _check_still(state: Track, command: Array, doubts: Doubts) -> None:
+    """Look for joints that leave a command which never changes: something else than this command moved them."""
+    rows = np.unique(np.searchsorted(state.time, np.arange(state.time[0], state.time[-1], STRIDE)))
+    far = np.abs(state.value[rows] - command[rows])
+    left = np.maximum(far - np.minimum.accumulate(far, axis=0), 0.0).max(axis=0, initial=0.0)
+    moved = (np.ptp(command, axis=0) == 0.0) & (left > LEFT)
+    if moved.any():
+        joint = int(np.argmax(np.where(moved, left, 0.0)))
+        named = _named([name for name, own in zip(state.columns, moved, strict=True) if own], len(state.columns))
+        doubts.stop(
+            state.path, f"the commands of {named} never change, yet {state.columns[joint]} moves away from its own by "
+            f"{left[joint]:.3g} rad: not these commands moved the arm",
+            "give what was sent, or leave the columns of the commands out",
+        )  # fmt: skip
 
 
 def _check_copies(state: Track, command: Array, doubts: Doubts) -> None:

@@ -23,8 +23,14 @@ LOST = 0.05
 SPIKE = 0.05
 """[rad] chosen: of a single reading off the line between its neighbours; a hobby arm at its fastest has half of it
 where it reverses within 20 ms."""
+SPIKED = 0.2
+"""chosen: share of the readings that jump out and back from which they are no damaged digits, but two arms in one."""
+SHARPEST = 400.0
+"""[rad/s^2] chosen: acceleration that no joint has, ten times the largest that a servo of an SO-101 can be set to."""
 TOO_FAST, SPEED_ROWS = 4.0, 5
 """chosen: how much faster than its servo a joint may seem, over that many rows."""
+LEAP = 5.0
+"""[encoder steps] chosen: by which a joint moves on after rows that repeat each other, where a slow one makes one."""
 FAR_OUT = 0.05
 """chosen: share of samples beyond a limit by more than `LIMIT_MARGIN` from which unit or zero are doubted."""
 GAP_PERIODS = 5.0
@@ -122,8 +128,10 @@ def check_angles(motion: RecordedMotion, arm: Arm, doubts: Doubts) -> list[str]:
             motion.state.path, f"state: no angle is beyond {np.rad2deg(extent):.3g} deg; the values are surely radians",
             "set --angle-unit rad, or the unit in the column name",
         )  # fmt: skip
-    notes += _spikes(motion.state)
+    notes += _spikes(motion.state, doubts)
     _check_speed(motion.state, arm, doubts)
+    _check_jumps(motion.state, doubts)
+    _check_renewal(motion.state, arm, doubts)
     if not (np.ptp(motion.state.value, axis=0) > 0).any():
         notes.append("state: no joint moves in this log")
     return notes
@@ -144,7 +152,47 @@ def _check_speed(state: Track, arm: Arm, doubts: Doubts) -> None:
         )  # fmt: skip
 
 
-def _spikes(state: Track) -> list[str]:
+def _check_jumps(state: Track, doubts: Doubts) -> None:
+    """Look for joints that stand elsewhere from one row to the next, and hardly move before and after."""
+    if len(state) < SPEED_ROWS:
+        return
+    way, steps = np.diff(state.value, axis=0), np.diff(state.time)[:, None]
+    far, steps = np.abs(way), np.maximum(steps, float(np.median(steps)))
+    around = np.maximum(far[:-2], far[2:])
+    fresh = (way[:-2] != 0).any(axis=1, keepdims=True)  # readings that stood still catch up with the arm
+    back = np.abs(state.value[3:] - state.value[1:-2]) < 0.5 * far[1:-1]  # such a reading is told on its own
+    back |= np.abs(state.value[2:-1] - state.value[:-3]) < 0.5 * far[1:-1]
+    found = (far[1:-1] > SPIKE + 0.25 * SHARPEST * steps[1:-1] ** 2 + 3.0 * around) & fresh & ~back
+    if not found.any():
+        return
+    row, joint = (int(i) for i in np.unravel_index(int(np.argmax(np.where(found, far[1:-1], 0.0))), found.shape))
+    doubts.stop(
+        state.path, f"{state.what}: {int(found.any(axis=1).sum())} time(s) joints are elsewhere in the next sample, "
+        f"farthest {state.columns[joint]} by {way[row + 1, joint]:.3g} rad in {steps[row + 1, 0]:.3g} s at "
+        f"{state.where(row + 2)}: no joint moves so", "cut the file there, or mend the values",
+    )  # fmt: skip
+
+
+def _check_renewal(state: Track, arm: Arm, doubts: Doubts) -> None:
+    """Look for readings that are repeated from row to row and renewed too seldom: rows promise more than there is."""
+    change = np.abs(np.diff(state.value, axis=0)).max(axis=1)
+    renewed = np.flatnonzero(change > 0)
+    if len(renewed) < SPEED_ROWS:
+        return
+    waited = np.diff(state.time[renewed + 1])
+    leap = (change[renewed[1:]] > LEAP * arm.encoder_step) & (np.diff(renewed) > 1)
+    travel = change[renewed[1:]]
+    if travel[leap].sum() <= 0.5 * travel.sum():
+        return
+    rate = 1.0 / float(np.median(waited[leap]))
+    if rate < 0.99 * SLOWEST:
+        doubts.stop(
+            state.path, f"{state.what}: the readings are repeated from row to row and renewed only {rate:.2g} times a "
+            f"second, expected at least {SLOWEST:g}: too few to show friction or lag", "record faster",
+        )  # fmt: skip
+
+
+def _spikes(state: Track, doubts: Doubts) -> list[str]:
     """Find single readings that jump out and back: damaged digits, or a bus that was misread."""
     if len(state) < 3:
         return []
@@ -154,10 +202,13 @@ def _spikes(state: Track) -> list[str]:
     if not found.any():
         return []
     row, joint = (int(i) for i in np.unravel_index(int(np.argmax(np.where(found, out, 0.0))), found.shape))
-    return [
+    said = (
         f"state: {int(found.sum())} single reading(s) jump out and back, the farthest by {out[row, joint]:.3g} rad in "
-        f"{state.where(row + 1)}, {state.columns[joint]}; is the file damaged?"
-    ]
+        f"{state.where(row + 1)}, {state.columns[joint]}"
+    )
+    if len(found) >= 4 * SPEED_ROWS and found.mean() > SPIKED:
+        doubts.stop(state.path, f"{said}: as if the samples of two arms took turns", "give each arm a file of its own")
+    return [f"{said}; is the file damaged?"]
 
 
 def _check_limits(state: Track, arm: Arm, doubts: Doubts) -> list[str]:

@@ -15,6 +15,7 @@ from rejoint.logs import lerobot, mcapfile, rosbag, sage, table
 from rejoint.logs.found import describe
 from rejoint.logs.joining import to_log
 from rejoint.logs.options import ImportOptions
+from rejoint.logs.parting import parted
 from rejoint.logs.runlog import RunLog, write_log
 from rejoint.logs.track import RecordedMotion
 from rejoint.system.errors import FileError, InputError, first_line
@@ -96,14 +97,17 @@ def _checked(
     logs: dict[str, RunLog] = {}
     notes: dict[str, list[str]] = {}
     for done, motion in enumerate(motions, start=1):
-        log, remarks = to_log(motion, arm, options)
-        name = _file_name(motion.name)
-        if name in logs:
-            raise FileError(motion.state.path, f"a second log with the name {name}", "import it into another folder")
-        logs[name] = log
-        for remark in remarks:
-            notes.setdefault(remark, []).append(name)
-        on_log(done, name)
+        for part in parted(motion):
+            log, remarks = to_log(part, arm, options)
+            name = _file_name(part.name)
+            if name in logs:
+                raise FileError(
+                    motion.state.path, f"a second log with the name {name}", "import it into another folder"
+                )
+            logs[name] = log
+            for remark in remarks:
+                notes.setdefault(remark, []).append(name)
+            on_log(done, name)
     return logs, notes
 
 

@@ -35,6 +35,8 @@ _SHOWN = 24
 """Titles that an error shows (chosen)"""
 _NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?|[+-]?(nan|inf|infinity)", re.ASCII | re.IGNORECASE)
 _DATE = re.compile(r"^\d{1,4}[-/.]\d{1,2}[-/.]\d{1,4}|^\d{1,2}:\d{2}")
+_MINUS = "\N{MINUS SIGN}"
+"""What spreadsheets of some languages, such as Swedish, write before a negative number"""
 _REMEDY = "mend the line or take another file"
 
 
@@ -275,7 +277,7 @@ def has_decimal_commas(sheet: Sheet, needed: list[int]) -> bool:
 
 def number(text: str, place: tuple[Sheet, int, str], *, commas: bool) -> float:
     """Read a cell as a number, NaN if it is empty; FileError names line and column."""
-    text = text.strip()
+    text = text.strip().replace(_MINUS, "-")
     if not text:
         return float("nan")
     if _NUMBER.fullmatch(text) is None:

@@ -75,8 +75,9 @@ def check_steps(motion: RecordedMotion, arm: Arm, doubts: Doubts) -> None:
         values = np.unique(np.round(motion.state.value[:, joint], 9))
         if len(values) < FEWEST_VALUES or _on_grid(values, step) > OFF:
             continue
+        # Readings whose zero was moved are on no grid of one zero, yet on any much finer one: it must be used as well.
         for unit, other in others.items():
-            if _on_grid(values, other) > ON:
+            if _on_grid(values, other) > ON and np.percentile(np.diff(values), 10) < FEWEST_STEPS * other:
                 doubts.stop(
                     motion.state.path, f"the states of {title} come in steps of {other:.3g} rad, where the encoders of "
                     f"this arm have {step:.3g}: as if {unit}", "declare their unit",

@@ -22,6 +22,7 @@ from rejoint.twin.fit import SCALES, Fit, Problem, fit
 from rejoint.twin.holdout import HoldOut
 from rejoint.twin.judge import TIMESTEP
 from rejoint.twin.replay import Replay, Window
+from rejoint.twin.segments import SHORTEST as LEAST
 from rejoint.twin.segments import by_motion, fastest, free_windows, merged, thin
 from rejoint.twin.structure import (
     STICTIONS,
@@ -103,7 +104,11 @@ def fit_motions(
     windows = free_windows(logs, excluded, settings.window)
     seconds = sum(float(logs[w.log].time[w.last - 1] - logs[w.log].time[w.first]) for w in windows)
     if seconds < SHORTEST:
-        raise InputError(f"identification: {seconds:.0f} s of free motion, expected at least {SHORTEST:.0f} s")
+        whole = sum(float(log.time[-1] - log.time[0]) for log in logs)
+        raise InputError(
+            f"identification: {seconds:.0f} s of free motion in stretches of {LEAST:g} s and more, of {whole:.0f} s "
+            f"in {len(logs)} log(s), expected at least {SHORTEST:.0f} s; record longer motions, off table and stops"
+        )
     belief = unknown_prior(arm)
 
     def problem(chosen: Sequence[Window], structure: Structure, threads: int = settings.threads) -> Problem:

@@ -1,0 +1,130 @@
+"""What strangers put into one file: pauses, two motions, two arms, repeated readings, commands that moved nothing."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from log_samples import ARM, Sample, worn_sample, write_table
+from test_logs_checks import motion
+
+import rejoint
+from rejoint.logs import ImportOptions, import_logs
+from rejoint.logs.joining import to_log
+from rejoint.logs.parting import parted
+from rejoint.logs.runlog import RunLog
+from rejoint.system.errors import FileError, InputError
+
+FOUND = worn_sample(seconds=20)
+ROWS = len(FOUND.time)
+
+
+def refused(found: Sample, said: str) -> None:
+    """The import stops and says so; by force it goes on and says it again."""
+    with pytest.raises(FileError, match=said):
+        to_log(motion(found), ARM)
+    _, notes = to_log(motion(found), ARM, ImportOptions(force=True))
+    assert any("imported by force" in note for note in notes)
+
+
+def paused(*pauses: tuple[int, float]) -> Sample:
+    time = FOUND.time.copy()
+    for row, seconds in pauses:
+        time[row:] += seconds
+    return replace(FOUND, time=time)
+
+
+def test_a_long_pause_parts_a_recording(tmp_path: Path):
+    source = write_table(tmp_path / "day.csv", paused((400, 60.0), (700, 3600.0)))
+    found = import_logs(source, ARM, out=tmp_path / "logs")
+    assert [log.label for log in found.logs] == ["day-1of3", "day-2of3", "day-3of3"]
+    assert [len(log) for log in found.logs] == [400, 300, ROWS - 700]
+    assert max(np.diff(log.time).max() for log in found.logs) < 0.021
+    np.testing.assert_array_equal(np.concatenate([log.command for log in found.logs]), FOUND.command)
+    (note,) = [note for note in found.notes if "pause" in note]
+    assert "2 pause(s) longer than 1 s, the longest 3.6e+03 s before line 702; cut there into 3 log(s)" in note
+
+
+def test_a_lone_sample_between_pauses_is_left_out_and_told():
+    parts = list(parted(motion(paused((400, 60.0), (401, 60.0)))))
+    assert [len(part.state) for part in parts] == [400, ROWS - 401]
+    assert parts[0].notes[-1].endswith("cut there into 2 log(s), 1 lone sample(s) left out")
+
+
+def test_the_command_that_holds_goes_with_each_part():
+    seldom = np.arange(0, ROWS, 7)
+    found = motion(paused((400, 60.0)))
+    assert found.command is not None
+    rows = np.isin(np.arange(ROWS), seldom)
+    parts = list(parted(replace(found, command=found.command.take(rows))))
+    for part, first in zip(parts, (0, 400), strict=True):
+        log, _ = to_log(part, ARM, ImportOptions(force=True))
+        expected = FOUND.command[(first + np.arange(len(log))) // 7 * 7]
+        np.testing.assert_array_equal(log.command, expected)
+
+
+def test_a_short_gap_or_a_clock_set_back_parts_nothing():
+    for found in (FOUND, paused((400, 0.9)), paused((400, -3.0))):
+        assert [len(part.state) for part in parted(motion(found))] == [ROWS]
+
+
+def test_joints_that_are_elsewhere_in_the_next_sample_are_refused():
+    for last, said in ((420, r"2 time\(s\) .* line 422"), (ROWS, r"1 time\(s\) .* line 302")):
+        position = FOUND.position.copy()  # a stretch of another recording; another zero from there on
+        position[300:last, 2] += 0.4
+        refused(replace(FOUND, position=position), f"{said}: no joint moves so")
+
+
+def test_fast_steps_and_readings_that_catch_up_are_no_jumps():
+    stepping = worn_sample(seconds=20, stepping=True)
+    assert to_log(motion(stepping), ARM)[1] == []
+    position = FOUND.position.copy()
+    position[300:315] = position[300]
+    assert to_log(motion(replace(FOUND, position=position)), ARM)[1] == []
+
+
+def test_two_arms_that_take_turns_are_refused():
+    position = FOUND.position.copy()
+    position[1::2] = -position[1::2] + 0.3
+    refused(replace(FOUND, position=position), "as if the samples of two arms took turns")
+
+
+def test_readings_that_are_renewed_too_seldom_are_refused():
+    rows = np.arange(ROWS)
+    refused(replace(FOUND, position=FOUND.position[rows // 10 * 10]), "renewed only 5 times a second")
+    assert to_log(motion(replace(FOUND, position=FOUND.position[rows // 2 * 2])), ARM)[1] == []
+
+
+@pytest.mark.parametrize("row", [0, -1])
+def test_commands_that_never_change_move_no_arm(row: int):
+    held = np.tile(FOUND.command[row], (ROWS, 1))
+    refused(replace(FOUND, command=held), "the commands of all joints never change, yet .* moves away from its own")
+
+
+def test_a_goal_that_was_sent_before_the_log_began_is_believed():
+    goal = np.linspace(0.3, 0.6, 5)
+    way = goal - 0.8 * np.exp(-FOUND.time / 0.5)[:, None] * np.ones(5)
+    found = replace(
+        FOUND, command=np.tile(goal, (ROWS, 1)), position=np.round(way / ARM.encoder_step) * ARM.encoder_step
+    )
+    to_log(motion(found), ARM)
+
+
+def test_readings_whose_zero_was_moved_are_in_no_other_unit():
+    position = np.round(FOUND.position + np.where(np.arange(ROWS)[:, None] < 400, 0.0, 0.3007) * [1, 0, 0, 0, 0], 6)
+    refused(replace(FOUND, position=position), "state.shoulder_pan by 0.3.* no joint moves so")
+
+
+def test_a_minus_of_a_spreadsheet_is_a_minus(tmp_path: Path):
+    source = write_table(tmp_path / "a.csv", FOUND)
+    plain = import_logs(source, ARM, out=tmp_path / "plain").logs[0]
+    source.write_text(source.read_text().replace("-", "\N{MINUS SIGN}"), encoding="utf-8")
+    np.testing.assert_array_equal(import_logs(source, ARM, out=tmp_path / "other").logs[0].position, plain.position)
+
+
+def test_logs_that_are_too_short_say_what_they_hold():
+    pieces = [
+        RunLog.of(FOUND.time[:60], FOUND.command[:60], FOUND.position[:60], arm=ARM, label=f"{i}") for i in range(9)
+    ]
+    with pytest.raises(InputError, match=r"of \d+ s in \d log\(s\), expected at least 10 s; record longer motions"):
+        rejoint.identify(pieces, arm=ARM)
