@@ -83,6 +83,10 @@ class RunLog:
     extra: dict[str, str] = field(default_factory=dict)
     """anything else worth keeping: seed, profile, software version"""
 
+    def __repr__(self) -> str:
+        last = self.time[-1] - self.time[0] if len(self.time) else 0.0
+        return f"RunLog({self.label!r} of {self.robot}, {self.arm}: {len(self.time)} rows, {last:.1f} s)"
+
     def __post_init__(self) -> None:
         rows, n = self.time.shape[0], len(self.joint_names)
         shapes = {
