@@ -140,6 +140,7 @@ def test_follow_goes_along_a_path_and_logs_each_time(
         (("deploy", "emulated:worn", "{run}", "--controller", "policy"), "truncated or damaged"),
         (("gains", "emulated:worn", "{run}"), "no servo gains that could be tuned"),
         (("import", "{empty}", "{run}/logs"), "empty"),
+        (("export", "{run}"), "--format: urdf, lerobot, datasheet, onnx or ros2"),
         (("export", "{run}/logs/none.parquet", "out.csv"), "no such file"),
         (("repair", "emulated:worn", "--arm", "robot.urdf"), "robot.urdf"),
         (("identify",), "either a run folder or --logs"),
@@ -414,6 +415,8 @@ def test_the_newest_unfinished_run_is_resumed(tmp_path: Path, monkeypatch: pytes
     assert newest_or_new("emulated:worn?seed=3", mycobot280(), 0) == (first.with_name("002"), False)
     with pytest.raises(FileError, match="it holds runs, name one of: 001"):
         Run.open(first.parent)
+    with pytest.raises(FileError, match=f"it holds runs, name one of: {first.parent.name}/001"):
+        Run.open(first.parent.parent)
 
 
 def test_options_are_read_as_written() -> None:

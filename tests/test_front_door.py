@@ -13,6 +13,7 @@ import rejoint
 from commandline import run_cli
 from rejoint.arms import mycobot280, write_arm_toml
 from rejoint.control.integrator import IntegratorController
+from rejoint.control.shelf import shelf_policy
 from rejoint.logs.runlog import write_log
 from rejoint.runs.given import is_robot
 from rejoint.runs.stages.driving import make_factories
@@ -181,6 +182,12 @@ def test_what_is_none_of_the_things_taken_is_refused_in_words_before_anything_mo
         with pytest.raises(rejoint.InputError, match=said):
             call()
     assert robot.read().time[0] == before
+
+
+def test_what_is_returned_is_shown_in_few_words(motion: rejoint.RunLog) -> None:
+    assert repr(motion) == f"RunLog({motion.label!r} of {motion.robot}, {motion.arm}: 2395 rows, 60.0 s)"
+    assert repr(ARM) == "Arm('mycobot280' with the joints joint1, joint2, joint3, joint4, joint5, joint6)"
+    assert len(repr(shelf_policy(ARM))) < 6000, "the network's bytes stay out"
 
 
 def test_progress_of_a_part_is_progress_of_the_whole() -> None:

@@ -11,9 +11,10 @@ import pytest
 import rejoint
 from rejoint.arms import Arm, load_arm, tcp_position
 from rejoint.arms.room import is_safe
+from rejoint.control.comparison.iso import RISING_LEFT, iso_poses
 from rejoint.diagnosis.monitoring.measures import measure_check
 from rejoint.diagnosis.monitoring.record import record_check
-from rejoint.diagnosis.monitoring.routine import CYCLES, POSES, iso_poses, plan_check
+from rejoint.diagnosis.monitoring.routine import CYCLES, POSES, plan_check
 from rejoint.diagnosis.segments import attach_segments
 from rejoint.logs.history.index import find_rows
 from rejoint.logs.history.rows import SUMMARY, read_rows, write_rows
@@ -47,7 +48,7 @@ def test_the_routine_is_short_safe_and_always_the_same(arm: Arm) -> None:
 
 
 def test_the_poses_are_those_of_the_standard() -> None:
-    points = iso_poses(ARM)
+    points = iso_poses(ARM, RISING_LEFT)
     low, high = ARM.targets.lower, ARM.targets.upper
     np.testing.assert_allclose(points[0], 0.5 * (low + high))
     inset = np.minimum(points[1:] - low, high - points[1:])

@@ -103,6 +103,9 @@ class Arm:
         """Number of joints n."""
         return len(self.joint_names)
 
+    def __repr__(self) -> str:
+        return f"Arm({self.name!r} with the joints {', '.join(self.joint_names)})"
+
 
 @dataclass(frozen=True, kw_only=True)
 class DhRow:

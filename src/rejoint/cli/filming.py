@@ -82,7 +82,7 @@ def announce(terminal: Terminal, count: int, visits: int, seconds: float) -> Non
     total = SCOUTS + count * visits
     terminal.say(
         f"{total} pictures: {SCOUTS} about the rest posture, then {count} postures that tell most"
-        f"{', each from two sides' if visits == 2 else ''}; about {total * seconds / 60:.0f} minutes of the arm. "
+        f"{', each from two sides' if visits == 2 else ''}; about {total * seconds / 60:.1f} min of the arm. "
         "Shift neither camera nor board until the last one is taken."
     )
 

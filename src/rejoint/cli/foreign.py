@@ -97,7 +97,10 @@ def export(
         out, told = export_run(source, kind or "lerobot", out, lerobot=lerobot)
         terminal.say(told)
     elif out is None:
-        raise InputError("export takes a run log and a file to write, or a run folder and --format")
+        raise InputError(
+            "export takes a run log (.parquet) and a file to write (.csv or .mcap), or a run folder and --format: "
+            "urdf, lerobot, datasheet, onnx or ros2"
+        )
     else:
         export_log(read_log(source), out)
     terminal.result(str(out))

@@ -119,7 +119,7 @@ def calibrate(
             total = (count or POINTS) * visits
             terminal.say(
                 f"{count or POINTS} postures, {'each from two sides: ' if visits == 2 else ''}{total} measurements, "
-                f"about {total * SECONDS / 60:.0f} minutes of the arm and what the measuring takes."
+                f"about {total * SECONDS / 60:.1f} min of the arm and what the measuring takes."
             )
         bar = nullcontext(no_progress) if touch else terminal.progress("calibrating")
         with terminal.unsaved(partial(show.calibration, terminal)), bar as update:

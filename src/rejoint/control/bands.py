@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from rejoint.arms import Arm, Array, gravity_torque
 from rejoint.control.following import Bands
 from rejoint.control.law import plain
-from rejoint.control.lines import commands_in_force
+from rejoint.control.lines import PER_MEDIAN, commands_in_force
 from rejoint.logs.runlog import RunLog
 from rejoint.system.late import Late
 
@@ -42,7 +42,6 @@ REACHES = np.radians(np.geomspace(0.3, 20.0, 30))
 """[rad] reaches that are tried, up to the guard's longest lead (chosen)"""
 WIDER, _OFTEN = 1.25, 12
 """times as wide is a band made in whose own logs a joint would be overdue (chosen), and how often at most"""
-_PER_MEDIAN = 1.4826  # standard deviation of normal residuals over the median of their sizes
 
 
 def standing_bands(arm: Arm, logs: Sequence[RunLog]) -> Bands:
@@ -120,7 +119,7 @@ def _fit(columns: Array, value: Array) -> Array:
         root = np.sqrt(weight)
         found = np.linalg.lstsq(columns * root[:, None], value * root)[0]
         off = np.abs(value - columns @ found)
-        noise = max(_PER_MEDIAN * float(np.median(off)), 1e-6)
+        noise = max(PER_MEDIAN * float(np.median(off)), 1e-6)
         weight = np.minimum(1.0, HUBER * noise / np.maximum(off, 1e-12))
     return np.asarray(found)
 

@@ -38,7 +38,8 @@ LEAST_NOISE = 0.001
 HUBER = 2.0
 """Residuals, in robust standard deviations, from which a row counts for less (chosen)"""
 _ROUNDS = 20  # of reweighting (chosen: it settles in ten)
-_PER_MEDIAN = 1.4826  # standard deviation of normal residuals over the median of their sizes
+PER_MEDIAN = 1.4826
+"""Standard deviation of normal residuals over the median of their sizes"""
 
 
 def servo_lines(arm: Arm, logs: Sequence[RunLog]) -> Knowledge | None:
@@ -104,7 +105,7 @@ def _line(lead: Array, load: Array, use: NDArray[np.bool_]) -> tuple[float, floa
         root = np.sqrt(weight)
         slope, offset = np.linalg.lstsq(columns * root[:, None], load * root)[0]
         off = np.abs(load - columns @ (slope, offset))
-        noise = max(_PER_MEDIAN * float(np.median(off)), LEAST_NOISE)
+        noise = max(PER_MEDIAN * float(np.median(off)), LEAST_NOISE)
         weight = np.minimum(1.0, HUBER * noise / np.maximum(off, 1e-12))
     if slope <= 0.0:
         return unknown

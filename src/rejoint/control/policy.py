@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
@@ -90,7 +90,7 @@ class Policy:
     >>> rejoint.deploy("tcp://192.168.1.20:9000", policy, targets)
     """
 
-    content: bytes
+    content: bytes = field(repr=False)
     """of the ONNX file"""
     contract: PolicyContract
     """arm, observation, law and control periods that it was trained for"""

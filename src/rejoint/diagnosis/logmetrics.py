@@ -37,9 +37,6 @@ SLOW = 0.6
 MAX_ACCELERATION = 5.0
 """[rad/s^2] of a joint above which its motion is left out (chosen likewise)"""
 
-_MOVING = 0.7
-"""Size of the averaged direction above which a window counts as moving, as in `rejoint.diagnosis.metrics`"""
-
 BOTH_WAYS = 0.1
 """Least share of the moving windows in either direction: friction is half of what differs between the two (chosen)"""
 
@@ -110,7 +107,7 @@ def slow_motion(data: ExcitationLog, joint: int) -> Slow | None:
         return None
     segments = data.of_kind(FREE)
     averages = window_averages(data, segments, joint, length=_WINDOW, delays=np.array([0.0]), cut=_SETTLING)
-    chosen = np.abs(averages.direction) > _MOVING
+    chosen = np.abs(averages.direction) > metrics.MOVING
     chosen &= (np.abs(averages.speed) < SLOW) & (np.abs(averages.acceleration) < MAX_ACCELERATION)
     cluster = _observations(averages, np.array([log_of(segment) for segment in segments], dtype=np.intp))[chosen]
     forward = averages.direction[chosen] > 0

@@ -31,7 +31,7 @@ SETTLED_LAST = 0.4
 _SWEEP_WINDOW = 0.2
 """[s] as long as half sweeps allow (chosen)."""
 
-_MOVING = 0.7
+MOVING = 0.7
 """Size of the averaged direction above which a window counts as moving: about 0.04 rad/s (chosen)."""
 
 _MIN_TORQUE_RANGE = 2e-3
@@ -53,7 +53,7 @@ def sweep_fit(data: ExcitationLog, joint: int, delay: float) -> LinearFit | None
     """
     segments = data.of_kind("sweep", joint)
     averages = window_averages(data, segments, joint, length=_SWEEP_WINDOW, delays=np.array([delay]), cut=0.1)
-    moving = np.abs(averages.direction) > _MOVING
+    moving = np.abs(averages.direction) > MOVING
     data.require(len(segments) >= 6, "sweeps", joint)
     if len(np.unique(averages.cluster[moving])) < 6:
         return None

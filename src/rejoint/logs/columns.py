@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from rejoint.arms import Arm
 from rejoint.logs.joints import means_a_joint
 from rejoint.logs.options import OPTIONS, TIME_UNITS, ImportOptions
+from rejoint.logs.runlog import AXES
 from rejoint.logs.textfile import Sheet
 from rejoint.system.errors import FileError, InputError
 
-AXES = ("x", "y", "z")
 LENGTHS = {"m": 1.0, "mm": 1e3}
 GROUPS = ("position", "command", "target", "true_tcp")
 UNITS = {

@@ -17,9 +17,8 @@ from typing import Any
 import numpy as np
 
 from rejoint.logs.bags import COMMAND_TOPIC, METADATA, POINT_TOPICS, STATE_TOPIC
-from rejoint.logs.columns import AXES
 from rejoint.logs.messages import NANOSECONDS
-from rejoint.logs.runlog import RunLog
+from rejoint.logs.runlog import AXES, RunLog
 from rejoint.system.errors import InputError
 from rejoint.system.extras import require
 from rejoint.system.files import write_whole

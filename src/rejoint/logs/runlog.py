@@ -40,7 +40,8 @@ TWO_TURNS = 4.0 * np.pi
 """[rad] chosen: no joint of a serial arm is logged further from its zero; a log in degrees nearly always is."""
 
 _METADATA_KEY = b"rejoint"
-_AXES = ("x", "y", "z")
+AXES = ("x", "y", "z")
+"""Names of the columns of a place"""
 _ARRAYS = ("time", "position", "command", "target", "true_tcp")
 _OPTIONAL = ("servo_load", "aim")
 
@@ -81,6 +82,10 @@ class RunLog:
     see it; None if that was the target"""
     extra: dict[str, str] = field(default_factory=dict)
     """anything else worth keeping: seed, profile, software version"""
+
+    def __repr__(self) -> str:
+        last = self.time[-1] - self.time[0] if len(self.time) else 0.0
+        return f"RunLog({self.label!r} of {self.robot}, {self.arm}: {len(self.time)} rows, {last:.1f} s)"
 
     def __post_init__(self) -> None:
         rows, n = self.time.shape[0], len(self.joint_names)
@@ -202,7 +207,7 @@ def write_log(path: Path, log: RunLog) -> None:
     for group in ("position", "command") + (() if log.servo_load is None else ("servo_load",)):
         columns |= {f"{group}.{name}": getattr(log, group)[:, i] for i, name in enumerate(log.joint_names)}
     for group in ("target", "true_tcp") + (() if log.aim is None else ("aim",)):
-        columns |= {f"{group}.{axis}": getattr(log, group)[:, i] for i, axis in enumerate(_AXES)}
+        columns |= {f"{group}.{axis}": getattr(log, group)[:, i] for i, axis in enumerate(AXES)}
     header = {"format": FORMAT, **_about(log), "digest": _digest(log)}
     table = pa.table(columns).replace_schema_metadata({_METADATA_KEY: json.dumps(header).encode()})
     write_whole(path, lambda temporary: pq.write_table(table, temporary, compression="zstd", write_page_checksum=True))
@@ -226,9 +231,9 @@ def read_log(path: Path) -> RunLog:
         log = RunLog(
             arm=header["arm"], joint_names=names, robot=header["robot"], label=header["label"],
             time=table["time"].to_numpy(), position=group("position", names), command=group("command", names),
-            target=group("target", _AXES), true_tcp=group("true_tcp", _AXES), extra=header["extra"],
+            target=group("target", AXES), true_tcp=group("true_tcp", AXES), extra=header["extra"],
             servo_load=group("servo_load", names) if f"servo_load.{names[0]}" in table.column_names else None,
-            aim=group("aim", _AXES) if "aim.x" in table.column_names else None,
+            aim=group("aim", AXES) if "aim.x" in table.column_names else None,
         )  # fmt: skip
         if header.get("digest", _digest(log)) != _digest(log):  # logs of before there were digests have none
             raise FileError(path, CHANGED, remedy)

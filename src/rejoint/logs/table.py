@@ -14,10 +14,10 @@ from pathlib import Path
 import numpy as np
 
 from rejoint.arms import Arm
-from rejoint.logs.columns import AXES, GROUPS, LENGTHS, Column, understood
+from rejoint.logs.columns import GROUPS, LENGTHS, Column, understood
 from rejoint.logs.joints import match_joints, radians
 from rejoint.logs.options import TIME_UNITS, ImportOptions
-from rejoint.logs.runlog import Array
+from rejoint.logs.runlog import AXES, Array
 from rejoint.logs.textfile import Sheet, has_decimal_commas, head, number, read_sheet
 from rejoint.logs.track import Points, RecordedMotion, Track
 from rejoint.system.errors import FileError

@@ -49,7 +49,8 @@ class Run:
         """Open an existing run folder; FileError if it is none, or damaged, or of a later version."""
         folder = RunFolder(Path(path))
         if not folder.info.exists():
-            within = sorted(p.parent.name for p in folder.path.glob("*/run.json"))
+            depths = ("*/run.json", "*/*/run.json")  # those of a robot lie below RUNS together
+            within = sorted(str(p.parent.relative_to(path)) for depth in depths for p in folder.path.glob(depth))
             start = "start with: rejoint diagnose ROBOT --run FOLDER"
             hint = f"it holds runs, name one of: {', '.join(within)}" if within else start
             raise FileError(path, "no run folder (it holds no run.json)", hint)

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from rejoint.arms import mycobot280, tcp_position
-from rejoint.control.comparison.holding import INSET, Holding, errors_of, found_errors, iso_poses, vary_directions
+from rejoint.control.comparison.holding import Holding, errors_of, found_errors, vary_directions
+from rejoint.control.comparison.iso import INSET, RISING_AHEAD, iso_poses
 from rejoint.control.comparison.result import Protocol
 from rejoint.control.default import DefaultController
 from rejoint.control.robot import JointState
@@ -56,7 +57,7 @@ def holding(**more):
 
 
 def test_the_poses_are_the_centre_and_four_near_the_corners_of_a_diagonal_plane():
-    poses, box = iso_poses(ARM), ARM.targets
+    poses, box = iso_poses(ARM, RISING_AHEAD), ARM.targets
     share = (poses - box.lower) / (box.upper - box.lower)
     np.testing.assert_allclose(share[0], 0.5)
     np.testing.assert_allclose(np.minimum(share[1:], 1.0 - share[1:]), INSET)

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from rejoint.control.recording import Cycle
 from rejoint.system.progress import Progress
 
-_PROGRESS_CYCLES = 40
+PROGRESS_CYCLES = 40
 """Cycles between two reports of progress (chosen: about a second of a real arm)."""
 
 
@@ -40,6 +40,6 @@ class Targets:
             self.skip(self._total - self._done)
 
     def _see(self, cycle: Cycle) -> None:
-        if self._cycles % _PROGRESS_CYCLES == 0:
+        if self._cycles % PROGRESS_CYCLES == 0:
             self._report((self._done + int(cycle.target_index.sum())) / self._total, self._text)
         self._cycles += 1

@@ -23,8 +23,6 @@ from rejoint.control.servogains import limits_under, under_gains
 from rejoint.control.start import Stance, begin
 from rejoint.system.statistics import Spread, spread
 
-INSET = 0.1
-"""Share of the region's diagonals by which its outer poses lie inside (ISO 9283)"""
 AWAY = 0.03
 """[m] along an axis of the base from which a pose is come to, on an arm of the reach of a myCobot 280 (chosen)"""
 
@@ -97,22 +95,15 @@ def _true(true: Array, modelled: Array) -> TrueError:
     return mean_modelled(modelled) if np.isfinite(modelled).any() else NOT_KNOWN
 
 
-def iso_poses(arm: Arm) -> Array:
-    """Poses (P, 3) [m] in a diagonal plane of the region of targets (ISO 9283): its centre, and four near the corners.
-
-    Those that are out of reach are left out.
-    """
-    sides = np.array([[0, 0, 0], [-1, -1, -1], [-1, 1, -1], [1, 1, 1], [1, -1, 1]], dtype=float)
-    half = 0.5 * (arm.targets.upper - arm.targets.lower)
-    poses = 0.5 * (arm.targets.upper + arm.targets.lower) + (1.0 - 2.0 * INSET) * half * sides
-    return np.asarray(poses[beyond_reach(arm, poses) == 0.0])
-
-
 def vary_directions(
     how: Holding, name: str, controller: Callable[[Arm], Controller], arm: Arm, cycles: int, protocol: Protocol
 ) -> DirectionVariation | None:
-    """Come to each pose along each axis of the base, from the side of the region's centre, ``cycles`` times."""
-    poses = iso_poses(arm)
+    """Come to each pose of ISO 9283 along each axis of the base, from the side of the centre, ``cycles`` times.
+
+    Poses that are out of reach are left out.
+    """
+    poses = iso.iso_poses(arm, iso.RISING_AHEAD)
+    poses = poses[beyond_reach(arm, poses) == 0.0]
     middle = 0.5 * (arm.targets.upper + arm.targets.lower)
     side = np.where(poses > middle, -1.0, 1.0)
     starts = poses[None] + AWAY * length_size(arm) * np.eye(3)[:, None] * side[None]  # (3, P, 3)

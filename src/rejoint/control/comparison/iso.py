@@ -8,7 +8,20 @@ from __future__ import annotations
 
 import numpy as np
 
-from rejoint.arms import Array
+from rejoint.arms import Arm, Array
+
+INSET = 0.1
+"""Distance of P2 to P5 from the corners of the region, as a share of its diagonal (ISO 9283)"""
+RISING_AHEAD = np.array([[0, 0, 0], [-1, -1, -1], [-1, 1, -1], [1, 1, 1], [1, -1, 1]], dtype=float)
+"""P1 to P5 in the diagonal plane of the region that is higher where it is farther from the base: in half diagonals"""
+RISING_LEFT = np.array([[0, 0, 0], [1, 1, 1], [-1, 1, 1], [-1, -1, -1], [1, -1, -1]], dtype=float)
+"""The same in the plane that is higher on the arm's left"""
+
+
+def iso_poses(arm: Arm, plane: Array, size: float = 1.0) -> Array:
+    """Points P1 to P5 (5, 3) [m] of ISO 9283 in a ``plane`` of the region of targets, made smaller by ``size``."""
+    low, high = arm.targets.lower, arm.targets.upper
+    return np.asarray(0.5 * (low + high) + 0.5 * size * (1.0 - 2.0 * INSET) * (high - low) * plane)
 
 
 def position_accuracy(places: Array, target: Array) -> Array:

@@ -21,7 +21,7 @@ import pyarrow.parquet as pq
 from rejoint.arms import Arm, Array
 from rejoint.arms.size import in_metres
 from rejoint.diagnosis.calibration.measurements import NOISE, Measurements
-from rejoint.logs.runlog import read_parquet
+from rejoint.logs.runlog import AXES, read_parquet
 from rejoint.system.errors import FileError, InputError, first_line
 from rejoint.system.files import CHANGED, MEGABYTE, read_bounded, write_whole
 
@@ -30,7 +30,6 @@ CSV_MOST = 4 * MEGABYTE
 """Largest CSV file that is read (chosen: ten thousand measurements)"""
 
 _KEY = b"rejoint"
-_AXES = ("x", "y", "z")
 _REMEDY = "measure again, or take another file"
 _DEG, _MM = np.pi / 180.0, 1e-3
 
@@ -66,7 +65,7 @@ def _columns(arm: Arm, measured: Measurements) -> dict[str, Array]:
     columns: dict[str, Array] = {"posture": measured.posture.astype(float)}
     for group in ("position", "approach"):
         columns |= {f"{group}.{name}": getattr(measured, group)[:, i] for i, name in enumerate(arm.joint_names)}
-    columns |= {axis: measured.point[:, i] for i, axis in enumerate(_AXES)}
+    columns |= {axis: measured.point[:, i] for i, axis in enumerate(AXES)}
     return columns | {"sigma": measured.sigma}
 
 
@@ -103,7 +102,7 @@ def _assemble(columns: dict[str, Array], arm: Arm, frame: str, source: str) -> M
     return Measurements(
         position=group("position"),
         approach=group("approach") if told else np.full((rows, arm.joints), np.nan),
-        point=np.stack([columns[axis] for axis in _AXES], axis=-1),
+        point=np.stack([columns[axis] for axis in AXES], axis=-1),
         sigma=columns.get("sigma", np.full(rows, NOISE)),
         posture=np.asarray(columns.get("posture", np.arange(rows, dtype=float)), dtype=np.int64),
         frame=frame, source=source,
@@ -118,7 +117,7 @@ def _units(name: str) -> tuple[str, float]:
     """Name of a column in CSV, and its unit."""
     if name == "posture":
         return name, 1.0
-    return (f"{name}_mm", _MM) if name in (*_AXES, "sigma") else (f"{name}_deg", _DEG)
+    return (f"{name}_mm", _MM) if name in (*AXES, "sigma") else (f"{name}_deg", _DEG)
 
 
 def _as_csv(columns: dict[str, Array]) -> str:
@@ -136,9 +135,9 @@ def _from_csv(path: Path, arm: Arm, frame: str, source: str) -> Measurements:
     lines = [line for line in csv.reader(io.StringIO(text, newline="")) if any(map(str.strip, line))]
     names = [cell.strip() for cell in lines[0]] if lines else []
     joints = [f"position.{name}" for name in arm.joint_names]
-    known = [*joints, *(f"approach.{name}" for name in arm.joint_names), *_AXES, "sigma", "posture"]
+    known = [*joints, *(f"approach.{name}" for name in arm.joint_names), *AXES, "sigma", "posture"]
     wanted = {_units(name)[0]: name for name in known}
-    missing = [_units(name)[0] for name in (*joints, *_AXES) if _units(name)[0] not in names]
+    missing = [_units(name)[0] for name in (*joints, *AXES) if _units(name)[0] not in names]
     strange = [name for name in names if name not in wanted]
     if missing or strange or len(set(names)) != len(names):
         found = f"columns {', '.join(names) or 'none'}"

@@ -38,8 +38,6 @@ class Fitted:
     """(k,)"""
     covariance: Array
     """(k, k)"""
-    cost: float
-    """half the sum of squares at the solution, beliefs included"""
     frame: Array
     """(4, 4) pose of the measuring frame in the base"""
     evidence: float
@@ -208,6 +206,6 @@ def _fitted(problem: Fittable, vector: Array) -> Fitted:
     spread = np.log(np.abs(np.diagonal(whitener, axis1=1, axis2=2)))[problem.known].sum()
     evidence = -cost + spread + 0.5 * (np.linalg.slogdet(problem.belief.precision)[1] - np.linalg.slogdet(curvature)[1])
     return Fitted(
-        layout=problem.layout, vector=vector, covariance=np.asarray(np.linalg.inv(curvature), dtype=float), cost=cost,
+        layout=problem.layout, vector=vector, covariance=np.asarray(np.linalg.inv(curvature), dtype=float),
         frame=problem.pose(vector), evidence=float(evidence),
     )  # fmt: skip

@@ -44,8 +44,6 @@ class Chart:
 
     z: Array
     """(T,) distance from what is usual at that warmth, in standard deviations; NaN in the first `FEWEST` checks"""
-    ewma: Array
-    """(T,)"""
     cusum: Array
     """(T,) the larger of both sides, positive where the quantity grows"""
     usual: float
@@ -65,7 +63,7 @@ def chart(value: Array, temperature: Array, *, scatter: float, per_degree: float
     """
     count = len(value)
     warm = np.nan_to_num(temperature - temperature[0]) if count else temperature
-    z, ewma, cusum = np.full(count, np.nan), np.zeros(count), np.zeros(count)
+    z, cusum = np.full(count, np.nan), np.zeros(count)
     up = down = smooth = 0.0
     began_up = began_down = FEWEST - 1
     usual, change, since = float(np.mean(value)) if count else 0.0, 0.0, None
@@ -78,15 +76,15 @@ def chart(value: Array, temperature: Array, *, scatter: float, per_degree: float
         smooth = WEIGHT * step + (1.0 - WEIGHT) * smooth
         up, began_up = (up + step - SLACK, began_up) if up + step > SLACK else (0.0, t)
         down, began_down = (down - step - SLACK, began_down) if down - step > SLACK else (0.0, t)
-        ewma[t], cusum[t] = smooth, up if up >= down else -down
+        cusum[t] = up if up >= down else -down
         since = began_up if up >= down else began_down
     state: State = "learning" if count <= FEWEST else "steady"
     if count > FEWEST and abs(cusum[-1]) >= ALARM:
         state = "alarm"
-    elif count > FEWEST and abs(ewma[-1]) > DRIFTING:
+    elif count > FEWEST and abs(smooth) > DRIFTING:
         state = "drifting"
     return Chart(
-        z=z, ewma=ewma, cusum=cusum, usual=usual, change=change, state=state,
+        z=z, cusum=cusum, usual=usual, change=change, state=state,
         since=since if state in ("drifting", "alarm") else None,
     )  # fmt: skip
 

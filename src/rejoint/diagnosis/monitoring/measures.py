@@ -14,13 +14,11 @@ import numpy as np
 
 from rejoint.arms import Arm, Array, gravity_torque, position_kinematics, tcp_position
 from rejoint.arms.size import torque_size
+from rejoint.diagnosis.metrics import SETTLED_LAST
 from rejoint.diagnosis.monitoring.routine import CYCLES, POSES, SIDES
 from rejoint.diagnosis.segments import ExcitationLog
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
-
-SETTLED_LAST = 0.4
-"""[s] of a stay in a pose that counts as settled (as the holds of a diagnosis)"""
 
 LEAST_LEVER = 0.02
 """[m] by which angles are turned into millimetres at least: a joint that only turns the tool is to count as well

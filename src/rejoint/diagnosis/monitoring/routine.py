@@ -12,6 +12,7 @@ import numpy as np
 from rejoint.arms import Arm, Array
 from rejoint.arms.inverse import solve_position
 from rejoint.arms.room import HOLD_OFFSET, is_safe, line_is_safe, unsafe
+from rejoint.control.comparison.iso import RISING_LEFT, iso_poses
 from rejoint.diagnosis.excitation import Excitation
 from rejoint.diagnosis.path import CommandPath
 from rejoint.system.errors import InputError
@@ -20,8 +21,6 @@ POSES = 5
 """ISO 9283:1998: P1 to P5"""
 CYCLES = 5
 """Times that each pose is approached from each side (chosen: the check then takes two and a half minutes)"""
-INSET = 0.1
-"""Distance of P2 to P5 from the corners, as a share of the diagonal (ISO 9283:1998)"""
 SIDES = ("below", "above")
 
 _SWEEP_SPEED = 0.12  # [rad/s] twice the usual Stribeck velocity, as the slow sweeps of a diagnosis
@@ -82,18 +81,10 @@ def _directions(arm: Arm, joints: tuple[int, ...]) -> Array:
     return sign
 
 
-def iso_poses(arm: Arm, size: float = 1.0) -> Array:
-    """Points P1 to P5 (5, 3) [m] of ISO 9283:1998 in the region of targets, made smaller by ``size``."""
-    low, high = arm.targets.lower, arm.targets.upper
-    middle, half = 0.5 * (low + high), 0.5 * size * (1.0 - 2.0 * INSET) * (high - low)
-    plane = np.array([[0, 0, 0], [1, 1, 1], [-1, 1, 1], [-1, -1, -1], [1, -1, -1]], dtype=float)
-    return np.asarray(middle + plane * half)
-
-
 def _poses(arm: Arm) -> tuple[Array, float]:
     """Postures (5, n) [rad] of the poses, and the distance [rad] from which each can be approached by all joints."""
     for size in _SMALLER:
-        q = solve_position(arm, iso_poses(arm, float(size)), arm.rest).q
+        q = solve_position(arm, iso_poses(arm, RISING_LEFT, float(size)), arm.rest).q
         for offset in HOLD_OFFSET * _SMALLER[:4]:
             ends = [q + sign * offset for sign in (-1.0, 1.0)]
             stops = np.concatenate([np.stack([ends[0][i], q[i], ends[1][i], q[i]]) for i in range(POSES)])
@@ -101,7 +92,7 @@ def _poses(arm: Arm) -> tuple[Array, float]:
             back = line_is_safe(arm, q[-1], ends[0][0])  # the next cycle begins at the first pose
             if bool(line_is_safe(arm, chain[:-1], chain[1:]).all() and back):
                 return q, float(offset)
-    why = unsafe(arm, solve_position(arm, iso_poses(arm), arm.rest).q[0])
+    why = unsafe(arm, solve_position(arm, iso_poses(arm, RISING_LEFT), arm.rest).q[0])
     raise InputError(
         f"arm {arm.name}: the five poses of a check cannot be reached safely from its rest posture"
         f"{f': {why}' if why else ''}; give another rest_deg or other targets in the arm's TOML file"

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rejoint.arms import Arm, Array
+from rejoint.control.comparison.counting import PROGRESS_CYCLES
 from rejoint.control.comparison.metrics import settled
 from rejoint.control.comparison.protocols import encoder_tcp, measure_crossings, measure_holds, schedule
 from rejoint.control.comparison.result import Protocol
@@ -23,7 +24,6 @@ OnTargets = Callable[[int], object]
 
 FULL_TORQUE = 0.97
 """Share of its limit from which a motor gives all it can (chosen: the limit falls with the speed)"""
-_PROGRESS_CYCLES = 40
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -104,7 +104,7 @@ class _Watch:
 
     def __call__(self, cycle: Cycle) -> None:
         self.torque.append(np.abs(self._robot.plant.torque) / self._limit)
-        if len(self.torque) % _PROGRESS_CYCLES == 0:
+        if len(self.torque) % PROGRESS_CYCLES == 0:
             self._on_targets(int(cycle.target_index.sum()))
 
 

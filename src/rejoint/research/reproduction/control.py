@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from rejoint.arms import Arm
 from rejoint.control.catalogue import BASELINES
 from rejoint.control.comparison.compare import Settings, Trial, compare
 from rejoint.control.comparison.result import Comparison, ControllerRow
 from rejoint.control.comparison.targets import draw_targets
-from rejoint.control.controller import Controller
 from rejoint.control.policy import load_policy
 from rejoint.control.robot import Robot
 from rejoint.logs.runlog import RunLog, read_log, write_log
@@ -85,7 +82,10 @@ def _compare(bench: Bench) -> Comparison:
         return read_json(path, Comparison)
     scale = bench.scale
     targets = draw_targets(bench.arm, sets=scale.sets, count=scale.targets, seed=bench.seed)
-    policies = {name: _policy(bench.training(training).policy) for name, training in zip(POLICIES, WORN, strict=True)}
+    policies = {
+        name: partial(load_policy, bench.training(training).policy)
+        for name, training in zip(POLICIES, WORN, strict=True)
+    }
     controllers = {name: BASELINES[name] for name in CLASSICAL} | policies
 
     def connect(count: int, seed: int) -> Robot:
@@ -99,10 +99,6 @@ def _compare(bench: Bench) -> Comparison:
     result = compare(connect, controllers, targets, settings, on_progress=bench.on_progress, on_trial=keep)
     write_json(path, result)
     return result
-
-
-def _policy(file: Path) -> Callable[[Arm], Controller]:
-    return partial(load_policy, file)
 
 
 def _log(bench: Bench, controller: str) -> Path:

@@ -13,13 +13,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from rejoint.arms import Arm, Array, clip_norm, dls, frames, position_kinematics
+from rejoint.control.correction import ROUNDS
 
 Shift = Callable[[Array, Array], Array]
 """How far (3,) [m] the tool is from where the encoders see it, from the position and where the arm came from, both
 (n,) [rad]; as `rejoint.control.correction.Modelled.shift`"""
 
-ROUNDS = 4
-"""Fixed-point steps (as many as `rejoint.control.correction` takes)"""
 DAMPING = 0.01
 """[m] of the inverse kinematics (chosen: a fifth of what controllers take; the shift is small)"""
 MOST = np.radians(15.0)

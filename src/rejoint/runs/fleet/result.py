@@ -74,14 +74,14 @@ class FleetResult:
     @property
     def code(self) -> int:
         """Exit code of the command: of the arm that is worst."""
-        return min((row.code for row in self.rows), key=_badness, default=0)
+        return min((row.code for row in self.rows), key=_ORDER.index, default=0)
 
 
 def rows_of(campaign: Campaign, standings: Sequence[Standing]) -> tuple[FleetRow, ...]:
     """Say what became of each arm, by its files; the worst first."""
     row = _checked if campaign.verb == "check" else _repaired
     rows = [row(campaign, one) for one in standings]
-    return tuple(sorted(rows, key=lambda row: (_badness(row.code), -(row.error_mm or 0.0), row.name)))
+    return tuple(sorted(rows, key=lambda row: (_ORDER.index(row.code), -(row.error_mm or 0.0), row.name)))
 
 
 def _checked(campaign: Campaign, one: Standing) -> FleetRow:
@@ -146,7 +146,3 @@ def _row(
         name=one.arm.name, address=one.arm.address, end=one.end or "left", state=state, error_mm=error_mm, found=found,
         todo=todo, steps=tuple(one.steps), lost=one.lost, folder=folder, code=code,
     )  # fmt: skip
-
-
-def _badness(code: int) -> int:
-    return _ORDER.index(code)

@@ -15,13 +15,10 @@ from rejoint.control.moving.drive import Followed
 from rejoint.control.moving.path import Path
 from rejoint.control.moving.routes import Stream
 from rejoint.control.robot import Mask
+from rejoint.robots.serving.served import CALM
 from rejoint.runs.stages.armdrive import ArmCarrier, ArmDrive, EndedError
 from rejoint.runs.stages.pathdrive import Factory, PathDrive
 from rejoint.system.errors import NotReachedError
-
-CALM = 0.3
-"""[s] for which the tool has to stay near its target before that counts as reached (chosen: longer than a worn joint
-rings)"""
 
 
 class MotionThread(threading.Thread, ABC):
