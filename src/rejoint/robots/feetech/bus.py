@@ -224,7 +224,7 @@ class FeetechBus(Bus):
                 return question()
             except TimeoutError as error:
                 raise NoReplyError(f"{self.address}: {first_line(error)}") from error
-            except ValueError as error:
+            except (ValueError, IndexError) as error:
                 raise ImpossibleReplyError(f"{self.address}: {first_line(error)}") from error
 
         return persist(once, lambda _error, _deadline: self._quieten(), self.clock, until)
