@@ -354,6 +354,16 @@ def test_a_bus_on_which_nobody_answers_is_told_with_its_rate():
         open_robot(server.address)
 
 
+def test_a_servo_that_confirms_nothing_is_named():
+    arm = build_arm(ARM, "so101")
+    servo = arm.servos[2]
+    servo["Response_Status_Level"], servo["Torque_Enable"] = 0, 0
+    arm.settle(2)
+    with serving(arm=arm) as server, pytest.raises(AddressError, match=r"elbow_flex .servo 3. obeys, but does not"):
+        open_robot(server.address)
+    assert all(address == GOAL for address, _ in servo.writes)
+
+
 def test_an_adapter_that_echoes_is_refused_before_anything_moves():
     with serving("echo=1") as server, pytest.raises(AddressError, match="use an adapter that does not echo"):
         open_robot(server.address)

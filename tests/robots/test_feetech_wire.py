@@ -7,6 +7,7 @@ import threading
 import tty
 from contextlib import closing, contextmanager
 
+import numpy as np
 import pytest
 
 from rejoint.robots.feetech.wire import Wire
@@ -79,6 +80,17 @@ def test_what_came_late_answers_no_later_question():
         assert wire.read(1, 56, 2) == b"\1\1"
         assert wire.quieten(0.01)
         assert not wire.quieten(0.01)
+
+
+def test_whatever_comes_is_an_answer_or_an_error_with_a_name():
+    rng = np.random.default_rng(0)
+    noise = [b"\xff\xff\x01" + bytes([length]) + rng.bytes(int(rng.integers(0, 12))) for length in range(30)]
+    noise.append(b"\xff\xff\x01\x00" + bytes(20))  # shorter than any packet, with more behind it
+    with wire_to(*noise) as (wire, _):
+        for _ in noise:
+            with pytest.raises((TimeoutError, ValueError, IndexError)):
+                wire.read(1, 56, 2)
+            wire.quieten(0.001)
 
 
 @pytest.mark.parametrize("size", [1, 2, 4])

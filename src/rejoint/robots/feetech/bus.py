@@ -37,7 +37,7 @@ T = TypeVar("T")
 
 MODELS = {777: "STS3215", 2825: "STS3250"}
 """Servos with this register table and 4096 counts a turn"""
-ID, LIMITS, HOMING, MODE, TORQUE, GOAL, LOCK, VOLTAGE = 5, 9, 31, 33, 40, 42, 55, 62
+ID, CONFIRMS, LIMITS, HOMING, MODE, TORQUE, GOAL, LOCK, VOLTAGE = 5, 8, 9, 31, 33, 40, 42, 55, 62
 """Addresses of registers (Feetech's memory table of the STS/SMS series)."""
 LAST_ID = 12
 """up to which another ID is looked for where a servo is missing (chosen: two arms in a row; a second of looking)"""
@@ -207,7 +207,14 @@ class FeetechBus(Bus):
         return self._sure(lambda: self.wire.read(servo, address, size), until)
 
     def _write(self, servo: int, address: int, data: Sequence[int], until: float | None) -> None:
-        self._sure(lambda: self.wire.write(servo, address, data), until)
+        try:
+            self._sure(lambda: self.wire.write(servo, address, data), until)
+        except NoReplyError as error:
+            if self._register(servo, CONFIRMS, 1, until) != 0:
+                raise
+            raise RobotError(
+                f"{self._call(servo)} obeys, but does not confirm it; set its register {CONFIRMS} to 1"
+            ) from error
 
     def _sure(self, question: Callable[[], T], until: float | None) -> T:
         """Ask one servo, and again where its answer is lost or garbled: no connection can be made anew here."""
@@ -217,7 +224,7 @@ class FeetechBus(Bus):
                 return question()
             except TimeoutError as error:
                 raise NoReplyError(f"{self.address}: {first_line(error)}") from error
-            except ValueError as error:
+            except (ValueError, IndexError) as error:
                 raise ImpossibleReplyError(f"{self.address}: {first_line(error)}") from error
 
         return persist(once, lambda _error, _deadline: self._quieten(), self.clock, until)

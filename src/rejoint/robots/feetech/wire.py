@@ -26,7 +26,6 @@ from scservo_sdk import (
     PKT_ID,
     PKT_PARAMETER0,
     GroupSyncRead,
-    GroupSyncWrite,
     PortHandler,
     sms_sts,
 )
@@ -82,6 +81,8 @@ class _Port(PortHandler):  # type: ignore[misc]  # the maker's package has no ty
 
     def readPort(self, length: int, wait: float = WAIT) -> bytes:  # noqa: N802 - the maker's name
         """Return what comes within ``wait`` [s], as soon as anything does; OSError where the port is gone."""
+        if length <= 0:  # as the client asks behind a packet that says it is shorter than any
+            return b""
         if not select([self._descriptor], [], [], wait)[0]:
             return b""
         data = os.read(self._descriptor, length)
@@ -95,14 +96,14 @@ class _Port(PortHandler):  # type: ignore[misc]  # the maker's package has no ty
 
 
 class Wire:
-    """An open bus. Methods raise TimeoutError, ValueError (garbled) or OSError (broken)."""
+    """An open bus. Methods raise TimeoutError, ValueError or IndexError (garbled), or OSError (broken)."""
 
     def __init__(self, port: str, baud: int) -> None:
         self._port = _Port(port)
         if not self._port.setBaudRate(baud):
             raise ValueError(f"the maker's client knows no baud rate {baud}")
         self._client = sms_sts(self._port)
-        self._blocks: dict[tuple[int, int], GroupSyncRead] = {}
+        self._finder = GroupSyncRead(self._client, 0, 0)  # finds an answer wherever it is; keeps nothing
 
     def model(self, servo: int) -> int:
         """Return the model number of a servo; the client's ping asks for it as well, but takes no late answer."""
@@ -140,18 +141,15 @@ class Wire:
     def read_all(self, servos: Sequence[int], address: int, size: int) -> dict[int, bytes]:
         """Read the same ``size`` registers of all ``servos`` at once; those that did not answer are left out."""
         self._free()
-        block = self._blocks.setdefault((address, size), GroupSyncRead(self._client, address, size))
-        block.data_dict, block.param = dict.fromkeys(servos), list(servos)
-        result = block.txPacket()
-        if result in (COMM_PORT_BUSY, COMM_TX_FAIL):
+        if self._client.syncReadTx(address, size, list(servos), len(servos)) != COMM_SUCCESS:
             raise OSError("the port did not take the request")
         _, data = self._client.syncReadRx(size, len(servos))
         found = {}
         for place, servo in enumerate(servos):
             own = data[place * (size + FRAME) : (place + 1) * (size + FRAME)]
-            answer, result = block.readRx(own, servo, size)
+            answer, result = self._finder.readRx(own, servo, size)
             if result != COMM_SUCCESS:  # not where it should be: the client looks for it everywhere
-                answer, result = block.readRx(data, servo, size)
+                answer, result = self._finder.readRx(data, servo, size)
             if result == COMM_SUCCESS:
                 found[servo] = bytes(answer[1:])
         return found
@@ -159,10 +157,8 @@ class Wire:
     def write_all(self, servos: Sequence[int], address: int, data: Sequence[bytes]) -> None:
         """Write registers of all ``servos`` at once; none of them answers."""
         self._free()
-        block = GroupSyncWrite(self._client, address, len(data[0]))
-        for servo, part in zip(servos, data, strict=True):
-            block.addParam(servo, part)
-        if block.txPacket() != COMM_SUCCESS:
+        words = [byte for servo, part in zip(servos, data, strict=True) for byte in (servo, *part)]
+        if self._client.syncWriteTxOnly(address, len(data[0]), words, len(words)) != COMM_SUCCESS:
             raise OSError("the port did not take the request")
 
     def quieten(self, pause: float) -> bool:
