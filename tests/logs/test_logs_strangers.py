@@ -14,6 +14,7 @@ from test_logs_ros import KINDS, START, STORAGES, header, state, states, write
 
 import rejoint
 from rejoint.logs import ImportOptions, import_logs
+from rejoint.logs.copies import copies
 from rejoint.logs.joining import to_log
 from rejoint.logs.parting import parted
 from rejoint.logs.runlog import Array, RunLog
@@ -136,8 +137,10 @@ def test_a_minus_of_a_spreadsheet_is_a_minus(tmp_path: Path):
 
 
 def test_logs_that_are_too_short_say_what_they_hold():
+    rows = [slice(first, first + 60) for first in range(0, 540, 60)]
     pieces = [
-        RunLog.of(FOUND.time[:60], FOUND.command[:60], FOUND.position[:60], arm=ARM, label=f"{i}") for i in range(9)
+        RunLog.of(FOUND.time[own], FOUND.command[own], FOUND.position[own], arm=ARM, label=f"{own.start}")
+        for own in rows
     ]
     with pytest.raises(InputError, match=r"of \d+ s in \d log\(s\), expected at least 10 s; record longer motions"):
         rejoint.identify(pieces, arm=ARM)
@@ -184,3 +187,19 @@ def test_an_episode_that_was_given_up_at_once_is_left_out(tmp_path: Path):
     imported = import_logs(folder, ARM, out=tmp_path / "logs", options=ImportOptions(angle_unit="deg"))
     assert [len(log) for log in imported.logs] == [rows - 1]
     assert "episode_000001: left out, with 1 sample(s), where a log needs at least 2" in imported.notes
+
+
+def test_a_copied_recording_is_no_further_evidence(tmp_path: Path):
+    for name in ("a", "b", "a (copy)"):
+        found = FOUND if name != "b" else replace(FOUND, position=FOUND.position + 5 * ARM.encoder_step)
+        (tmp_path / "in").mkdir(exist_ok=True)
+        write_table(tmp_path / "in" / f"{name}.csv", found)
+    imported = import_logs(tmp_path / "in", ARM, out=tmp_path / "logs")
+    assert len(imported.logs) == 2
+    assert any("left out, for it holds the same readings as a" in note for note in imported.notes)
+    logs = [replace(imported.logs[0], label=name) for name in ("x", "y", "z")]
+    for use in (rejoint.identify, rejoint.diagnose):
+        with pytest.raises(InputError, match=r"y holds the same readings as x \(and 1 more\).*remove the copies"):
+            use(logs, arm=ARM)
+    still = replace(logs[0], position=np.tile(logs[0].position[:1], (ROWS, 1)))
+    assert copies((name, still) for name in "ab") == {}

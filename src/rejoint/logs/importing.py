@@ -12,6 +12,7 @@ from typing import Protocol
 
 from rejoint.arms import Arm
 from rejoint.logs import lerobot, mcapfile, rosbag, sage, table
+from rejoint.logs.copies import copies
 from rejoint.logs.found import describe
 from rejoint.logs.joining import to_log
 from rejoint.logs.options import ImportOptions
@@ -116,6 +117,9 @@ def _checked(
             for remark in remarks:
                 notes.setdefault(remark, []).append(name)
             on_log(done, name)
+    for name, original in copies(logs.items()).items():
+        del logs[name]
+        notes.setdefault(f"left out, for it holds the same readings as {original}", []).append(name)
     return logs, notes
 
 
