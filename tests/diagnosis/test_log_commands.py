@@ -115,7 +115,7 @@ def nonsense(motions, tmp_path_factory):
         ("diagnose", "table", "a Parquet table with the columns time; turn it into one with `rejoint import`"),
         ("identify", "empty", "no folder with run logs"),
         ("identify", "truncated", "a.parquet: not a readable run log"),
-        ("identify", "short", "s of free motion, expected at least 10 s"),
+        ("identify", "short", "s of free motion in stretches of 2 s"),
         ("identify", "order", "has joints wrist_roll"),
         ("identify", "twice", "the same label"),
     ],

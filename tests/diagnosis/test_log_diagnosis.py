@@ -108,7 +108,9 @@ def test_the_tool_at_rest_is_as_far_off_as_the_logs_say(logs, found):
     rows = np.flatnonzero(still & (log.time > log.time[0] + 10.0))
     gap = tcp_position(ARM, log.command[rows]) - tcp_position(ARM, log.position[rows])
     expected = 1e3 * np.linalg.norm(gap, axis=1).mean()
-    alone = diagnose_logs(ARM, [log, log], None).evidence.rest_error_mm  # of one, there is too little
+    alone = diagnose_logs(
+        ARM, [log, dataclasses.replace(log, position=log.position + 1e-9)], None
+    ).evidence.rest_error_mm  # of one, there is too little
     assert alone.value == pytest.approx(expected, rel=0.5)
     assert found["soft elbow"].evidence.rest_error_mm.low > found["healthy"].evidence.rest_error_mm.high
 

@@ -99,8 +99,8 @@ def test_damage_never_crashes_and_never_leaves_half(tmp_path: Path, kind: str):
 
 
 def test_a_failing_disk_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    for name in ("a", "b"):
-        write_sage(tmp_path / "in" / name, sample())
+    for name, rows in (("a", 60), ("b", 61)):
+        write_sage(tmp_path / "in" / name, sample(rows))
     import rejoint.logs.importing as importing
 
     written = []

@@ -4,15 +4,20 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 from log_samples import ARM, Sample, worn_sample, write_table
 from test_logs_checks import motion
+from test_logs_doubts import dataset
+from test_logs_ros import KINDS, START, STORAGES, header, state, states, write
 
 import rejoint
 from rejoint.logs import ImportOptions, import_logs
+from rejoint.logs.copies import copies
 from rejoint.logs.joining import to_log
 from rejoint.logs.parting import parted
-from rejoint.logs.runlog import RunLog
+from rejoint.logs.runlog import Array, RunLog
 from rejoint.system.errors import FileError, InputError
 
 FOUND = worn_sample(seconds=20)
@@ -101,6 +106,12 @@ def test_commands_that_never_change_move_no_arm(row: int):
     refused(replace(FOUND, command=held), "the commands of all joints never change, yet .* moves away from its own")
 
 
+def test_commands_that_end_before_the_motion_are_noted():
+    held = np.where(np.arange(ROWS)[:, None] < 500, FOUND.command, FOUND.command[500])
+    _, notes = to_log(motion(replace(FOUND, command=held)), ARM)
+    assert any("while its command stands, from 10" in note and "not in the file?" in note for note in notes)
+
+
 def test_a_goal_that_was_sent_before_the_log_began_is_believed():
     goal = np.linspace(0.3, 0.6, 5)
     way = goal - 0.8 * np.exp(-FOUND.time / 0.5)[:, None] * np.ones(5)
@@ -111,8 +122,11 @@ def test_a_goal_that_was_sent_before_the_log_began_is_believed():
 
 
 def test_readings_whose_zero_was_moved_are_in_no_other_unit():
-    position = np.round(FOUND.position + np.where(np.arange(ROWS)[:, None] < 400, 0.0, 0.3007) * [1, 0, 0, 0, 0], 6)
-    refused(replace(FOUND, position=position), "state.shoulder_pan by 0.3.* no joint moves so")
+    moved = 196.5 * ARM.encoder_step * np.array([1, 0, 0, 0, 0])
+    position = np.round(FOUND.position + np.where(np.arange(ROWS)[:, None] < ROWS // 2, 0.0, moved), 6)
+    _, notes = to_log(motion(replace(FOUND, position=position)), ARM, ImportOptions(force=True))
+    assert sum("farthest state.shoulder_pan" in note for note in notes) == 1
+    assert not any("come in steps of" in note for note in notes)
 
 
 def test_a_minus_of_a_spreadsheet_is_a_minus(tmp_path: Path):
@@ -123,8 +137,69 @@ def test_a_minus_of_a_spreadsheet_is_a_minus(tmp_path: Path):
 
 
 def test_logs_that_are_too_short_say_what_they_hold():
+    rows = [slice(first, first + 60) for first in range(0, 540, 60)]
     pieces = [
-        RunLog.of(FOUND.time[:60], FOUND.command[:60], FOUND.position[:60], arm=ARM, label=f"{i}") for i in range(9)
+        RunLog.of(FOUND.time[own], FOUND.command[own], FOUND.position[own], arm=ARM, label=f"{own.start}")
+        for own in rows
     ]
     with pytest.raises(InputError, match=r"of \d+ s in \d log\(s\), expected at least 10 s; record longer motions"):
         rejoint.identify(pieces, arm=ARM)
+
+
+@pytest.mark.parametrize("storage", STORAGES)
+def test_a_gripper_of_its_own_may_speak_first(tmp_path: Path, storage: str):
+    found = worn_sample(seconds=6)
+    kind, none = KINDS["sensor_msgs/msg/JointState"], np.zeros(0)
+
+    def said(stamp: int, names: list[str], position: Array) -> object:
+        return kind(header=header(START + stamp), name=names, position=position, velocity=none, effort=none)
+
+    arm, sent = [], []
+    for time, q, u in zip((found.time * 1e9).round().astype(int).tolist(), found.position, found.command, strict=True):
+        arm.append(("/joint_states", time, said(time, list(ARM.joint_names), q)))
+        sent.append(("/joint_commands", time, said(time, list(ARM.joint_names), u)))
+    gripper = [("/joint_states", max(time - 5_000_000, 0), said(0, ["gripper"], np.zeros(1))) for _, time, _ in arm]
+    imported = import_logs(write(tmp_path / "bag", storage, gripper + arm + sent), ARM, out=tmp_path / "logs")
+    np.testing.assert_array_equal(imported.logs[0].position, found.position)
+    assert any("state: 300 messages about other joints left out" in note for note in imported.notes)
+    alone = write(tmp_path / "alone", storage, gripper + sent)
+    with pytest.raises(FileError, match=r"message 1: no column for joint shoulder_pan.*, only gripper"):
+        import_logs(alone, ARM, out=tmp_path / "none")
+
+
+def test_stamps_that_go_back_name_the_other_clock(tmp_path: Path):
+    found = worn_sample(seconds=6)
+    both = states(found)
+    both[7] = (both[7][0], both[7][1], state(START, found.position[7]))
+    with pytest.raises(FileError, match=r"the clock goes back by .* take the times of recording .--stamp log."):
+        import_logs(write(tmp_path / "bag", "mcap", both), ARM, out=tmp_path / "logs")
+
+
+def test_an_episode_that_was_given_up_at_once_is_left_out(tmp_path: Path):
+    found = worn_sample(seconds=6)
+    folder = dataset(tmp_path / "set", np.full(5, 180 / np.pi), found)
+    file = folder / "data/chunk-000/file-000.parquet"
+    table, rows = pq.read_table(file), len(found.time)
+    for name, last in (("episode_index", 1), ("frame_index", 0)):
+        values = np.append(table[name].to_numpy()[:-1], last)
+        table = table.set_column(table.column_names.index(name), name, pa.array(values))
+    pq.write_table(table, file)
+    imported = import_logs(folder, ARM, out=tmp_path / "logs", options=ImportOptions(angle_unit="deg"))
+    assert [len(log) for log in imported.logs] == [rows - 1]
+    assert "episode_000001: left out, with 1 sample(s), where a log needs at least 2" in imported.notes
+
+
+def test_a_copied_recording_is_no_further_evidence(tmp_path: Path):
+    for name in ("a", "b", "a (copy)"):
+        found = FOUND if name != "b" else replace(FOUND, position=FOUND.position + 5 * ARM.encoder_step)
+        (tmp_path / "in").mkdir(exist_ok=True)
+        write_table(tmp_path / "in" / f"{name}.csv", found)
+    imported = import_logs(tmp_path / "in", ARM, out=tmp_path / "logs")
+    assert len(imported.logs) == 2
+    assert any("left out, for it holds the same readings as a" in note for note in imported.notes)
+    logs = [replace(imported.logs[0], label=name) for name in ("x", "y", "z")]
+    for use in (rejoint.identify, rejoint.diagnose):
+        with pytest.raises(InputError, match=r"y holds the same readings as x \(and 1 more\).*remove the copies"):
+            use(logs, arm=ARM)
+    still = replace(logs[0], position=np.tile(logs[0].position[:1], (ROWS, 1)))
+    assert copies((name, still) for name in "ab") == {}

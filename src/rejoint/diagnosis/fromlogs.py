@@ -23,6 +23,7 @@ from rejoint.diagnosis.regression import mean_of
 from rejoint.diagnosis.spans import join_logs
 from rejoint.diagnosis.verdict import Finding, find
 from rejoint.logs.bare import states_alone
+from rejoint.logs.copies import refuse_copies
 from rejoint.logs.doubts import forced_remarks
 from rejoint.logs.exclusions import Exclusions, find_exclusions, table_height
 from rejoint.logs.runlog import RunLog
@@ -51,6 +52,7 @@ def diagnose_logs(
         raise InputError(f"the healthy reference is of arm {healthy.arm}, expected {arm.name}")
     for log in logs:
         log.require(arm.name, arm.joint_names)
+    refuse_copies(logs, "diagnosis")
     if states_alone(logs, "diagnosis"):
         return diagnose_states(arm, logs, healthy, source, [f"{remark}." for remark in forced_remarks(logs)])
     on_progress(0.0, "contacts and stops")
@@ -61,7 +63,7 @@ def diagnose_logs(
     if evidence.free_seconds < SHORTEST:
         raise InputError(
             f"diagnosis: {evidence.free_seconds:.0f} s of free motion, expected at least {SHORTEST:.0f} s"
-            f"{left_out(evidence)}"
+            f"{left_out(evidence)}; record longer motions, off table and stops"
         )
     data = join_logs(arm, logs, excluded)
     rows = []

@@ -36,6 +36,8 @@ GAIN = 10.0
 of a small motion of a real low-cost arm."""
 STRIDE = 0.2
 """[s] chosen: between rows in which a joint's distance from a command that never changes is looked at."""
+STANDING = 2.0
+"""[s] chosen: for which a command stands, several times what a servo needs to arrive."""
 LEFT = 0.3
 """[rad] chosen: by which a joint may leave such a command: other joints load it, and it may touch something; on a table
 the elbow of a real low-cost arm is pushed 0.2 rad away."""
@@ -51,7 +53,7 @@ def check_agreement(state: Track, command: Array, doubts: Doubts) -> list[str]:
     """
     notes = _check_order(state, command)
     _check_copies(state, command, doubts)
-    _check_still(state, command, doubts)
+    notes += _check_still(state, command, doubts)
     _check_scale(state, command, doubts)
     return notes + _check_lag(state, command, doubts) + _stale(state, command)
 
@@ -97,20 +99,35 @@ def _correlations(state: Track, command: Array) -> tuple[Array, Array]:
     return np.min(found, axis=0), np.max(found, axis=0)
 
 
-def _check_still(state: Track, command: Array, doubts: Doubts) -> None:
-    """Look for joints that leave a command which never changes: something else than this command moved them."""
+def _check_still(state: Track, command: Array, doubts: Doubts) -> list[str]:
+    """Look for joints that leave a command which stands: something else than this command moved them."""
     rows = np.unique(np.searchsorted(state.time, np.arange(state.time[0], state.time[-1], STRIDE)))
-    far = np.abs(state.value[rows] - command[rows])
-    left = np.maximum(far - np.minimum.accumulate(far, axis=0), 0.0).max(axis=0, initial=0.0)
-    moved = (np.ptp(command, axis=0) == 0.0) & (left > LEFT)
-    if moved.any():
-        joint = int(np.argmax(np.where(moved, left, 0.0)))
-        named = _named([name for name, own in zip(state.columns, moved, strict=True) if own], len(state.columns))
+    time, far, sent = state.time[rows], np.abs(state.value[rows] - command[rows]), command[rows]
+    never, found = [], []
+    for joint, name in enumerate(state.columns):
+        edges = [0, *(np.flatnonzero(np.diff(sent[:, joint])) + 1).tolist(), len(rows)]
+        for first, last in pairwise(edges):
+            if last - first < STANDING / STRIDE:
+                continue
+            part = far[first:last, joint]
+            left = float(np.max(part - np.minimum.accumulate(part)))
+            if left > LEFT:
+                found.append((left, name, float(time[first])))
+                if np.ptp(command[:, joint]) == 0.0:
+                    never.append(name)
+    if not found:
+        return []
+    left, name, start = max(found)
+    if never:
         doubts.stop(
-            state.path, f"the commands of {named} never change, yet {state.columns[joint]} moves away from its own by "
-            f"{left[joint]:.3g} rad: not these commands moved the arm",
+            state.path, f"the commands of {_named(never, len(state.columns))} never change, yet {name} moves away from "
+            f"its own by {left:.3g} rad: not these commands moved the arm",
             "give what was sent, or leave the columns of the commands out",
         )  # fmt: skip
+    return [
+        f"state: while its command stands, from {start:.6g} s on, {name} moves away from it by {left:.3g} rad: without "
+        "torque, by hand, or by commands that are not in the file?"
+    ]
 
 
 def _check_copies(state: Track, command: Array, doubts: Doubts) -> None:

@@ -37,6 +37,7 @@ GAP_PERIODS = 5.0
 """chosen: steps of more median periods than this count as gaps."""
 LIMIT_MARGIN = 0.35
 """[rad] chosen: about 20 deg; calibration and zero offsets explain less."""
+_OR_LOG = ", or take the times of recording (--stamp log)"
 _TIME_REMEDY = "set the time unit (--time-unit), or take another file"
 
 
@@ -50,7 +51,7 @@ def clean(track: Track, doubts: Doubts) -> tuple[Track, list[str]]:
         late = int(np.argmax(steps < 0)) + 1
         raise FileError(
             track.path, f"{track.what}, {track.where(late)}: the clock goes back by {-steps[late - 1]:.6g} s",
-            "cut the file where the clock was set",
+            "cut the file where the clock was set" + _OR_LOG * track.place.startswith("topic"),
         )  # fmt: skip
     notes = []
     fresh = np.concatenate([[True], steps > 0])

@@ -12,10 +12,11 @@ from typing import Protocol
 
 from rejoint.arms import Arm
 from rejoint.logs import lerobot, mcapfile, rosbag, sage, table
+from rejoint.logs.copies import copies
 from rejoint.logs.found import describe
 from rejoint.logs.joining import to_log
 from rejoint.logs.options import ImportOptions
-from rejoint.logs.parting import parted
+from rejoint.logs.parting import FEWEST, parted
 from rejoint.logs.runlog import RunLog, write_log
 from rejoint.logs.track import RecordedMotion
 from rejoint.system.errors import FileError, InputError, first_line
@@ -83,7 +84,7 @@ def import_logs(
         raise InputError(f"{out} exists already; name a new folder for the imported logs")
     reader = _READERS[detect(source, options) if format is None else _known(format)]
     total, motions = reader.motions(source, arm, options)
-    logs, notes = _checked(motions, arm, options, lambda done, name: on_progress(done / total, name))
+    logs, notes = _checked(motions, total, arm, options, lambda done, name: on_progress(done / total, name))
     if not logs:
         raise FileError(source, "holds no log", "take another one")
     _write_whole(out, logs)
@@ -91,12 +92,20 @@ def import_logs(
 
 
 def _checked(
-    motions: Iterator[RecordedMotion], arm: Arm, options: ImportOptions, on_log: Callable[[int, str], object]
+    motions: Iterator[RecordedMotion],
+    total: int,
+    arm: Arm,
+    options: ImportOptions,
+    on_log: Callable[[int, str], object],
 ) -> tuple[dict[str, RunLog], dict[str, list[str]]]:
     """Turn motions into logs by file name; returns them and, by note, the logs that it is about."""
     logs: dict[str, RunLog] = {}
     notes: dict[str, list[str]] = {}
     for done, motion in enumerate(motions, start=1):
+        if len(motion.state) < FEWEST and total > 1:  # begun and given up: no reason to refuse all the others
+            short = f"left out, with {len(motion.state)} sample(s), where a log needs at least {FEWEST}"
+            notes.setdefault(short, []).append(_file_name(motion.name))
+            continue
         for part in parted(motion):
             log, remarks = to_log(part, arm, options)
             name = _file_name(part.name)
@@ -108,6 +117,9 @@ def _checked(
             for remark in remarks:
                 notes.setdefault(remark, []).append(name)
             on_log(done, name)
+    for name, original in copies(logs.items()).items():
+        del logs[name]
+        notes.setdefault(f"left out, for it holds the same readings as {original}", []).append(name)
     return logs, notes
 
 
@@ -166,6 +178,6 @@ def _remarks(notes: dict[str, list[str]], total: int) -> tuple[str, ...]:
     """Put each note's logs in front of it; a note that many share is said once."""
     remarks = []
     for remark, names in notes.items():
-        who = names[0] if len(names) == 1 else f"{len(names)} of {total} logs ({names[0]}, ...)"
+        who = names[0] if len(names) == 1 else f"{len(names)} of {max(total, len(names))} logs ({names[0]}, ...)"
         remarks.append(f"{who}: {remark}")
     return tuple(remarks)

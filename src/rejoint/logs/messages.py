@@ -151,7 +151,7 @@ def track_of(
             )  # fmt: skip
         if names not in matches:
             ours = any(means_a_joint(name, arm, options) for name in names)
-            matches[names] = match_joints(names, arm, options, file, place) if ours or not matches else None
+            matches[names] = match_joints(names, arm, options, file, place) if ours else None
         match = matches[names]
         if match is None:
             foreign += 1
@@ -160,6 +160,8 @@ def track_of(
         times.append(sample.header_ns if stamp == "header" else sample.log_ns)
         values.append([sample.position[column] for column in match.columns])
         numbers.append(sample.number)
+    if not times and samples:  # no message is about a joint of the arm: the first one is what an error shows
+        match_joints(samples[0].names, arm, options, file, f"{what} topic {topic}, message {samples[0].number}")
     if not times:
         raise FileError(file, f"no joint state on {topic}", "record it again or name another topic")
     dropped = sorted({name for match in matches.values() if match for name in match.dropped})

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Arm
+from rejoint.logs.copies import refuse_copies
 from rejoint.logs.exclusions import find_exclusions, table_height
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
@@ -45,6 +46,7 @@ def part(arm: Arm, logs: Sequence[RunLog], how: HoldOut) -> tuple[list[RunLog], 
     names = [log.label for log in ordered]
     if len(set(names)) != len(names):
         raise InputError("identification: two motions have the same label; give each its own")
+    refuse_copies(ordered, "identification")
     if how.names is not None:
         missing = sorted(set(how.names) - set(names))
         if missing or len(how.names) >= len(names):
