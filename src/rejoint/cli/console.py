@@ -58,7 +58,7 @@ class _NoteFile:
         return getattr(self._file, name)
 
 
-class _Page(Console):
+class _Output(Console):
     """A console whose reader may leave, as ``head`` does: the rest is lost, and the command goes on to its own end."""
 
     def on_broken_pipe(self) -> None:
@@ -75,7 +75,7 @@ def into_nothing(file: IO[str]) -> None:
 
 def notes() -> Console:
     """Return standard error, for what is no result."""
-    return _Page(file=cast(TextIO, _NoteFile(sys.stderr)), highlight=False, soft_wrap=True)
+    return _Output(file=cast(TextIO, _NoteFile(sys.stderr)), highlight=False, soft_wrap=True)
 
 
 class Terminal:
@@ -83,7 +83,7 @@ class Terminal:
 
     def __init__(self, *, json: bool = False) -> None:
         self.json = json
-        self.results = _Page(file=sys.stdout, highlight=False, soft_wrap=True)
+        self.results = _Output(file=sys.stdout, highlight=False, soft_wrap=True)
         self.notes = notes()
 
     def say(self, text: str) -> None:
@@ -101,7 +101,7 @@ class Terminal:
     def table(self, title: str, headers: Sequence[str], rows: Sequence[Sequence[str]], bold: int | None = None) -> None:
         """Print a table; the row ``bold`` is set off. One that is too wide is parted, its first column in each part."""
         width = self.results.width if self.results.is_terminal else WIDTH
-        page = _Page(file=sys.stdout, width=width, highlight=False)
+        page = _Output(file=sys.stdout, width=width, highlight=False)
         for part, widths in _parts(headers, rows, width):
             table = Table(title=Text(title), title_justify="left", header_style="bold")
             for index, wide in zip(part, widths, strict=True):
