@@ -473,3 +473,63 @@ def test_a_terminal_of_no_width_is_told_all_the_same(tmp_path):
         stderr=subprocess.PIPE, text=True, check=False,
     )  # fmt: skip
     assert "no such folder" in done.stderr
+
+
+@pytest.mark.parametrize("stream", ["stdout", "stderr", "both"])
+def test_a_reader_who_leaves_decides_nothing(stream: str) -> None:
+    reading, writing = os.pipe()
+    os.close(reading)  # as `head` does when it has seen enough
+    words = ("deploy", "emulated:worn", "--dwell", "0.1", "--within", "0.01", "--json")
+    gone = {"stdout": {"stdout"}, "stderr": {"stderr"}, "both": {"stdout", "stderr"}}[stream]
+    done = subprocess.run(
+        [sys.executable, "-m", "rejoint", *words], check=False, text=True,
+        **{name: writing if name in gone else subprocess.PIPE for name in ("stdout", "stderr")},
+    )  # fmt: skip
+    os.close(writing)
+    assert done.returncode == 5
+    assert not done.stderr
+    if stream == "stderr":
+        assert json.loads(done.stdout.splitlines()[-1])["controller"] == "shelf"
+
+
+def test_progress_that_nobody_reads_ends_no_motion(monkeypatch: pytest.MonkeyPatch) -> None:
+    reading, writing = os.pipe()
+    with os.fdopen(writing, "w", buffering=1) as broken:
+        os.close(reading)
+        monkeypatch.setattr(sys, "stderr", broken)
+        terminal = Terminal()
+        for _ in range(3):
+            terminal.say("deploying: 40 %")
+
+
+def test_a_signal_at_the_very_end_is_not_the_exit_code(tmp_path: Path) -> None:
+    code = (
+        "import atexit, os, subprocess, sys\n"
+        "flood = f'for _ in $(seq 200); do kill -TERM {os.getpid()} || break; sleep 0.005; done'\n"
+        "nothing = {'stdin': -3, 'stdout': -3, 'stderr': -3}\n"
+        "atexit.register(lambda: subprocess.Popen(['sh', '-c', flood], **nothing))\n"
+        "sys.argv = ['rejoint', 'report', sys.argv[1]]\n"
+        "from rejoint.__main__ import main\n"
+        "main()\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code, tmp_path], check=False, capture_output=True, text=True)
+    assert done.returncode == 2
+    assert len(done.stderr.splitlines()) == 1
+
+
+def test_too_little_memory_is_no_bug(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    def full(*_args: object, **_options: object) -> None:
+        raise MemoryError
+
+    monkeypatch.setattr(rejoint, "report", full)
+    code, _, err = run_cli("report", str(tmp_path), capsys=capsys, monkeypatch=monkeypatch)
+    assert code == 2
+    assert err.startswith("error: not enough memory")
+
+
+@pytest.mark.parametrize("text", ["", ",", " , "])
+def test_no_controllers_are_not_all_of_them(text: str) -> None:
+    with pytest.raises(InputError, match="expected names with commas between them"):
+        controller_names(text)

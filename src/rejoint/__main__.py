@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 
-from rejoint.system.stopping import Interrupted, install
+from rejoint.system.stopping import Interrupted, ignore, install
 
 
 def main() -> None:
@@ -15,7 +15,10 @@ def main() -> None:
     except Interrupted as error:
         sys.stderr.write(f"error: {error}; nothing was begun\n")
         sys.exit(error.exit_code)
-    run()
+    try:
+        run()
+    finally:
+        ignore()
 
 
 if __name__ == "__main__":

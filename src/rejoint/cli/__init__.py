@@ -34,7 +34,7 @@ from rejoint.cli import (
     serving,
     stages,
 )  # fmt: skip
-from rejoint.cli.console import notes
+from rejoint.cli.console import into_nothing, notes
 from rejoint.cli.live import with_place
 from rejoint.system.errors import RejointError, first_line
 from rejoint.system.extras import explain
@@ -108,6 +108,7 @@ def main() -> None:
         told += f"{' See' if told.endswith('?') else '; see'} {context.command_path if context else 'rejoint'} --help"
         code = _fail(told, "UsageError", 2, json=json)
     except BrokenPipeError:
+        into_nothing(sys.stdout)
         code = 0  # whoever read our output has seen enough
     except OSError as error:
         where = f"{error.filename}: " if error.filename else ""
@@ -117,6 +118,10 @@ def main() -> None:
             2,
             json=json,
         )
+    except MemoryError as error:
+        told = "not enough memory for this; close other programs, allow more, or ask for less"
+        code = _fail(told, "MemoryError", 2, json=json)
+        _say_notes(error)
     except Exception as error:  # noqa: BLE001 - a bug, wherever it is, ends in one line
         asked = interruption()  # compiled code may have swallowed it, and failed for want of what it asked for
         code = _bug(error, json=json) if asked is None else _interrupted(asked, json=json)
@@ -177,7 +182,7 @@ def _fail(message: str, kind: str, code: int, *, json: bool) -> int:
             sys.stdout.write(line + "\n")
             sys.stdout.flush()
         except OSError:  # nobody reads it, or its disk is full: what is left in its buffer has nowhere to go either
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            into_nothing(sys.stdout)
     return code
 
 

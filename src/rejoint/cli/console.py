@@ -5,12 +5,13 @@ Results go to standard output, everything else to standard error, so that result
 
 from __future__ import annotations
 
+import os
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, Literal, TextIO, cast
+from typing import IO, Any, Literal, TextIO, cast
 
 import msgspec
 import numpy as np
@@ -57,9 +58,24 @@ class _NoteFile:
         return getattr(self._file, name)
 
 
+class _Output(Console):
+    """A console whose reader may leave, as ``head`` does: the rest is lost, and the command goes on to its own end."""
+
+    def on_broken_pipe(self) -> None:
+        """Print nothing from now on; Rich would end the program, with the exit code of a bug."""
+        self.quiet = True
+        into_nothing(self.file)
+
+
+def into_nothing(file: IO[str]) -> None:
+    """Let what is still written to a ``file`` that takes nothing any more be lost, also at the end of the program."""
+    with suppress(OSError, ValueError):  # no file of the system
+        os.dup2(os.open(os.devnull, os.O_WRONLY), file.fileno())
+
+
 def notes() -> Console:
     """Return standard error, for what is no result."""
-    return Console(file=cast(TextIO, _NoteFile(sys.stderr)), highlight=False, soft_wrap=True)
+    return _Output(file=cast(TextIO, _NoteFile(sys.stderr)), highlight=False, soft_wrap=True)
 
 
 class Terminal:
@@ -67,7 +83,7 @@ class Terminal:
 
     def __init__(self, *, json: bool = False) -> None:
         self.json = json
-        self.results = Console(file=sys.stdout, highlight=False, soft_wrap=True)
+        self.results = _Output(file=sys.stdout, highlight=False, soft_wrap=True)
         self.notes = notes()
 
     def say(self, text: str) -> None:
@@ -85,7 +101,7 @@ class Terminal:
     def table(self, title: str, headers: Sequence[str], rows: Sequence[Sequence[str]], bold: int | None = None) -> None:
         """Print a table; the row ``bold`` is set off. One that is too wide is parted, its first column in each part."""
         width = self.results.width if self.results.is_terminal else WIDTH
-        page = Console(file=sys.stdout, width=width, highlight=False)
+        page = _Output(file=sys.stdout, width=width, highlight=False)
         for part, widths in _parts(headers, rows, width):
             table = Table(title=Text(title), title_justify="left", header_style="bold")
             for index, wide in zip(part, widths, strict=True):
@@ -100,8 +116,11 @@ class Terminal:
     def finish(self, value: object) -> None:
         """Print ``value`` as one JSON object on the last line, if ``--json`` was given."""
         if self.json:
-            sys.stdout.write(msgspec.json.encode(value, enc_hook=_plain).decode() + "\n")
-            sys.stdout.flush()
+            try:
+                sys.stdout.write(msgspec.json.encode(value, enc_hook=_plain).decode() + "\n")
+                sys.stdout.flush()
+            except BrokenPipeError:
+                into_nothing(sys.stdout)
 
     @contextmanager
     def unsaved(self, show: Callable[[Any], object]) -> Iterator[None]:

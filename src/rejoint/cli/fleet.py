@@ -96,7 +96,7 @@ def fleet(
         rules = replace(rules, at_once=cpus or os.cpu_count() or 1)
     result = run_fleet(
         found, verb, make_executor, rules,
-        only=opt.controller_names(only), options=options, anew=anew, tell=view.tell, begins=view.begins,
+        only=opt.controller_names(only) if only else (), options=options, anew=anew, tell=view.tell, begins=view.begins,
     )  # fmt: skip
     terminal.table("All arms, the worst first", HEADERS, [row.cells for row in result.rows])
     for row in result.rows:

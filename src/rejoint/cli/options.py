@@ -194,8 +194,11 @@ def period_seconds(text: str | None) -> tuple[float, float] | None:
 
 
 def controller_names(text: str) -> tuple[str, ...]:
-    """Read a comma-separated list; empty for ``all``."""
-    return () if text == "all" else tuple(name.strip() for name in text.split(",") if name.strip())
+    """Read a comma-separated list; empty for ``all``, InputError where it holds no name."""
+    names = tuple(name.strip() for name in text.split(",") if name.strip())
+    if not names:
+        raise InputError(f"{text!r}: expected names with commas between them, or all")
+    return () if names == ("all",) else names
 
 
 def payload_of(text: str | None) -> LoadedWith | None:

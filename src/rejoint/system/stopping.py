@@ -71,6 +71,15 @@ def close() -> None:
             signal.signal(signum, _pass_over)
 
 
+def ignore() -> None:
+    """Be deaf to the very end: everything is done and said, and how it went decides the exit code.
+
+    Python takes its own handlers away while it ends, which may take a second, and a signal would be the exit code.
+    """
+    for signum in SIGNALS:
+        signal.signal(signum, signal.SIG_IGN)
+
+
 def ending() -> bool:
     """Tell whether the present work is what brings an arm to rest, see `shielded`."""
     return bool(_note.shielded)
