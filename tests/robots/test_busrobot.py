@@ -3,6 +3,7 @@
 import os
 import signal
 import struct
+import time
 
 import numpy as np
 import pytest
@@ -262,3 +263,10 @@ def test_a_closed_robot_says_so():
     with pytest.raises(ConnectionLostError, match="open the robot again"):
         robot.read()
     assert bus.done == []
+
+
+@pytest.mark.skipif(not hasattr(time, "CLOCK_BOOTTIME"), reason="this system has no clock that tells its sleep")
+def test_the_clock_goes_on_while_the_computer_sleeps(monkeypatch):
+    before = Clock().now()
+    monkeypatch.setattr(time, "clock_gettime", lambda which: before + 60.0 * (which == time.CLOCK_BOOTTIME))
+    assert Clock().now() == before + 60.0

@@ -63,12 +63,15 @@ class Reading(Vitals):
     """(n,) [V] supply that the servos measure"""
 
 
+_CLOCK: int | None = getattr(time, "CLOCK_BOOTTIME", None)  # on Linux `time.monotonic` stands still in a sleep
+
+
 class Clock:
     """Wall-clock time. A simulated bus brings another one, in which waiting lets its arm move."""
 
     def now(self) -> float:
-        """Return the time [s]; it never runs backwards."""
-        return time.monotonic()
+        """Return the time [s]; it never runs backwards, and goes on while the computer sleeps, as an arm does."""
+        return time.monotonic() if _CLOCK is None else time.clock_gettime(_CLOCK)
 
     def wait(self, duration: float) -> None:
         """Let ``duration`` [s] pass, none where it is negative; raises `Interrupted` when asked to end."""

@@ -13,8 +13,8 @@ from rejoint.system.errors import FileError
 class TruthLog:
     """Writes where the tool really is beside the wall clock, for experiments: CSV, one row a tick.
 
-    The clock is `time.monotonic`, the one that the driver stamps joint states with; on one machine
-    the two can be laid side by side.
+    The clock is `time.monotonic`. But for sleeps of the computer it is the one that the driver stamps joint states
+    with; on one machine the two can be laid side by side.
     """
 
     def __init__(self, path: Path, stream: TextIO, joints: int) -> None:
