@@ -1,6 +1,7 @@
 """An arm is looked at before it is moved, and moved slowly then."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,8 +9,11 @@ import pytest
 from rejoint.arms import gravity_torque, mycobot280
 from rejoint.control.robot import JointState
 from rejoint.control.start import STANCE, Stance, begin, check_ready
+from rejoint.logs.runlog import RunLog, write_log
 from rejoint.robots import open_robot
 from rejoint.robots.lab.plant.wear import load_wear
+from rejoint.runs.run import Run
+from rejoint.runs.stages.driving import stance_of
 from rejoint.system.errors import NotReadyError
 
 ARM = mycobot280()
@@ -88,6 +92,38 @@ def test_an_arm_that_stands_elsewhere_is_not_the_one_of_the_twin():
     wrong = replace(state, position=state.position + np.eye(6)[2] * (STANCE + 0.1))
     with pytest.raises(NotReadyError, match=r"joint3 stands .* from where the twin of this run expects it"):
         stance.check(ARM, wrong, command)
+
+
+def test_a_joint_may_stand_as_far_off_as_in_its_own_diagnosis_and_no_other_joint():
+    weak = np.arange(6) == 3
+    stance = Stance(stiffness=np.full(6, 8.0), offset=np.zeros(6), off=np.where(weak, np.radians(20.0), 0.0))
+    command = ARM.rest[None]
+    settled = Standing((command - gravity_torque(ARM, command) / 8.0)[0]).read()
+    for joint, away_deg, fine in ((3, 24.0, True), (3, 27.0, False), (2, 14.0, True), (2, 17.0, False)):
+        state = replace(settled, position=settled.position - np.eye(6)[joint] * np.radians(away_deg))
+        if fine:
+            stance.check(ARM, state, command)
+        else:
+            with pytest.raises(NotReadyError, match=f"joint{joint + 1} stands .* {25 if joint == 3 else 15} at most"):
+                stance.check(ARM, state, command)
+
+
+def test_a_run_tells_how_far_its_arm_stood_off_in_its_diagnosis(tmp_path):
+    twin = SimpleNamespace(parameters=SimpleNamespace(stiffness=np.full(6, 8.0), offset=np.zeros(6)))
+    run = Run.create(tmp_path / "run", "emulated:worn", ARM, 0)
+    assert stance_of(None, run) is None
+    assert np.all(stance_of(twin, run).off == 0.0)
+    rows = np.repeat([[0.2, 0.0, 0.2], [0.15, 0.05, 0.2]], 3, axis=0)
+    position = np.tile(ARM.rest, (6, 1))
+    command = position + gravity_torque(ARM, position) / 8.0
+    command[2, 3] += np.radians(20.0)  # where the first target ends; on the way to the next one it does not count
+    command[3, 2] += np.radians(50.0)
+    log = RunLog(
+        arm=ARM.name, joint_names=ARM.joint_names, robot="emulated:worn", label="targets", time=0.05 * np.arange(6.0),
+        position=position, command=command, target=rows, true_tcp=rows,
+    )  # fmt: skip
+    write_log(run.folder.log("targets"), log)
+    np.testing.assert_allclose(np.degrees(stance_of(twin, run).off), [0.0, 0.0, 0.0, 20.0, 0.0, 0.0], atol=1e-9)
 
 
 def test_virtual_time_is_not_waited_for():

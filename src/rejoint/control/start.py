@@ -28,6 +28,8 @@ STILL = np.radians(5.0)
 STANCE = np.radians(15.0)
 """[rad] that a joint may stand off from where its twin expects it (chosen: what friction, and a weak motor that starts
 late, leave on worn arms, is two thirds of it)"""
+FARTHER = np.radians(5.0)
+"""[rad] by which it may stand farther off than in its own diagnosis (chosen: a third of that)"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -38,17 +40,26 @@ class Stance:
     """(n,) [N m/rad] of the servos"""
     offset: Array
     """(n,) [rad] where a servo brings its joint without load, minus the command"""
+    off: Array | float = 0.0
+    """(n,) [rad] how far from there joints came to rest in their own diagnosis: one too weak to lift the arm stays
+    where it once stops"""
+
+    def away(self, arm: Arm, position: Array, command: Array) -> Array:
+        """How far (..., n) [rad] off joints at ``position`` (..., n) [rad] are, under the ``command`` in force."""
+        expected = command + self.offset - gravity_torque(arm, position) / self.stiffness
+        away: Array = np.abs(position - expected)
+        return away
 
     def check(self, arm: Arm, state: JointState, command: Array) -> None:
         """Raise NotReadyError unless the arms of ``state`` stand there, under the ``command`` (B, n) [rad] in force."""
-        expected = command + self.offset - gravity_torque(arm, state.position) / self.stiffness
-        away = np.abs(state.position - expected)
-        b, j = np.unravel_index(np.argmax(away), away.shape)
-        if away[b, j] > STANCE:
+        away, most = self.away(arm, state.position, command), np.maximum(STANCE, self.off + FARTHER)
+        most = np.broadcast_to(most, away.shape)
+        b, j = np.unravel_index(np.argmax(away - most), away.shape)
+        if away[b, j] > most[b, j]:
             raise NotReadyError(
                 f"{arm.joint_names[j]} stands {np.degrees(away[b, j]):.0f} deg from where the twin of this run expects "
-                f"it, {np.degrees(STANCE):.0f} at most were expected: another arm or load, or something in its way? If "
-                "it is the same arm and free, run `rejoint diagnose` and `rejoint identify` again"
+                f"it, {np.degrees(most[b, j]):.0f} at most were expected: another arm or load, or something in its "
+                "way? If it is the same arm and free, run `rejoint diagnose` and `rejoint identify` again"
             )
 
 

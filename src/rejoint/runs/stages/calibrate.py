@@ -252,7 +252,7 @@ class _MeasuringDrive:
             return measure(
                 self.robot, self.gauge, plan, on_progress=on_progress, on_measured=keep,
                 limits=limits_under(guard_limits(run, arm, self.robot.address), self.robot, None),
-                stance=stance_of(self.twin),
+                stance=stance_of(self.twin, run),
             )  # fmt: skip
         except BaseException as error:
             if run is not None and run.folder.measurements.exists():

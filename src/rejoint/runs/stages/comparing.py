@@ -141,7 +141,7 @@ class ComparisonJob:
             result = compare_controllers(
                 watched, self.factories, self.targets, self.settings, on_progress=on_progress, on_trial=keep,
                 ledger=ledger, limits=guard_limits(self.run, self.arm, address_of(self.robot)),
-                stance=stance_of(self.twin), correction=self.correct, model=self.model,
+                stance=stance_of(self.twin, self.run), correction=self.correct, model=self.model,
                 measured=() if before is None else (before.driven,), source=SOURCE, turns=self.turns,
                 helper=helper,
             )  # fmt: skip
@@ -158,7 +158,8 @@ class ComparisonJob:
     ) -> Comparison:
         """Add what stands beside the controllers: the arm as it was found, and poses from several directions."""
         how = Holding(
-            open_robot=opened, batched=self.settings.batched, seed=self.settings.seed, stance=stance_of(self.twin),
+            open_robot=opened, batched=self.settings.batched, seed=self.settings.seed,
+            stance=stance_of(self.twin, self.run),
             limits=guard_limits(self.run, self.arm, address_of(self.robot)), correction=self.correct, model=self.model,
         )  # fmt: skip
         protocol, own = self.settings.protocol, self.factories.get(DEFAULT)

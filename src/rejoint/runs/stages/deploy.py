@@ -226,8 +226,8 @@ class _Drive:
             limits = limits_under(guard_limits(self.run, arm, self.robot.address), self.robot, self.controller)
             with under_gains(self.robot, self.controller):
                 recording, found = deploy_to(
-                    self.robot, controller, job, limits=limits, stance=stance_of(self.twin), correction=correction,
-                    model=self.model, on_cycle=watch,
+                    self.robot, controller, job, limits=limits, stance=stance_of(self.twin, self.run),
+                    correction=correction, model=self.model, on_cycle=watch,
                 )  # fmt: skip
         except BaseException as error:
             partial, done = recording_of(error), deployed_of(error, arm, job, self.model)

@@ -102,7 +102,7 @@ class DrivenArm:
             self._drive = ArmDrive(
                 run=run, robot=robot, controller=driver, turning=turning, name=self.controller,
                 limits=limits_under(guard_limits(run, arm, address), robot, driver),
-                stance=stance_of(self._twin),
+                stance=stance_of(self._twin, run),
                 correction=None if correct is None else correct(arm), say=say,
             )  # fmt: skip
             self._stack = stack.pop_all()

@@ -84,9 +84,20 @@ def _is_own(run: Run, robot: str) -> bool:
         return False
 
 
-def stance_of(twin: Twin | None) -> Stance | None:
-    """Return where an arm is expected to stand at rest; None without a twin."""
-    return None if twin is None else Stance(stiffness=twin.parameters.stiffness, offset=twin.parameters.offset)
+def stance_of(twin: Twin | None, run: Run | None) -> Stance | None:
+    """Return where an arm is expected to stand at rest, as far off as in the diagnosis of its ``run``.
+
+    None without a twin.
+    """
+    if twin is None:
+        return None
+    stance = Stance(stiffness=twin.parameters.stiffness, offset=twin.parameters.offset)
+    path = None if run is None else run.folder.log("targets")
+    if run is None or path is None or not path.exists():
+        return stance
+    log = read_log(path)
+    rests = np.append(np.flatnonzero((log.target[1:] != log.target[:-1]).any(axis=-1)), len(log) - 1)
+    return replace(stance, off=stance.away(bare(run.arm), log.position[rests], log.command[rests]).max(axis=0))
 
 
 def twin_in_force(run: Run, robot: Robot) -> Twin | None:

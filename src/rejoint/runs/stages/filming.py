@@ -45,7 +45,7 @@ def film_of(
     with gauge.camera(robot) as camera:
         drive = FilmDrive(
             robot=robot, camera=camera, film=film,
-            limits=limits_under(guard_limits(run, arm, robot.address), robot, None), stance=stance_of(twin),
+            limits=limits_under(guard_limits(run, arm, robot.address), robot, None), stance=stance_of(twin, run),
             on_shot=keep, on_progress=on_progress,
         )  # fmt: skip
         try:

@@ -169,7 +169,7 @@ def follow(
             known = twin_in_force(about, connection) if about is not None and twin is None else known
             connection = shown(live, connection, twin=known, within=within)
             name, make = follower(controller, chosen, usual, about, known)
-            start = begin(connection, limits, stance_of(known))
+            start = begin(connection, limits, stance_of(known, about))
             carrier = _Logged(
                 robot=connection, run=about, limits=limits,
                 on_progress=on_progress, period=0.02 if usual is None else min(usual),

@@ -162,7 +162,7 @@ def serve(
         limits = guard_limits(about, arm, connection.address)
         motion = LongLog(about, connection, "serve", LABEL, say)
         stack.callback(motion.end, None)
-        start = begin(connection, limits, stance_of(known))
+        start = begin(connection, limits, stance_of(known, about))
         make = correction_of(calibration, about, arm, connection.address)
         shift = None if make is None else make(arm).shift
         drive, server = _put_together(connection, arm, known, shift, limits, log, listener, over, say)
