@@ -38,8 +38,8 @@ class Order(msgspec.Struct, forbid_unknown_fields=True):
     """[%] open"""
 
 
-def serve_lines(robot: str, run: RunLike, *, period: Period | None) -> None:
-    """Drive the arm by the lines of standard input until they end; the arm then holds."""
+def serve_lines(robot: str, run: RunLike, *, period: Period | None, say: Callable[[str], object]) -> None:
+    """Drive the arm by the lines of standard input until they end; the arm then holds. ``say`` tells a person."""
     if sys.stdin is None:
         raise InputError("--stdio follows standard input, and it is closed; give it a pipe")
     detail = place_of(robot).detail
@@ -53,7 +53,7 @@ def serve_lines(robot: str, run: RunLike, *, period: Period | None) -> None:
         grippers.append(found)
         return found.serve
 
-    with noted(), PosedArm(robot, run, period=period, beside=beside) as arm:
+    with noted(), PosedArm(robot, run, period=period, beside=beside, say=say) as arm:
         gripper = grippers[0] if grippers else None
         given = detail.zero if isinstance(detail, FeetechAddress) else ()
         middle = np.radians(given or (0.0,) * arm.arm.joints)

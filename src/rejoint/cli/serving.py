@@ -104,14 +104,14 @@ def serve(
 
     Example: `rejoint serve tcp://192.168.1.20:9000 runs/mine --listen 127.0.0.1:9001`
     """
+    terminal = Terminal(json=json)
     if stdio:
         if pty or json or any(given is not None for given in (calibration, payload, tool, live)):
             raise InputError("--stdio goes with --period alone")
         from rejoint.cli.lines import serve_lines
 
-        serve_lines(robot, run, period=opt.period_seconds(period))
+        serve_lines(robot, run, period=opt.period_seconds(period), say=terminal.say)
         return
-    terminal = Terminal(json=json)
 
     def announce(address: str) -> None:
         terminal.say(f"The arm at {robot} is served at {address}  (Ctrl-C brings it to a hold and ends)")

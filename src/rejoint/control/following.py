@@ -59,8 +59,8 @@ TURN_ROUND = 0.12
 """[s] for which a reading must stand before it is judged without load (chosen: a joint that is sent to and fro by a
 controller at its limits stands while it turns round)"""
 EXCUSED = 0.15
-"""[s] for which two joints at once are let be (chosen: behind a busy computer an arm was up to 0.1 s late with all of
-them; `python -m benchmarks.following --wires late`)"""
+"""[s] for which two joints at once are let be (chosen: a little longer than commands are late at most in `python -m
+benchmarks.following --wires late`)"""
 ARRIVED = np.radians(1.0)
 """[rad] of lead within which a joint that stands is where it was sent (chosen)"""
 SETTLED = 30

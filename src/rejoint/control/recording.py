@@ -44,6 +44,9 @@ class Cycle(NamedTuple):
     """(B,) [rad] orientation error by the encoders; NaN where no orientation is asked for"""
 
 
+PIECE = 600.0
+"""[s] after which a drive without an end is written as a run log (chosen: half an hour takes 40 MB of memory)"""
+
 OnCycle = Callable[[Cycle], object]
 """Called after every cycle with its row; what it raises ends the run."""
 

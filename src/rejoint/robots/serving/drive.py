@@ -13,14 +13,13 @@ from rejoint.control.controller import ControlInput
 from rejoint.control.guard import GuardLimits
 from rejoint.control.loop import Schedule, run
 from rejoint.control.posture import PostureController, Wanted
-from rejoint.control.recording import Cycle, Recording, recording_of
+from rejoint.control.recording import PIECE, Cycle, Recording, recording_of
 from rejoint.control.robot import JointState, Mask, Robot
 from rejoint.robots.serving.relay import Relay
 from rejoint.robots.serving.served import ServedArm
 
-PIECE, LONGEST_PIECE = 600.0, 1800.0
-"""[s] after which a piece of the motion is written as a run log: as soon as the arm rests, and at the latest (chosen:
-half an hour takes 40 MB of memory)"""
+LONGEST_PIECE = 3.0 * PIECE
+"""[s] after which a piece of the motion is written as a run log, whether the arm rests or not (chosen, as `PIECE`)"""
 
 
 class MotionLog(Protocol):

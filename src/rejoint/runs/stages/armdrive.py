@@ -17,11 +17,11 @@ from rejoint.control.loop import Playback, Schedule
 from rejoint.control.loop import run as drive
 from rejoint.control.moving.drive import GiveUp, approach, follow_guide
 from rejoint.control.moving.routes import Ahead, Stream
-from rejoint.control.recording import Cycle, Recording, recording_of
+from rejoint.control.recording import PIECE, Cycle, Recording, recording_of
 from rejoint.control.robot import Mask, Robot
 from rejoint.control.start import Stance, begin
 from rejoint.runs.run import Run
-from rejoint.runs.stages.longlog import PIECE, LongLog
+from rejoint.runs.stages.longlog import LongLog
 from rejoint.runs.stages.pathdrive import Piece
 
 if TYPE_CHECKING:

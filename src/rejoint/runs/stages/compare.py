@@ -177,7 +177,7 @@ def comparison_job(
 ) -> ComparisonJob:  # fmt: skip
     """Put together what `compare` is to do, in a ``run`` or without one, and refuse what does not fit.
 
-    Not for the ``paper``: its PIDs (`ON_REQUEST`) take part only where they are named.
+    Without ``paper`` the paper's PIDs (`ON_REQUEST`) take part only where they are named.
     """
     chosen = with_load(arm, robot, payload, tool)
     real = not is_batchable(robot)

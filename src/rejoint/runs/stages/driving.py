@@ -91,13 +91,17 @@ def stance_of(twin: Twin | None, run: Run | None) -> Stance | None:
     """
     if twin is None:
         return None
-    stance = Stance(stiffness=twin.parameters.stiffness, offset=twin.parameters.offset)
+    stance = _expected(twin)
     path = None if run is None else run.folder.log("targets")
     if run is None or path is None or not path.exists():
         return stance
-    log = read_log(path)
+    log, then = read_log(path), _expected(run.twin or twin)  # its servos had the gains of the diagnosis
     rests = np.append(np.flatnonzero((log.target[1:] != log.target[:-1]).any(axis=-1)), len(log) - 1)
-    return replace(stance, off=stance.away(bare(run.arm), log.position[rests], log.command[rests]).max(axis=0))
+    return replace(stance, off=then.away(bare(run.arm), log.position[rests], log.command[rests]).max(axis=0))
+
+
+def _expected(twin: Twin) -> Stance:
+    return Stance(stiffness=twin.parameters.stiffness, offset=twin.parameters.offset)
 
 
 def twin_in_force(run: Run, robot: Robot) -> Twin | None:

@@ -15,9 +15,6 @@ from rejoint.system.files import require_space
 if TYPE_CHECKING:
     from rejoint.logs.journal import Journal
 
-PIECE = 600.0
-"""[s] after which a piece of the motion becomes a run log (chosen: half an hour takes 40 MB of memory)"""
-
 
 class LongLog:
     """Keeps what one arm does in ``logs/NAME-DATE.parquet``, a file for each piece.

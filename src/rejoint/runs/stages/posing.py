@@ -16,7 +16,7 @@ from rejoint.control.controller import ControlInput
 from rejoint.control.loop import Schedule
 from rejoint.control.loop import run as drive
 from rejoint.control.posture import PostureController, Wanted
-from rejoint.control.recording import Cycle, recording_of
+from rejoint.control.recording import PIECE, Cycle, recording_of
 from rejoint.control.robot import JointState, Mask, Robot
 from rejoint.control.servogains import limits_under
 from rejoint.control.start import check_ready
@@ -24,7 +24,7 @@ from rejoint.robots import open_robot
 from rejoint.runs.given import Period, RunLike, as_run
 from rejoint.runs.run import Run, exclusive
 from rejoint.runs.stages.driving import guard_limits, twin_in_force
-from rejoint.runs.stages.longlog import PIECE, LongLog
+from rejoint.runs.stages.longlog import LongLog
 from rejoint.system.errors import InputError, NotReadyError
 from rejoint.system.files import require_space
 
