@@ -95,7 +95,7 @@ def _targets(comparison: Comparison) -> Table:
         for k, point in enumerate(points)
     ]
     more = len(comparison.targets) - 1
-    notes = (f"{more} more in comparison.json.",) if more else ()
+    notes = (f"{more} more set{'s' * (more > 1)} in comparison.json.",) if more else ()
     headers = ("target", "x [mm]", "y [mm]", "z [mm]")
     return Table(caption="Targets in the base frame", headers=headers, rows=tuple(rows), notes=notes)
 
