@@ -27,23 +27,26 @@ from rejoint.research.rivals.catalogue import make_rival
 from rejoint.system.statistics import paired_difference
 from rejoint.twin.file import read_twin
 from rejoint.twin.parameters import TwinParameters
+from rejoint.twin.planning import PlanSettings
 from rejoint.twin.predictive import PredictiveController
 from rejoint.twin.simulation import Draw
 from rejoint.twin.twin import Twin
 
 TARGETS, STEPS = 3, 2000
+OTHER_MOTIONS = 1_000_000
+"""Added to the seed of a diagnosis for each time that it is done again: beyond the seeds of all families"""
 ARM = mycobot280()
 NARROW = int(np.argmin(Protocol().within))
 
 
-def know(family: ArmFamily, folder: Path) -> list[Twin]:
-    """Identify the arms of a family, or take over the twins in ``folder``."""
+def know(family: ArmFamily, folder: Path, again: int = 0) -> list[Twin]:
+    """Identify the arms of a family, or take over the twins in ``folder``; ``again`` gives each other motions."""
     found = []
     for seed in map(family.wear_seed, range(family.arms)):
-        files = RunFolder(folder / str(seed))
+        files = RunFolder(folder / (f"{seed}-{again}" if again else str(seed)))
         files.path.mkdir(parents=True, exist_ok=True)
         if not files.twin.exists():
-            identify_arm(ARM, seed, files, seed, lambda *_: None)
+            identify_arm(ARM, seed, files, seed + OTHER_MOTIONS * again, lambda *_: None)
         found.append(read_twin(files.twin, ARM))
     return found
 
@@ -103,10 +106,12 @@ def main() -> None:
     parser.add_argument("--family", type=int, default=0, help="family of arms; settings were chosen on 4")
     parser.add_argument("--twins", type=Path, default=Path("runs/twins"), help="folder that keeps the arms' twins")
     parser.add_argument("--variant", default="worn", help="condition; twins are those of the arms without it")
+    parser.add_argument("--again", type=int, default=0, help="seed of diagnoses and plans, for twins of other motions")
     options = parser.parse_args()
     family, variant = ArmFamily(arms=options.arms, targets=TARGETS, seed=options.family), find_variant(options.variant)
-    twins = know(family, options.twins)
+    twins = know(family, options.twins, options.again)
     known, stiffness = together(twins), float(np.mean([one.parameters.stiffness.mean() for one in twins]))
+    plan = PlanSettings(seed=options.again)
     bench = TrialArms(
         open=lambda: open_family(ARM, variant, family), targets=family_targets(ARM, family, TARGETS),
         wear_seed=np.array([family.wear_seed(i) for i in range(family.arms)], dtype=float),
@@ -114,8 +119,10 @@ def main() -> None:
     settings, shelf = TrialSettings(family=family, protocol=Protocol(), crossing=False), None
     for name, make in {
         "shelf": shelf_controller,
-        "predictive": lambda arm: PredictiveController(arm, known, shelf_controller(arm)),
-        "predictive, integrator": lambda arm: PredictiveController(arm, known, FeedforwardController(arm, stiffness)),
+        "predictive": lambda arm: PredictiveController(arm, known, shelf_controller(arm), plan),
+        "predictive, integrator": lambda arm: PredictiveController(
+            arm, known, FeedforwardController(arm, stiffness), plan
+        ),
         "integrator": lambda arm: make_controller("integrator", arm),
         "feedforward": lambda arm: make_controller("feedforward", arm),
         "tuned-feedforward": lambda arm: make_rival("tuned-feedforward", arm),

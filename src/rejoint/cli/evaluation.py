@@ -205,7 +205,7 @@ def _calibrate(
     chosen = source is not None and source.name != "DEFAULT" and controllers != "none"
     contestants = [learned(path, arm) for path in policy]
     contestants += [classical(name) for name in controller_names(controllers)] if chosen else []
-    contestants = contestants or [classical("feedforward")]
+    contestants = contestants or [classical("shelf")]  # what drives an arm before it is trained for
     if len(contestants) > 1:
         raise InputError(
             "evaluate --calibrate drives one controller: name one with --controllers, or give one --policy"

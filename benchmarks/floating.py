@@ -1,0 +1,84 @@
+"""What chance leaves of the true error, however well an arm is calibrated: links that float in their backlash.
+
+    python -m benchmarks.floating --arms 40
+
+Emulated worn arms are held at fresh targets, not calibrated, and where each link lies beyond its encoder is read from
+the plant. For each joint of each arm that is then fitted by the terms of a calibration (offset, load, side of the
+backlash, side it came from) in the very targets that are judged: without noise and after the fact. What is left is
+chance, and no calibration from measured points leaves less. Printed [mm], mean / 95th percentile: what the encoders
+miss, what the links of joint 1 and of all joints add by chance, and encoders and links together.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from rejoint.arms import Arm, Array, gravity_torque, mycobot280, tcp_position
+from rejoint.arms.displacement import FLOATING, direction
+from rejoint.arms.kinematics import GRAVITY
+from rejoint.arms.rotations import rotation_about
+from rejoint.control.catalogue import make_controller
+from rejoint.control.comparison.targets import draw_targets
+from rejoint.control.controller import Controller
+from rejoint.control.loop import Schedule, run
+from rejoint.control.shelf import shelf_controller
+from rejoint.research.evaluation.calibrating import HOLD, find_condition, open_condition
+from rejoint.research.evaluation.family import FAMILY_SIZE, ArmFamily
+from rejoint.robots.emulated import EmulatedRobot
+
+
+def held(robot: EmulatedRobot, controller: Callable[[Arm], Controller], targets: Array) -> tuple[Array, Array]:
+    """Return encoders, and links beyond them, (A, K, n) [rad] at the end of each hold of ``targets`` (A, K, 3) [m]."""
+    read, beyond = [], []
+    for k in range(targets.shape[1]):
+        run(robot, controller(robot.arm), targets[:, k : k + 1], Schedule(dwell=HOLD, keep_going=True))
+        read.append(robot.plant.encoder())
+        beyond.append(robot.plant.link_position() - read[-1])
+    return np.stack(read, axis=1), np.stack(beyond, axis=1)
+
+
+def by_chance(arm: Arm, read: Array, beyond: Array, tilt: float) -> Array:
+    """Return what the terms of a calibration, fitted to ``beyond`` itself, leave of it (A, K, n) [rad]."""
+    came = np.concatenate([np.broadcast_to(arm.rest, read[:, :1].shape), read[:, :-1]], axis=1)
+    gravity = rotation_about(np.array([1.0, 0.0, 0.0]), tilt) @ GRAVITY
+    load, left = gravity_torque(arm, read, gravity), np.empty_like(beyond)
+    side = np.tanh(load / FLOATING)
+    terms = np.stack([np.ones_like(load), load, side, (1.0 - side**2) * direction(read, came)], axis=-1)
+    for i, j in np.ndindex(len(read), arm.joints):
+        share = np.linalg.lstsq(terms[i, :, j], beyond[i, :, j], rcond=None)[0]
+        left[i, :, j] = beyond[i, :, j] - terms[i, :, j] @ share
+    return left
+
+
+def main() -> None:
+    """Print a row."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.floating")
+    parser.add_argument("--arms", type=int, default=40)
+    parser.add_argument("--targets", type=int, default=20, help="for each arm: four terms are fitted to them")
+    parser.add_argument("--family", type=int, default=0)
+    parser.add_argument("--slope", type=float, default=0.0, help="degrees by which the base is raised on one side")
+    parser.add_argument("--controller", default="feedforward", help="shelf, or the name of a law")
+    options = parser.parse_args()
+    arm, family = mycobot280(), ArmFamily(arms=options.arms, targets=options.targets, seed=options.family)
+    targets = draw_targets(arm, sets=family.arms, count=family.targets, seed=FAMILY_SIZE * (family.seed + 1) + 1)
+    tilt, known = np.radians(options.slope), options.controller
+    robot = open_condition(arm, replace(find_condition("worn"), tilt=tilt), family, 1)
+    read, beyond = held(robot, shelf_controller if known == "shelf" else lambda it: make_controller(known, it), targets)
+    left, reached = by_chance(arm, read, beyond, tilt), tcp_position(arm, read)
+    first = np.concatenate([left[..., :1], np.zeros_like(left[..., 1:])], axis=-1)
+    for name, off in {
+        "encoders": reached - targets,
+        "joint 1 by chance": tcp_position(arm, read + first) - reached,
+        "all joints by chance": tcp_position(arm, read + left) - reached,
+        "encoders and joints": tcp_position(arm, read + left) - targets,
+    }.items():
+        error = 1e3 * np.linalg.norm(off, axis=-1)
+        print(f"{name:22s} {error.mean():.2f} / {np.quantile(error, 0.95):.2f}", flush=True)
+
+
+if __name__ == "__main__":
+    main()
