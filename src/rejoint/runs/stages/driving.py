@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, TypeAlias, cast
 
 import numpy as np
 
-from rejoint.arms import Arm, Array
+from rejoint.arms import Arm, Array, tcp_position
 from rejoint.arms.loaded import bare
 from rejoint.control.bands import standing_bands
 from rejoint.control.catalogue import POLICY, PREDICTIVE, contenders, make_controller
@@ -136,15 +136,23 @@ def trained_for_tuned(run: Run | None) -> bool:
 
 
 def correction_of(
-    given: CalibrationLike | None, run: Run | None, arm: Arm, robot: str
+    given: CalibrationLike | None, run: Run | None, arm: Arm, robot: str, targets: Array | None = None
 ) -> Callable[[Arm], Modelled] | None:
     """Return what makes the correction of each motion; None where nothing is to be corrected.
 
     That is what is ``given``, or, if ``robot`` is the run's own, what its calibration says. ContractError where that is
-    of another arm.
+    of another arm; InputError where it shifts the tool at rest, or one of the ``targets`` (..., 3) [m], by more than
+    lies behind any worn arm's encoders: better known before the arm moves than when it is aimed.
     """
     calibration = calibration_of(given, run, arm, robot)
-    return None if calibration is None else partial(Modelled, displacement=calibration.displacement)
+    if calibration is None:
+        return None
+    places = tcp_position(arm, arm.rest)[None]
+    if targets is not None:
+        places = np.concatenate([places, targets.reshape(-1, 3)])
+    rest, every = np.broadcast_to(arm.rest, (len(places), arm.joints)), np.ones(len(places), dtype=bool)
+    Modelled(arm, calibration.displacement).aim(places, rest, every)
+    return partial(Modelled, displacement=calibration.displacement)
 
 
 def calibration_of(given: CalibrationLike | None, run: Run | None, arm: Arm, robot: str) -> Calibration | None:

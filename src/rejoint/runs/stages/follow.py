@@ -58,7 +58,7 @@ from rejoint.system.progress import Progress, no_progress, paced
 from rejoint.system.stopping import noted
 
 LOOKED_AT = 50
-"""Places of a path that are judged by their load (chosen: a wave has a dozen)"""
+"""Places of a path that are judged before it is driven (chosen: a wave has a dozen)"""
 
 
 @paced
@@ -157,10 +157,12 @@ def follow(
     with exclusive(about):
         given = followable(path, chosen, seed, duration)
         known = as_twin(twin) if twin is not None else None if about is None else about.twin
+        places = None
         if isinstance(given, Path):
             few = slice(None, None, max(1, len(given.place) // LOOKED_AT))
-            say_heavy(chosen, known, given.place[few], say, given.turn_at(given.time[few]))
-        correct = correction_of(calibration, about, chosen, address_of(robot))
+            places = given.place[few]
+            say_heavy(chosen, known, places, say, given.turn_at(given.time[few]))
+        correct = correction_of(calibration, about, chosen, address_of(robot), places)
         usual = period_of(robot, period)
         if about is not None:
             require_space(about.path)
