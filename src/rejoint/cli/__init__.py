@@ -36,6 +36,7 @@ from rejoint.cli import (
 )  # fmt: skip
 from rejoint.cli.console import into_nothing, notes
 from rejoint.cli.live import with_place
+from rejoint.system import compiling
 from rejoint.system.errors import RejointError, first_line
 from rejoint.system.extras import explain
 from rejoint.system.stopping import Interrupted, close, install, interruption
@@ -87,6 +88,7 @@ def main() -> None:
         del os.environ["COLUMNS"]
     install()
     try:
+        compiling.require_compiler()
         result = app(
             args=with_place(sys.argv[1:]), standalone_mode=False
         )  # makes an exit code of every interruption, whichever signal it was
@@ -124,7 +126,11 @@ def main() -> None:
         _say_notes(error)
     except Exception as error:  # noqa: BLE001 - a bug, wherever it is, ends in one line
         asked = interruption()  # compiled code may have swallowed it, and failed for want of what it asked for
-        code = _bug(error, json=json) if asked is None else _interrupted(asked, json=json)
+        line = compiling.explain(error)
+        if asked is not None:
+            code = _interrupted(asked, json=json)
+        else:
+            code = _bug(error, json=json) if line is None else _fail(line, "InputError", 2, json=json)
     sys.exit(code)
 
 
