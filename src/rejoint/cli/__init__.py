@@ -9,13 +9,14 @@ Results go to standard output, everything else to standard error.
 
 from __future__ import annotations
 
+import io
 import os
 import signal
 import sys
 import tempfile
 import traceback
 from collections.abc import Callable
-from typing import Annotated
+from typing import Annotated, TextIO
 
 import msgspec
 import typer
@@ -84,6 +85,7 @@ def main() -> None:
     """Run the command line; every expected failure is one clear line and an exit code that means something."""
     json = "--json" in sys.argv
     _fill_closed()
+    _bear_any_text(sys.stdout)
     if os.environ.get("COLUMNS") == "0":  # nobody knows how wide it is; Rich would print nothing at all
         del os.environ["COLUMNS"]
     install()
@@ -145,6 +147,12 @@ def _fill_closed() -> None:
         sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115, PTH123 - until the process ends
     if sys.stderr is None:
         sys.stderr = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115, PTH123
+
+
+def _bear_any_text(file: TextIO) -> None:
+    """Let what the console's encoding lacks, as umlauts in a path, be written as its number instead of ending all."""
+    if isinstance(file, io.TextIOWrapper):
+        file.reconfigure(errors="backslashreplace")
 
 
 RESUMED = ("repair", "train", "compare", "fleet")
