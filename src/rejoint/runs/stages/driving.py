@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from datetime import datetime
 from functools import partial
@@ -24,6 +25,7 @@ from rejoint.control.gainsearch import GainsFound
 from rejoint.control.geared import GEARED, GEARED_POLICY, GEARED_PREDICTIVE, GEARED_PUSH, RIVALS, Geared, inner_name
 from rejoint.control.guard import GuardLimits
 from rejoint.control.lines import servo_lines
+from rejoint.control.recording import recording_of
 from rejoint.control.robot import Robot
 from rejoint.control.servogains import ServoGains, differing, gains_in_force, in_words, stiffness_under
 from rejoint.control.shelf import SHELF, shelf_controller, shelf_policy
@@ -57,6 +59,23 @@ def start_journal(run: Run, name: str, robot: Robot, label: str, rows: int = 0) 
     return Journal.begin(
         path, arm=run.arm.name, joint_names=run.arm.joint_names, robot=robot.address, label=label, rows=rows
     )
+
+
+@contextmanager
+def kept_if_stopped(run: Run | None, name: str, robot: Robot) -> Iterator[None]:
+    """Keep what an arm did in a slow motion that ends early, as a run log that the error then names."""
+    try:
+        yield
+    except BaseException as error:
+        partial = recording_of(error)
+        if run is not None and partial is not None and len(partial.time):
+            try:
+                journal = start_journal(run, name, robot, f"{name}/begin")
+            except FileError as full:  # the first error is the one to report
+                error.add_note(f"What was recorded until then is lost: {full}")
+            else:
+                error.add_note(journal.keep(partial.log(0, f"{name}/begin/stopped")))
+        raise
 
 
 def guard_limits(run: Run | None, arm: Arm, robot: str) -> GuardLimits:

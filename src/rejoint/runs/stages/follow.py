@@ -38,6 +38,7 @@ from rejoint.runs.stages.driving import (
     ControllerLike,
     correction_of,
     guard_limits,
+    kept_if_stopped,
     stance_of,
     start_journal,
     twin_in_force,
@@ -171,7 +172,8 @@ def follow(
             known = twin_in_force(about, connection) if about is not None and twin is None else known
             connection = shown(live, connection, twin=known, within=within)
             name, make = follower(controller, chosen, usual, about, known)
-            start = begin(connection, limits, stance_of(known, about))
+            with kept_if_stopped(about, "follow", connection):
+                start = begin(connection, limits, stance_of(known, about))
             carrier = _Logged(
                 robot=connection, run=about, limits=limits,
                 on_progress=on_progress, period=0.02 if usual is None else min(usual),
@@ -199,7 +201,8 @@ class _Logged:
     period: float
 
     def approach(self, start: Array, sent: Array, turn: Orientation | None = None) -> Recording:
-        return approach(self.robot, start, sent, self.limits, turn=turn)
+        with kept_if_stopped(self.run, "follow", self.robot):
+            return approach(self.robot, start, sent, self.limits, turn=turn)
 
     def carry(self, guide: Ahead | Stream, controller: Controller, sent: Array, piece: Piece) -> Recording:
         rows, number, total = int(piece.duration / self.period), piece.number, piece.total
