@@ -1,5 +1,6 @@
 """The command line: exit codes, one clear line per error, JSON on the last line, and a chain that resumes."""
 
+import io
 import json
 import os
 import re
@@ -16,6 +17,7 @@ import pytest
 import rejoint
 from commandline import run_cli
 from rejoint.arms import mycobot280
+from rejoint.cli import main
 from rejoint.cli.console import Terminal
 from rejoint.cli.options import controller_names, period_seconds
 from rejoint.control.comparison.result import Comparison
@@ -280,6 +282,18 @@ def test_interruption_is_exit_code_130(
     code, _, err = run_cli("deploy", "emulated:worn", str(tmp_path), capsys=capsys, monkeypatch=monkeypatch)
     assert code == 130
     assert err.strip() == "error: interrupted by SIGINT", "nothing else goes on where it was"
+
+
+def test_what_a_console_cannot_show_ends_no_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    page, written = tmp_path / "größe.html", io.BytesIO()
+    monkeypatch.setattr("rejoint.report", lambda _: page)
+    monkeypatch.setattr("sys.argv", ["rejoint", "report", str(tmp_path)])
+    monkeypatch.setattr("sys.stdout", io.TextIOWrapper(written, encoding="ascii"))
+    with pytest.raises(SystemExit) as stopped:
+        main()
+    sys.stdout.flush()
+    assert (stopped.value.code or 0) == 0
+    assert rb"gr\xf6\xdfe.html" in written.getvalue()
 
 
 def test_a_bug_is_one_line_and_a_file(

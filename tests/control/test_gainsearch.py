@@ -15,7 +15,7 @@ from rejoint.control.guard import GuardLimits
 from rejoint.control.robot import JointState
 from rejoint.control.servogains import limits_under, require_gains, stiffness_under, under_gains
 from rejoint.robots.feetech.gains import LIMIT, for_all, steps
-from rejoint.system.errors import ContractError, InputError, NotReadyError, RobotError
+from rejoint.system.errors import ContractError, GuardTripError, InputError, NotReadyError, RobotError
 from servorobot import ARM, ServoRobot
 
 
@@ -61,6 +61,19 @@ def test_a_warm_arm_is_not_searched():
     with pytest.raises(NotReadyError, match=r"elbow_flex: warmer than 55 deg C"):
         search(robot, targets(1))
     assert all(gains == robot.servo_gains() for gains in robot.history)
+
+
+@pytest.mark.parametrize(
+    "ill", [{"fault": np.eye(5, dtype=bool)[1:2]}, {"temperature": np.array([[30.0, 80.0, 30.0, 30.0, 30.0]])}], ids=str
+)
+def test_a_servo_that_suffers_ends_the_search_and_no_round_alone(ill):
+    """Rounds that end at once, because a joint is warm, kept the guard from seeing that it was far too hot."""
+    robot = ServoRobot()
+    before, step = robot.servo_gains(), robot.step
+    robot.step = lambda *given: replace(step(*given), **(ill if len(robot.history) > 1 else {}))
+    with pytest.raises(GuardTripError, match="shoulder_lift"):
+        search(robot, targets(1))
+    assert robot.servo_gains() == before
 
 
 def state(time, *, shift=0.0, **changes):

@@ -120,6 +120,21 @@ def stood_in(checked: tuple[rejoint.Checked, Path], monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(stage, "_drive", lambda *_: (log, np.full(ARM.joints, 25.0)))
 
 
+@pytest.mark.parametrize("since", [0.0, 60.0])
+def test_a_joint_whose_reading_stands_is_told_and_does_not_count(
+    since: float, checked: tuple[rejoint.Checked, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A dead encoder: the servo still follows, and all that is measured of its joint would be zero."""
+    log = RunLog.load(checked[0].folder / "check.parquet")
+    position = log.position.copy()
+    dead = log.time - log.time[0] >= since
+    position[dead, 1] = position[dead, 1][0]
+    monkeypatch.setattr(stage, "_drive", lambda *_: (replace(log, position=position), None))
+    with pytest.raises(rejoint.RobotError, match="joint2 did not follow"):
+        rejoint.check("emulated:healthy", history=tmp_path, when=BEGIN)
+    assert not list(tmp_path.rglob(SUMMARY)), "it is no norm for later checks"
+
+
 @pytest.mark.usefixtures("stood_in")
 def test_a_history_grows_and_begins_anew(tmp_path: Path) -> None:
     def once(month: int, **options: object) -> rejoint.Checked:

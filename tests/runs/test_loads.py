@@ -86,18 +86,19 @@ def test_a_tool_is_where_an_emulated_arm_really_has_it() -> None:
 
 
 def test_an_untold_load_is_noticed_and_a_told_one_is_not(run: Path) -> None:
-    said = {}
+    said, targets = {}, [*TARGETS, [0.2, 0.05, 0.15], [0.13, 0.1, 0.1]]
     for payload in (None, 0.1):
         said[payload] = list[str]()
         rejoint.deploy(
-            "emulated:worn?payload=0.1", "feedforward", TARGETS, run=run, dwell=3.0, payload=payload,
+            "emulated:worn?payload=0.1", "feedforward", targets, run=run, dwell=3.0, payload=payload,
             say=said[payload].append,
         )  # fmt: skip
     assert any("as if the hand carried" in line for line in said[None])
     assert not any("as if the hand carried" in line for line in said[0.1])
     quiet = list[str]()
     rejoint.deploy("emulated:worn", "feedforward", TARGETS, run=run, dwell=3.0, say=quiet.append)
-    assert quiet == []
+    rejoint.deploy("emulated:worn", "feedforward", targets[-1:], run=run, dwell=3.0, say=quiet.append)
+    assert quiet == [], "in a single posture friction seems to carry 160 g of this arm"
 
 
 def test_a_told_load_raises_commands_by_what_a_servo_gives_way() -> None:

@@ -1,13 +1,17 @@
 """Numbers that no arm can be driven by are refused before the robot is opened: at these addresses nothing answers."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import rejoint
-from rejoint.arms import mycobot280
+from rejoint.arms import Displacement, mycobot280
 from rejoint.control.comparison.targets import draw_targets
+from rejoint.diagnosis.calibration.calibration import Calibration
+from rejoint.diagnosis.calibration.file import write_calibration
+from rejoint.diagnosis.calibration.parameters import DisplacementLayout
 from rejoint.runs.run import Run
 from runs.test_connect import a_twin
 
@@ -53,3 +57,23 @@ def test_more_trials_than_any_memory_holds(run: Path) -> None:
         draw_targets(ARM, sets=10**9)
     with pytest.raises(rejoint.InputError, match="at most 10000"):
         rejoint.compare("emulated:worn", ["default"], run=run, sets=2, repetitions=10**9)
+
+
+def test_a_calibration_that_shifts_a_tool_farther_than_any_wear(run: Path) -> None:
+    far = replace(Displacement.none(ARM), offset=np.array([0.5, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    calibration = Calibration(
+        arm=ARM, displacement=far, covariance=1e-12 * np.eye(DisplacementLayout(joints=ARM.joints).size),
+        frame=np.eye(4), frame_name="base", source="touch", date="", points=4, before=2e-3, after=1e-3, used=True,
+        floor=1e-6,
+    )  # fmt: skip
+    write_calibration(run / "calibration.toml", calibration)
+    drives = (
+        lambda: rejoint.deploy(NOBODY, "integrator", TARGETS, run=run),
+        lambda: rejoint.follow(NOBODY, "circle-8s", run=run),
+        lambda: rejoint.compare(NOBODY, ["default", "integrator"], run=run),
+        lambda: rejoint.serve(NOBODY, run, listen="127.0.0.1:0"),
+        lambda: rejoint.connect(NOBODY, run=run),
+    )
+    for drive in drives:
+        with pytest.raises(rejoint.InputError, match=r"shifts a target by .* calibrate again"):
+            drive()

@@ -9,13 +9,14 @@ Results go to standard output, everything else to standard error.
 
 from __future__ import annotations
 
+import io
 import os
 import signal
 import sys
 import tempfile
 import traceback
 from collections.abc import Callable
-from typing import Annotated
+from typing import Annotated, TextIO
 
 import msgspec
 import typer
@@ -36,6 +37,7 @@ from rejoint.cli import (
 )  # fmt: skip
 from rejoint.cli.console import into_nothing, notes
 from rejoint.cli.live import with_place
+from rejoint.system import compiling
 from rejoint.system.errors import RejointError, first_line
 from rejoint.system.extras import explain
 from rejoint.system.stopping import Interrupted, close, install, interruption
@@ -83,10 +85,12 @@ def main() -> None:
     """Run the command line; every expected failure is one clear line and an exit code that means something."""
     json = "--json" in sys.argv
     _fill_closed()
+    _bear_any_text(sys.stdout)
     if os.environ.get("COLUMNS") == "0":  # nobody knows how wide it is; Rich would print nothing at all
         del os.environ["COLUMNS"]
     install()
     try:
+        compiling.require_compiler()
         result = app(
             args=with_place(sys.argv[1:]), standalone_mode=False
         )  # makes an exit code of every interruption, whichever signal it was
@@ -124,7 +128,11 @@ def main() -> None:
         _say_notes(error)
     except Exception as error:  # noqa: BLE001 - a bug, wherever it is, ends in one line
         asked = interruption()  # compiled code may have swallowed it, and failed for want of what it asked for
-        code = _bug(error, json=json) if asked is None else _interrupted(asked, json=json)
+        line = compiling.explain(error)
+        if asked is not None:
+            code = _interrupted(asked, json=json)
+        else:
+            code = _bug(error, json=json) if line is None else _fail(line, "InputError", 2, json=json)
     sys.exit(code)
 
 
@@ -139,6 +147,12 @@ def _fill_closed() -> None:
         sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115, PTH123 - until the process ends
     if sys.stderr is None:
         sys.stderr = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115, PTH123
+
+
+def _bear_any_text(file: TextIO) -> None:
+    """Let what the console's encoding lacks, as umlauts in a path, be written as its number instead of ending all."""
+    if isinstance(file, io.TextIOWrapper):
+        file.reconfigure(errors="backslashreplace")
 
 
 RESUMED = ("repair", "train", "compare", "fleet")

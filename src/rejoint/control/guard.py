@@ -137,6 +137,16 @@ def _check(limits: GuardLimits, command: Array, sent: Array, speed: Array, state
     return np.where(np.isfinite(sent), sent, known), trips
 
 
+def suffers(limits: GuardLimits, state: JointState) -> NDArray[np.bool_]:
+    """Arms (B,) that trip for what their servos tell, whatever is to be sent: too hot, or a fault."""
+    found = np.zeros(len(state.position), dtype=bool)
+    if state.temperature is not None:
+        found |= (state.temperature > limits.max_temperature).any(axis=-1)
+    if state.fault is not None:
+        found |= state.fault.any(axis=-1)
+    return found
+
+
 def _nothing_wrong(limits: GuardLimits, command: Array, sent: Array, speed: Array, state: JointState) -> bool:
     """Tell that nothing trips in the whole batch; almost always so, and cheaper to ask than what does."""
     if state.temperature is not None or state.fault is not None:

@@ -18,7 +18,7 @@ from rejoint.arms.orientation import REACHED_TURN, Orientation
 from rejoint.control.controller import ControlInput, Controller, turned_off
 from rejoint.control.correction import Correction
 from rejoint.control.following import Following
-from rejoint.control.guard import TRIPS, Guarded, GuardLimits, Reason, Reasons, guard, warm_up
+from rejoint.control.guard import TRIPS, Guarded, GuardLimits, Reason, Reasons, guard, suffers, warm_up
 from rejoint.control.recording import Cycle, Look, OnCycle, Recorder, Recording, attach, look_of
 from rejoint.control.robot import JointState, Mask, Robot
 from rejoint.control.route import Route
@@ -47,7 +47,7 @@ class Schedule:
     its sag where this is forgotten."""
     give_up: Callable[[ControlInput], Mask] | None = None
     """asked once per cycle with what was read: arms (B,) that are done, whatever is left of their targets. They stay
-    where they are, at the last command"""
+    where they are, at the last command. Servos that suffer are left to the guard"""
 
     def __post_init__(self) -> None:
         if not 0.0 < self.dwell < np.inf:
@@ -242,7 +242,8 @@ class _Loop:
         before, target = run_state.inputs(), run_state.target
         fresh, index = run_state.active, run_state.index
         if self.schedule.give_up is not None:
-            run_state.active = fresh & ~self.schedule.give_up(before)
+            done = self.schedule.give_up(before) & ~suffers(self.limits, before.state)  # that is for the guard to say
+            run_state.active = fresh & ~done
         renewed = run_state.advance(run_state.active & self._finished(before))
         command, reasons, speed = self._decide(run_state, renewed)
         cycle = Cycle(

@@ -18,7 +18,7 @@ from rejoint.diagnosis.metrics import SETTLED_LAST
 from rejoint.diagnosis.monitoring.routine import CYCLES, POSES, SIDES
 from rejoint.diagnosis.segments import ExcitationLog
 from rejoint.logs.runlog import RunLog
-from rejoint.system.errors import InputError
+from rejoint.system.errors import InputError, RobotError
 
 LEAST_LEVER = 0.02
 """[m] by which angles are turned into millimetres at least: a joint that only turns the tool is to count as well
@@ -29,6 +29,11 @@ _LEAST_RANGE = 0.1
 moves by more than an encoder count; goes with the load of the arm)"""
 
 _SWEEP_MIDDLE = 0.6  # share of a sweep, about its middle, in which a joint moves steadily (chosen)
+
+
+DEAD_TIME, DEAD_WAY = 15.0, np.radians(10.0)
+"""[s] and [rad] of commands at the end of a check, through which a reading that stands is of no joint that follows
+(chosen: a healthy joint stands for 0.8 s, and one that is too weak for its load stood for 12 in the middle)"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -101,6 +106,23 @@ def measure_check(arm: Arm, log: RunLog, temperature: Array | None) -> CheckMeas
         true_error_mm=None if true is None else true[0], true_approach_mm=None if true is None else true[2],
         temperature_c=None if temperature is None else float(np.mean(temperature)),
     )  # fmt: skip
+
+
+def require_followed(arm: Arm, log: RunLog) -> None:
+    """Raise RobotError where the reading of a joint stood still to the end of a check, however far its commands went.
+
+    Trajectories are driven on through that, and its numbers would be those of an encoder, not of an arm.
+    """
+    for j, name in enumerate(arm.joint_names):
+        away = np.abs(log.position[:, j] - log.position[-1, j]) > 1.5 * arm.encoder_step
+        since = int(np.flatnonzero(away)[-1]) + 1 if away.any() else 0
+        stood, way = float(log.time[-1] - log.time[since]), float(np.ptp(log.command[since:, j]))
+        if stood > DEAD_TIME and way > DEAD_WAY:
+            raise RobotError(
+                f"{name} did not follow: in the last {stood:.0f} s its commands moved by {np.degrees(way):.0f} deg and "
+                "its reading not at all, so that it is stuck, or its encoder is dead; support the arm, switch it off, "
+                f"turn {name} by hand and see whether its reading changes. The check does not count"
+            )
 
 
 def _settled(data: ExcitationLog) -> tuple[Array, Array, Array]:

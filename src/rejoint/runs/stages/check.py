@@ -123,7 +123,7 @@ def check(
     AddressError, NotReadyError
         if no robot answers, or it had better not be moved
     GuardTripError, RobotError
-        if the motion had to be ended; the arm holds, nothing is added to the history
+        if the motion had to be ended, or a joint did not follow at all; the arm holds, nothing is added to the history
     FileError, UnsavedError
         if nothing can be written; the result is in the error where there is one
 
@@ -161,7 +161,7 @@ def _once(
 ) -> Checked:  # fmt: skip
     """Make one check, and leave its log and its rows."""
     from rejoint.diagnosis.monitoring.judge import PastCheck, outlook
-    from rejoint.diagnosis.monitoring.measures import measure_check
+    from rejoint.diagnosis.monitoring.measures import measure_check, require_followed
     from rejoint.diagnosis.monitoring.words import say
 
     rows, unread = find_rows(home, head.arm)
@@ -178,6 +178,7 @@ def _once(
     folder = home / CHECKS / head.arm / f"{head.time:%Y%m%dT%H%M%S}-{os.urandom(2).hex()}"
     with noted(), opened(robot, arm, len(mine) if seed is None else seed, period) as connection:
         log, warm = _drive(shown(live, connection), folder, on_progress)
+    require_followed(arm, log)
     measures = measure_check(arm, log, warm)
     found = outlook([*past, PastCheck(time=head.time, measures=measures, used_h=head.used_h)], tolerance)
     line = say(found, head.robot)

@@ -202,7 +202,7 @@ def comparison_job(
         points[0] = before.targets
     return ComparisonJob(
         robot=robot, arm=chosen, run=run, factories=factories, targets=points, settings=settings, period=period,
-        twin=known, correct=correction_of(calibration, run, chosen, address_of(robot)),
+        twin=known, correct=correction_of(calibration, run, chosen, address_of(robot), points),
         model=model, live=live, by_name=all_named(controllers), directions=directions, turns=turns,
         file=str(targets) if isinstance(targets, Path | str) else "",
         before=before if before is not None and np.array_equal(points[0], before.targets) else None,

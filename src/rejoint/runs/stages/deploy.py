@@ -164,7 +164,7 @@ def deploy(
         if turns is not None and eye is not None:
             raise InputError("deploy: what a camera sees corrects places only; leave it out, or give points")
         say_heavy(chosen, known, points, say, turns)
-        correct = correction_of(calibration, about, chosen, address_of(robot))
+        correct = correction_of(calibration, about, chosen, address_of(robot), points)
         usual = period_of(robot, period)
         posed = turns is not None
         wanted = usual_controller(about, posed=posed) if controller is None else controller

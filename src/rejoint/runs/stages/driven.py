@@ -89,9 +89,10 @@ class DrivenArm:
             ((self.controller, make),) = make_factories(
                 [recommended(run) if controller is None else controller], arm, period, run=run, twin=run.twin
             ).items()
+            correct = correction_of(calibration, run, arm, address)
             robot = open_robot(address, arm=arm, seed=seed, period=period)
             stack.callback(robot.close)
-            correct, driver = correction_of(calibration, run, arm, address), make(arm)
+            driver = make(arm)
             stack.enter_context(under_gains(robot, driver))
             self._twin = twin_in_force(run, robot)
             turning = driver

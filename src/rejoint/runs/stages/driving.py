@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from datetime import datetime
 from functools import partial
@@ -11,7 +12,7 @@ from typing import TYPE_CHECKING, TypeAlias, cast
 
 import numpy as np
 
-from rejoint.arms import Arm, Array
+from rejoint.arms import Arm, Array, tcp_position
 from rejoint.arms.loaded import bare
 from rejoint.control.bands import standing_bands
 from rejoint.control.catalogue import POLICY, PREDICTIVE, contenders, make_controller
@@ -24,6 +25,7 @@ from rejoint.control.gainsearch import GainsFound
 from rejoint.control.geared import GEARED, GEARED_POLICY, GEARED_PREDICTIVE, GEARED_PUSH, RIVALS, Geared, inner_name
 from rejoint.control.guard import GuardLimits
 from rejoint.control.lines import servo_lines
+from rejoint.control.recording import recording_of
 from rejoint.control.robot import Robot
 from rejoint.control.servogains import ServoGains, differing, gains_in_force, in_words, stiffness_under
 from rejoint.control.shelf import SHELF, shelf_controller, shelf_policy
@@ -57,6 +59,23 @@ def start_journal(run: Run, name: str, robot: Robot, label: str, rows: int = 0) 
     return Journal.begin(
         path, arm=run.arm.name, joint_names=run.arm.joint_names, robot=robot.address, label=label, rows=rows
     )
+
+
+@contextmanager
+def kept_if_stopped(run: Run | None, name: str, robot: Robot) -> Iterator[None]:
+    """Keep what an arm did in a slow motion that ends early, as a run log that the error then names."""
+    try:
+        yield
+    except BaseException as error:
+        partial = recording_of(error)
+        if run is not None and partial is not None and len(partial.time):
+            try:
+                journal = start_journal(run, name, robot, f"{name}/begin")
+            except FileError as full:  # the first error is the one to report
+                error.add_note(f"What was recorded until then is lost: {full}")
+            else:
+                error.add_note(journal.keep(partial.log(0, f"{name}/begin/stopped")))
+        raise
 
 
 def guard_limits(run: Run | None, arm: Arm, robot: str) -> GuardLimits:
@@ -136,15 +155,23 @@ def trained_for_tuned(run: Run | None) -> bool:
 
 
 def correction_of(
-    given: CalibrationLike | None, run: Run | None, arm: Arm, robot: str
+    given: CalibrationLike | None, run: Run | None, arm: Arm, robot: str, targets: Array | None = None
 ) -> Callable[[Arm], Modelled] | None:
     """Return what makes the correction of each motion; None where nothing is to be corrected.
 
     That is what is ``given``, or, if ``robot`` is the run's own, what its calibration says. ContractError where that is
-    of another arm.
+    of another arm; InputError where it shifts the tool at rest, or one of the ``targets`` (..., 3) [m], by more than
+    lies behind any worn arm's encoders: better known before the arm moves than when it is aimed.
     """
     calibration = calibration_of(given, run, arm, robot)
-    return None if calibration is None else partial(Modelled, displacement=calibration.displacement)
+    if calibration is None:
+        return None
+    places = tcp_position(arm, arm.rest)[None]
+    if targets is not None:
+        places = np.concatenate([places, targets.reshape(-1, 3)])
+    rest, every = np.broadcast_to(arm.rest, (len(places), arm.joints)), np.ones(len(places), dtype=bool)
+    Modelled(arm, calibration.displacement).aim(places, rest, every)
+    return partial(Modelled, displacement=calibration.displacement)
 
 
 def calibration_of(given: CalibrationLike | None, run: Run | None, arm: Arm, robot: str) -> Calibration | None:

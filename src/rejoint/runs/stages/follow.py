@@ -38,6 +38,7 @@ from rejoint.runs.stages.driving import (
     ControllerLike,
     correction_of,
     guard_limits,
+    kept_if_stopped,
     stance_of,
     start_journal,
     twin_in_force,
@@ -58,7 +59,7 @@ from rejoint.system.progress import Progress, no_progress, paced
 from rejoint.system.stopping import noted
 
 LOOKED_AT = 50
-"""Places of a path that are judged by their load (chosen: a wave has a dozen)"""
+"""Places of a path that are judged before it is driven (chosen: a wave has a dozen)"""
 
 
 @paced
@@ -157,10 +158,12 @@ def follow(
     with exclusive(about):
         given = followable(path, chosen, seed, duration)
         known = as_twin(twin) if twin is not None else None if about is None else about.twin
+        places = None
         if isinstance(given, Path):
             few = slice(None, None, max(1, len(given.place) // LOOKED_AT))
-            say_heavy(chosen, known, given.place[few], say, given.turn_at(given.time[few]))
-        correct = correction_of(calibration, about, chosen, address_of(robot))
+            places = given.place[few]
+            say_heavy(chosen, known, places, say, given.turn_at(given.time[few]))
+        correct = correction_of(calibration, about, chosen, address_of(robot), places)
         usual = period_of(robot, period)
         if about is not None:
             require_space(about.path)
@@ -169,7 +172,8 @@ def follow(
             known = twin_in_force(about, connection) if about is not None and twin is None else known
             connection = shown(live, connection, twin=known, within=within)
             name, make = follower(controller, chosen, usual, about, known)
-            start = begin(connection, limits, stance_of(known, about))
+            with kept_if_stopped(about, "follow", connection):
+                start = begin(connection, limits, stance_of(known, about))
             carrier = _Logged(
                 robot=connection, run=about, limits=limits,
                 on_progress=on_progress, period=0.02 if usual is None else min(usual),
@@ -197,7 +201,8 @@ class _Logged:
     period: float
 
     def approach(self, start: Array, sent: Array, turn: Orientation | None = None) -> Recording:
-        return approach(self.robot, start, sent, self.limits, turn=turn)
+        with kept_if_stopped(self.run, "follow", self.robot):
+            return approach(self.robot, start, sent, self.limits, turn=turn)
 
     def carry(self, guide: Ahead | Stream, controller: Controller, sent: Array, piece: Piece) -> Recording:
         rows, number, total = int(piece.duration / self.period), piece.number, piece.total

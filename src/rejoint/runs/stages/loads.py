@@ -31,6 +31,9 @@ STILL = 0.4
 """[s] for which a joint stands before its torque counts as that of its load (chosen: longer than a worn joint rings)"""
 SURE = 3.0
 """Standard errors from which a load counts as noticed (chosen on eight worn arms, see docs/daily-use.md)"""
+ALONE = 0.08
+"""[kg] standard error of what one posture tells, and its share of what several do (measured on three worn arms, their
+hands empty: one posture seemed to carry -0.14 to 0.12, three -0.06 to 0.07, five -0.03 to 0.02, ten -0.02 to 0.01)"""
 LEAST = 0.04
 """[kg] that counts as a load at least (chosen: four times what eight worn arms with empty hands seemed to carry)"""
 RUBBING, BELIEVED = 0.1, 0.85
@@ -113,7 +116,8 @@ def noticed_load(arm: Arm, twin: Twin, log: RunLog) -> tuple[float, float]:
     total = float(((lever * weight) ** 2).sum())
     if total <= 0.0:
         return float("nan"), float("nan")
-    return float((lever * weight**2 * missing).sum() / total), float(1.0 / np.sqrt(total))
+    doubtful = max(1.0 / np.sqrt(total), ALONE / len(rows))  # joints stick to one side, and share it in a posture
+    return float((lever * weight**2 * missing).sum() / total), float(doubtful)
 
 
 def say_noticed(arm: Arm, twin: Twin | None, log: RunLog | None, say: Say) -> None:

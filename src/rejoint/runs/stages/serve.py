@@ -32,6 +32,7 @@ from rejoint.runs.given import (
     RobotLike,
     RunLike,
     TwinLike,
+    address_of,
     as_run,
     as_twin,
     opened,
@@ -151,6 +152,7 @@ def serve(
     over = threading.Event() if stop is None else stop
     with exclusive(about), ExitStack() as stack:
         known = _twin(about, twin)
+        make = correction_of(calibration, about, arm, address_of(robot))
         require_space(about.path)
         listener = None if pty else stack.enter_context(listen_tcp(*_host_and_port(listen)))
         path = about.path / "logs" / f"serve-{datetime.now():%Y%m%d-%H%M%S}.jsonl"
@@ -163,7 +165,6 @@ def serve(
         motion = LongLog(about, connection, "serve", LABEL, say)
         stack.callback(motion.end, None)
         start = begin(connection, limits, stance_of(known, about))
-        make = correction_of(calibration, about, arm, connection.address)
         shift = None if make is None else make(arm).shift
         drive, server = _put_together(connection, arm, known, shift, limits, log, listener, over, say)
         log.write("begin", address=server.address, robot=connection.address)
