@@ -119,6 +119,30 @@ def test_gains_of_the_address_are_reached_in_small_steps_and_lost_with_the_power
     assert np.abs(state.position[0] - ARM.rest).max() < np.abs(sagging - ARM.rest).max() + np.radians(1.0)
 
 
+@pytest.mark.parametrize(
+    "left", [{}, {"Acceleration": 50, "Goal_Velocity": 300}, {"Acceleration": 10, "Maximum_Acceleration": 254}]
+)
+def test_servos_as_sold_or_slowed_down_by_another_program_follow_as_promptly_as_under_lerobot(left):
+    """Else a joint sets off so late after a jump of its command that the monitor takes it for stuck."""
+    slow = build_arm(ARM, "so101")
+    for index, servo in enumerate(slow.servos):
+        servo["Acceleration"], servo["Maximum_Acceleration"] = 0, 100
+        for name, value in left.items():
+            servo[name] = value
+        slow.settle(index)
+        servo._kept = bytes(servo.cells)
+    with serving(arm=slow) as server, closing(open_robot(server.address)):
+        pass
+    prompt = build_arm(ARM, "so101").plant.settings[0, :5]
+    for field in ("acceleration", "speed"):
+        assert (slow.plant.settings[0, :5][field] == prompt[field]).all()
+    assert all(servo["Lock"] == 1 and servo["Torque_Enable"] == 1 for servo in slow.servos)
+    for servo in slow.servos[:5]:
+        servo.cycle_power()
+        assert servo["Maximum_Acceleration"] == left.get("Maximum_Acceleration", 100)
+    assert slow.servos[5].writes == []
+
+
 def test_gains_that_a_servo_does_not_bear_are_taken_back():
     arm = build_arm(ARM, "so101")
     arm.ailments.warmth[1] = 32.0
