@@ -71,6 +71,7 @@ class FeetechBus(Bus):
         )  # fmt: skip
         self._supply: tuple[float, ...] | None = None
         self._goal: list[int] | None = None
+        self._limp: set[int] = set()
         self._was_ready = False
 
     def open(self) -> None:
@@ -153,7 +154,10 @@ class FeetechBus(Bus):
         return None
 
     def resynchronise(self, deadline: float) -> None:
-        """Drop late answers, and wait for servos that are silent; ConnectionLostError where they stay so."""
+        """Drop late answers, and wait for servos that are silent; ConnectionLostError where they stay so.
+
+        PowerLostError where one comes back without its torque: it fell silent since it began anew.
+        """
         while self.wire.quieten(QUIET) and self.clock.now() < deadline:
             pass
         silent = list(self.ids)
@@ -161,6 +165,7 @@ class FeetechBus(Bus):
             if self.clock.now() + RETRY > deadline:
                 raise ConnectionLostError(f"{self.address}: {_listed(map(self._call, silent))} stays silent")
             self.clock.wait(RETRY)
+        self._require_torque(deadline)
 
     def close(self) -> None:
         """Release the port; the servos hold."""
@@ -189,18 +194,24 @@ class FeetechBus(Bus):
 
     def _hold(self, until: float | None) -> None:
         """Shut the locks, and switch torque on where it is off, each servo holding where it is."""
+        if self._was_ready:
+            self._require_torque(until)
         for servo in self.ids:
             if self._register(servo, LOCK, 1, until) == 0:
                 self._write(servo, LOCK, [1], until)
             if self._register(servo, TORQUE, 1, until) == 1:
                 continue
-            if self._was_ready:
-                raise PowerLostError(
-                    f"{self.address}: {self._call(servo)} has lost its torque, by a loss of power or its own "
-                    "protection; support the arm, then start again"
-                )
             self._write(servo, GOAL, self._read(servo, PRESENT, 2, until), until)
             self._write(servo, TORQUE, [1], until)
+
+    def _require_torque(self, until: float | None) -> None:
+        """Raise PowerLostError where servos have lost their torque; a goal would switch it on, so they get none."""
+        self._limp = {servo for servo in self.ids if self._register(servo, TORQUE, 1, until) != 1}
+        if self._limp:
+            raise PowerLostError(
+                f"{self.address}: {_listed(map(self._call, sorted(self._limp)))} has lost its torque, by a loss of "
+                "power or its own protection; support the arm, then start again"
+            )
 
     def _hasten(self, until: float | None) -> None:
         """Take away what slows a servo on its way to a goal, until the power goes."""
@@ -251,7 +262,9 @@ class FeetechBus(Bus):
         self.wire.quieten(QUIET)
 
     def _send(self, goal: Sequence[int]) -> None:
-        self.wire.write_all(self.ids, GOAL, [count.to_bytes(2, "little") for count in goal])
+        goals = {servo: count for servo, count in zip(self.ids, goal, strict=True) if servo not in self._limp}
+        if goals:
+            self.wire.write_all(list(goals), GOAL, [count.to_bytes(2, "little") for count in goals.values()])
 
     def _require(self, missing: Sequence[int], strangers: Sequence[int] = ()) -> None:
         """Raise TimeoutError that names the ``missing`` servos, NoReplyError where there is none at all."""
