@@ -9,6 +9,7 @@ import pytest
 from rejoint.arms import gravity_torque, mycobot280
 from rejoint.control.robot import JointState
 from rejoint.control.start import STANCE, Stance, begin, check_ready
+from rejoint.control.trips import say_faulty
 from rejoint.logs.runlog import RunLog, write_log
 from rejoint.robots import open_robot
 from rejoint.robots.lab.plant.wear import load_wear
@@ -128,3 +129,13 @@ def test_a_run_tells_how_far_its_arm_stood_off_in_its_diagnosis(tmp_path):
 
 def test_virtual_time_is_not_waited_for():
     check_ready(open_robot("emulated:worn", count=3))
+
+
+def test_a_servo_that_starves_is_told_from_one_that_is_blocked():
+    names, both, first = ("shoulder", "elbow"), np.array([True, True]), np.array([True, False])
+    sags = "the supply sags to 8.5 V from 12.1 V"
+    starved = say_faulty(names, both, (sags, sags))
+    assert starved.startswith(f"shoulder, elbow report a servo fault ({sags}); look at its supply")
+    blocked = say_faulty(names, both, ("voltage", "overload"))
+    assert blocked.endswith("(voltage; overload); free the arm and clear the fault")
+    assert say_faulty(names, first) == "shoulder reports a servo fault; free the arm and clear the fault"

@@ -11,7 +11,7 @@ from rejoint.arms.room import is_safe
 from rejoint.arms.size import heaviest_load, torque_size
 from rejoint.diagnosis.diagnosis import judge
 from rejoint.diagnosis.excitation import SHORT, plan_excitation
-from rejoint.diagnosis.healthy import healthy_reference, load_healthy
+from rejoint.diagnosis.healthy import as_set, healthy_reference, load_healthy
 from rejoint.diagnosis.record import record
 from rejoint.robots import open_robot
 from rejoint.system.errors import InputError
@@ -65,6 +65,37 @@ def test_a_worn_arm_of_another_build_is_found_out_and_a_healthy_one_is_not():
         assert diagnosis.condition == condition, diagnosis.verdict
     found = {(finding.joint, finding.kind) for finding in diagnosis.findings}
     assert {("shoulder_lift", "weak_gain"), ("elbow_flex", "hysteresis")} <= found
+
+
+def test_a_new_so101_is_healthy_under_whatever_gains_and_supply_it_has():
+    """LeRobot's P = 16 and a supply that sags a little make it soft, and no joint worn."""
+    arm, gains = so101(), {"p": (16,) * 5}
+    robot = open_robot("emulated:so101-new?p=16", arm=arm, seed=7)
+    assert dict(robot.servo_gains())["p"] == gains["p"]
+    logs = record(robot, seed=7)[0]
+    as_sold = load_healthy(arm)
+    assert judge(arm, logs, as_sold).condition == "bad"
+    diagnosis = judge(arm, logs, as_set(arm, as_sold, gains, np.full(5, 12.0)))
+    assert diagnosis.condition == "ok", diagnosis.verdict
+    assert 20.0 < diagnosis.healthy.error_mm.value < 40.0
+
+
+def test_what_a_healthy_so101_measures_goes_with_p_and_supply():
+    arm = so101()
+    as_sold = load_healthy(arm)
+    same = as_set(arm, as_sold, {"p": (32,) * 5}, np.full(5, 12.0))
+    assert same.joints == as_sold.joints
+    assert same.error_mm == as_sold.error_mm
+    soft = as_set(arm, as_sold, {"p": (24, 32, 32, 32, 32)}, np.full(5, 6.0))
+    for joint, factor in ((0, 24 / 32 / 2), (1, 0.5)):
+        stiffness, before = (entry.joints[joint].stiffness_nm_per_rad for entry in (soft, as_sold))
+        assert stiffness.value == pytest.approx(factor * before.value)
+        assert stiffness.low == pytest.approx(factor * before.low)
+    assert 2.0 < soft.error_mm.value / as_sold.error_mm.value < 2.3
+    errors = [as_set(arm, as_sold, {"p": (p,) * 5}, None).error_mm.value for p in (12, 16, 24, 32, 48, 64)]
+    assert sorted(errors, reverse=True) == errors
+    assert as_set(arm, as_sold, None, None) is as_sold
+    assert as_set(ARM, load_healthy(ARM), {"p": (16,) * 6}, None) == load_healthy(ARM)
 
 
 def test_a_reference_for_an_unknown_arm_is_measured_on_demand(monkeypatch):

@@ -22,7 +22,7 @@ PUBLISHED = "stiffness = 998.22\ndamping = 3.331\ncoulomb = 0.052\narmature = 0.
 
 @pytest.fixture(scope="module")
 def motions():
-    soft = with_joint(2, position_gain=0.3 * HEALTHY.position_gain[2])
+    soft = with_joint(2, position_gain=0.12 * HEALTHY.position_gain[2])
     return record_motions([soft], 5, 15.0)[0]
 
 

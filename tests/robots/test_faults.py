@@ -103,7 +103,7 @@ def test_a_link_that_stays_away_ends_the_run_and_keeps_the_log(monkeypatch):
     [
         ("overheat=3@0", "temperature", "joint3 is at"),
         ("current=2@0.8", "servo fault", "joint2 reports a servo fault"),
-        ("voltage@0.8", "servo fault", "reports a servo fault"),
+        ("voltage@0.8", "servo fault", "report a servo fault"),
     ],
 )
 def test_what_servos_suffer_from_holds_the_arm(fault, reason, says):

@@ -19,6 +19,7 @@ from rejoint.robots.feetech.bus import FeetechBus
 from rejoint.robots.feetech.gains import LIMIT
 from rejoint.robots.feetech.gripper import Gripper
 from rejoint.robots.feetech.tuning import Tuning
+from rejoint.robots.feetech.wire import Wire
 from rejoint.robots.feetech.zeros import Zeros, read_calibration, zeros_of
 from rejoint.robots.lab.emulator.faults import parse_faults
 from rejoint.robots.lab.emulator.feetech.arm import HOMING, NAMES, build_arm
@@ -117,6 +118,30 @@ def test_gains_of_the_address_are_reached_in_small_steps_and_lost_with_the_power
             servo.cycle_power()
             assert (servo["P_Coefficient"], servo["I_Coefficient"], servo["Integral_Limit"]) == (32, 0, 0)
     assert np.abs(state.position[0] - ARM.rest).max() < np.abs(sagging - ARM.rest).max() + np.radians(1.0)
+
+
+@pytest.mark.parametrize(
+    "left", [{}, {"Acceleration": 50, "Goal_Velocity": 300}, {"Acceleration": 10, "Maximum_Acceleration": 254}]
+)
+def test_servos_as_sold_or_slowed_down_by_another_program_follow_as_promptly_as_under_lerobot(left):
+    """Else a joint sets off so late after a jump of its command that the monitor takes it for stuck."""
+    slow = build_arm(ARM, "so101")
+    for index, servo in enumerate(slow.servos):
+        servo["Acceleration"], servo["Maximum_Acceleration"] = 0, 100
+        for name, value in left.items():
+            servo[name] = value
+        slow.settle(index)
+        servo._kept = bytes(servo.cells)
+    with serving(arm=slow) as server, closing(open_robot(server.address)):
+        pass
+    prompt = build_arm(ARM, "so101").plant.settings[0, :5]
+    for field in ("acceleration", "speed"):
+        assert (slow.plant.settings[0, :5][field] == prompt[field]).all()
+    assert all(servo["Lock"] == 1 and servo["Torque_Enable"] == 1 for servo in slow.servos)
+    for servo in slow.servos[:5]:
+        servo.cycle_power()
+        assert servo["Maximum_Acceleration"] == left.get("Maximum_Acceleration", 100)
+    assert slow.servos[5].writes == []
 
 
 def test_gains_that_a_servo_does_not_bear_are_taken_back():
@@ -331,6 +356,49 @@ def test_an_arm_that_lost_its_torque_meanwhile_is_not_switched_on_again():
         with pytest.raises(PowerLostError, match=r"wrist_flex .servo 4. has lost its torque"):
             bus.prepare()
     assert arm.servos[3]["Torque_Enable"] == 0
+
+
+@pytest.mark.realtime
+def test_the_end_of_a_run_does_not_say_that_joints_hold_which_lost_their_torque(monkeypatch):
+    with serving() as server, closing(open_robot(server.address)) as robot:
+        ask, asked = Wire.read_all, []
+
+        def lose(wire, servos, address, size):
+            asked.append(servos)
+            if len(asked) == 20:
+                server.arm.servos[2]["Torque_Enable"] = 0
+                server.arm.settle(2)
+                return {}
+            return ask(wire, servos, address, size)
+
+        monkeypatch.setattr(Wire, "read_all", lose)
+        with pytest.raises(PowerLostError) as caught:
+            run(robot, IntegratorController(ARM), TARGETS, Schedule(dwell=1.5))
+    assert "What has no torque does not hold" in " ".join(caught.value.__notes__)
+    assert server.arm.servos[2]["Torque_Enable"] == 0
+
+
+@pytest.mark.realtime
+@pytest.mark.parametrize("fallen", [(3,), (1, 2, 3, 4, 5)])
+def test_servos_that_began_anew_are_not_switched_on_by_the_next_goal(monkeypatch, fallen):
+    """A dip of the supply resets servos: they are silent for a moment, joints fall, and any goal would lift them."""
+    with serving() as server, closing(open_robot(server.address)) as robot:
+        robot.step(ARM.rest[None])
+        ask = Wire.read_all
+
+        def silent_once(wire, servos, address, size):
+            monkeypatch.setattr(Wire, "read_all", ask)
+            for servo in fallen:
+                server.arm.servos[servo - 1]["Torque_Enable"] = 0
+                server.arm.settle(servo - 1)
+            return {servo: data for servo, data in ask(wire, servos, address, size).items() if servo not in fallen}
+
+        monkeypatch.setattr(Wire, "read_all", silent_once)
+        with pytest.raises(PowerLostError, match=r"elbow_flex .servo 3.* has lost its torque"):
+            robot.step(ARM.rest[None])
+        robot.stop()
+    torque = [servo["Torque_Enable"] for servo in server.arm.servos[:5]]
+    assert torque == [0 if number in fallen else 1 for number in range(1, 6)]
 
 
 def test_without_the_client_the_extra_is_named(monkeypatch):

@@ -24,7 +24,7 @@ from rejoint.control.robot import JointState, Mask, Robot
 from rejoint.control.route import Route
 from rejoint.control.runstate import RunState, own, reported_load
 from rejoint.control.trips import trip_error
-from rejoint.system.errors import InputError, RejointError, first_line
+from rejoint.system.errors import InputError, PowerLostError, RejointError, first_line
 from rejoint.system.stopping import check, noted, shielded
 
 RELEASE_CYCLES = 12
@@ -139,7 +139,7 @@ def _drive(loop: _Loop, targets: Array) -> Recording:
         if run_state.tripped.any():
             robot.stop()
     except BaseException as error:
-        held = _hold(robot)
+        held = _hold(robot, limp=isinstance(error, PowerLostError))
         if run_state is not None:
             attach(error, recorder.recording(run_state.tripped))
         if robot.count == 1:
@@ -148,8 +148,8 @@ def _drive(loop: _Loop, targets: Array) -> Recording:
     return recorder.recording(run_state.tripped)
 
 
-def _hold(robot: Robot) -> str:
-    """Stop the robot, whatever else happens, and say what became of it."""
+def _hold(robot: Robot, *, limp: bool = False) -> str:
+    """Stop the robot, whatever else happens, and say what became of it; ``limp``: something in it lost its torque."""
     with shielded():
         try:
             robot.stop()
@@ -158,6 +158,10 @@ def _hold(robot: Robot) -> str:
                 f"The order to stop did not arrive ({first_line(error)}). By itself the arm goes to the last command "
                 "and holds there; nothing was powered off. Look at it before you go on."
             )
+    if limp:
+        return (
+            "What has no torque does not hold; the rest of the arm was stopped and holds. Look at it before you go on."
+        )
     return "The arm was stopped and holds its position; nothing was powered off. Look at it before you go on."
 
 

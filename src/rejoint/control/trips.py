@@ -43,8 +43,15 @@ def say_hot(names: tuple[str, ...], temperature: Array, limit: float) -> str:
     return f"{names[hot]} is at {temperature[hot]:.0f} deg C, limit {limit:.0f}; let it cool"
 
 
+_FREE = "free the arm and clear the fault"
+
+
 def say_faulty(names: tuple[str, ...], fault: NDArray[np.bool_], trouble: tuple[str, ...] | None = None) -> str:
     """Name the joints whose servos report a ``fault`` (n,), and what they complain of where they tell."""
     faulty = ", ".join(np.array(names)[fault])
-    words = "; ".join(dict.fromkeys(filter(None, trouble or ())))
-    return f"{faulty} reports a servo fault{f' ({words})' if words else ''}; free the arm and clear the fault"
+    found = list(dict.fromkeys(filter(None, trouble or ())))
+    starved = bool(found) and all(one == "voltage" or one.startswith("the supply sags") for one in found)
+    advice = "look at its supply, which may be too weak, and at the cables" if starved else _FREE
+    verb = "reports" if np.count_nonzero(fault) == 1 else "report"
+    words = f" ({'; '.join(found)})" if found else ""
+    return f"{faulty} {verb} a servo fault{words}; {advice}"

@@ -179,12 +179,12 @@ def _unseen(
 def _hidden(open_loop: OpenLoop, healthy: HealthyReference | None, margin_mm: float) -> str:
     if open_loop.hidden_mm is None or open_loop.true_error_mm is None:
         return (
-            "The encoders sit before the gears: play and flex behind them, and so the true error of the tool, cannot "
-            "be seen. A few measured points of the tool would tell."
+            "Play and flex behind the encoders, and so the true error of the tool, cannot be seen. A few measured "
+            "points of the tool would tell."
         )
     known = (
-        f"The encoders sit before the gears. The emulator knows where the tool really is: {open_loop.hidden_mm:.1f} mm "
-        f"from where the encoders put it, and {open_loop.true_error_mm.value:.1f} mm from the targets"
+        f"The emulator knows where the tool really is: {open_loop.hidden_mm:.1f} mm from where the encoders put it, "
+        f"and {open_loop.true_error_mm.value:.1f} mm from the targets"
     )
     usual = healthy.hidden_mm.high if healthy is not None and healthy.hidden_mm is not None else None
     if usual is not None and open_loop.hidden_mm > usual + margin_mm:

@@ -202,7 +202,6 @@ def _unseen(measurement: Measurement) -> tuple[str, ...]:
     lines += [
         "Lag here holds the delay of commands and answers: only steps recorded on one clock would tell them apart.",
         "Logs of ordinary motion tell neither torque limits nor damping apart from lag; `rejoint diagnose ROBOT` does.",
-        "The encoders sit before the gears: play and flex behind them, and so the true error of the tool, cannot be "
-        "seen.",
+        "Play and flex behind the encoders, and so the true error of the tool, cannot be seen.",
     ]
     return tuple(lines)

@@ -1,24 +1,27 @@
 """What a healthy arm of the same kind measures, by the same procedure.
 
 The reference of an arm of the catalogue is a file in this package. It is measured on the emulated arm
-with the wear profile ``healthy``, which scales with the arm, and written again by
+with the wear profile ``healthy``, which scales with the arm, or with one of its own in `NEW`, and written again by
 
     python -m rejoint.diagnosis mycobot280
 
-For any other arm `healthy_reference` measures it when it is needed. A diagnosis of a real arm that is
-known to be good is the better reference (`rejoint.diagnosis.knowngood.reference_by`).
+What a new SO-101 measures goes with P and with the supply of its servos: it has a reference for each P in `MEASURED`,
+and `as_set` makes that of an arm of them. For any other arm `healthy_reference` measures it when it is needed. A
+diagnosis of a real arm that is known to be good is the better reference
+(`rejoint.diagnosis.knowngood.reference_by`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
 
-from rejoint.arms import Arm
+from rejoint.arms import Arm, Array
+from rejoint.control.servogains import ServoGains
 from rejoint.diagnosis.measurement import OFFSET_ALLOWED, JointMetrics, measure
 from rejoint.diagnosis.open_loop import open_loop_errors
 from rejoint.diagnosis.record import DiagnosisLogs, record
@@ -48,6 +51,15 @@ ARMS_ON_DEMAND = 6
 """The same where somebody waits for it (chosen: about 10 s)."""
 
 
+NEW = {"so101": "so101-new"}
+"""Arms whose new ones have a wear profile of their own: their servos are softer than any that `healthy` scales to"""
+
+MEASURED = (16, 32, 64)
+"""P of the servos under which such arms are measured: LeRobot's, as sold, and the largest that a search tries"""
+AS_SOLD, SUPPLY = 32, 12.0
+"""P where nothing is known of the gains, and [V] of the supply for which all of them are measured"""
+
+
 @dataclass(frozen=True, kw_only=True)
 class HealthyReference:
     """Healthy values; every ``Estimate`` holds the mean and the range within which an arm counts as healthy."""
@@ -64,14 +76,15 @@ class HealthyReference:
     """between the tool and where the encoders put it; None where nobody knew"""
 
 
-def reference_path(arm: Arm) -> Path:
-    """Where the package keeps the reference of an arm."""
-    return Path(str(files("rejoint.diagnosis"))) / f"healthy_{arm.name}.json"
+def reference_path(arm: Arm, p: int = AS_SOLD) -> Path:
+    """Where the package keeps the reference of an arm; ``p`` is that of its servos, if there are several."""
+    under = "" if p == AS_SOLD else f"_p{p}"
+    return Path(str(files("rejoint.diagnosis"))) / f"healthy_{arm.name}{under}.json"
 
 
-def load_healthy(arm: Arm) -> HealthyReference | None:
+def load_healthy(arm: Arm, p: int = AS_SOLD) -> HealthyReference | None:
     """Return the package's reference for an arm, None if there is none."""
-    path = reference_path(arm)
+    path = reference_path(arm, p)
     return read_json(path, HealthyReference) if path.exists() else None
 
 
@@ -83,27 +96,84 @@ def healthy_reference(arm: Arm) -> HealthyReference | None:
     return measure_healthy(arm, count=ARMS_ON_DEMAND)
 
 
-def measure_healthy(arm: Arm, *, count: int = ARMS) -> HealthyReference:
-    """Diagnose ``count`` emulated healthy arms, each with noise and excitation of its own."""
+def as_set(
+    arm: Arm, reference: HealthyReference | None, gains: ServoGains | None, voltage: Array | None
+) -> HealthyReference | None:
+    """Return what a healthy arm measures with these ``gains`` in its servos, and this ``voltage`` (n,) [V].
+
+    Each joint is taken from the reference of the nearest P. A servo gives torque in proportion to P and to its supply,
+    the variant for 7.4 V as well as that for 12 V; so does an arm sag. ``reference`` itself where nothing is told.
+    """
+    if arm.name not in NEW or reference is None or gains is None or "p" not in gains:
+        return reference
+    p = np.array(gains["p"], dtype=float)
+    share = np.ones(arm.joints) if voltage is None else np.asarray(voltage, float) / SUPPLY
+    if not ((p > 0.0) & (share > 0.0)).all():
+        return reference
+    found = [_nearest(arm, one) for one in p]
+    rows = [_stiffer(entry.joints[joint], p[joint] / of * share[joint]) for joint, (of, entry) in enumerate(found)]
+    typical = float(np.exp(np.log(p).mean()))
+    of, whole = _nearest(arm, typical)
+    volts = "" if voltage is None else f" and {np.median(voltage):.1f} V"
+    return replace(
+        whole, joints=tuple(rows), error_mm=_times(whole.error_mm, of / typical / float(share.mean())),
+        source=f"{whole.source}, for P = {'/'.join(map(str, dict.fromkeys(gains['p'])))}{volts}",
+    )  # fmt: skip
+
+
+def _nearest(arm: Arm, p: float) -> tuple[int, HealthyReference]:
+    """Return the P of `MEASURED` that is nearest, and the reference for it."""
+    of = min(MEASURED, key=lambda one: abs(float(np.log(p / one))))
+    return of, read_json(reference_path(arm, of), HealthyReference)
+
+
+def _stiffer(row: JointMetrics, factor: float) -> JointMetrics:
+    """Return what a joint measures whose servo is stiffer by ``factor``."""
+    stiffness, width = row.stiffness_nm_per_rad, row.hysteresis_rad
+    return replace(
+        row, stiffness_nm_per_rad=None if stiffness is None else _times(stiffness, factor),
+        hysteresis_rad=None if width is None else _times(width, 1.0 / factor),
+    )  # fmt: skip
+
+
+def _times(found: Estimate, factor: float) -> Estimate:
+    low, high = (None if end is None else end * factor for end in (found.low, found.high))
+    return Estimate(found.value * factor, low, high)
+
+
+def measure_healthy(arm: Arm, *, count: int = ARMS, p: int = AS_SOLD) -> HealthyReference:
+    """Diagnose ``count`` emulated healthy arms, each with noise and excitation of its own.
+
+    ``p`` is that of the servos of an arm in `NEW`; others have none.
+    """
     logs: list[DiagnosisLogs] = []
+    profile = NEW.get(arm.name, "healthy")
+    address = f"emulated:{profile}" if arm.name not in NEW else f"emulated:{profile}?p={p}"
     for offset in range(2):  # two excitations, each on half of the arms
-        robot = open_robot("emulated:healthy", arm=arm, seed=SEED + offset, count=count // 2)
+        robot = open_robot(address, arm=arm, seed=SEED + offset, count=count // 2)
         logs += record(robot, seed=SEED + offset)
-    return reference_from(arm, logs, source=f"{len(logs)} emulated arms with wear profile 'healthy'")
+    source = f"{len(logs)} emulated arms with wear profile '{profile}'"
+    return reference_from(arm, logs, source=source, motors=arm.name not in NEW)
 
 
-def reference_from(arm: Arm, logs: Sequence[DiagnosisLogs], *, source: str) -> HealthyReference:
-    """Make a reference from the logs of healthy arms; at least three, for a spread."""
+def reference_from(arm: Arm, logs: Sequence[DiagnosisLogs], *, source: str, motors: bool = True) -> HealthyReference:
+    """Make a reference from the logs of healthy arms; at least three, for a spread.
+
+    ``motors`` says whether their inertia can be told: the ramp and the D of an STS3215 hide half of it.
+    """
     if len(logs) < 3:
         raise InputError(f"a healthy reference needs the logs of at least three diagnoses, got {len(logs)}")
     first = [measure(arm, entry.excitation) for entry in logs]
-    motors = tuple(_typical([m.joints[joint].motor_inertia_kg_m2 for m in first]) for joint in range(arm.joints))
-    found = [(measure(arm, entry.excitation, motors), open_loop_errors(arm, entry.targets)) for entry in logs]
+    inertia = tuple(
+        _typical([m.joints[joint].motor_inertia_kg_m2 for m in first]) if motors else None
+        for joint in range(arm.joints)
+    )
+    found = [(measure(arm, entry.excitation, inertia), open_loop_errors(arm, entry.targets)) for entry in logs]
     hidden = [loop.hidden_mm for _, loop in found if loop.hidden_mm is not None]
     return HealthyReference(
         arm=arm.name,
         source=source,
-        motors_kg_m2=motors,
+        motors_kg_m2=inertia,
         joints=tuple(_combine(arm, [m.joints[joint] for m, _ in found]) for joint in range(arm.joints)),
         error_mm=_range([loop.error_mm.value for _, loop in found]),
         hidden_mm=_range(hidden) if hidden else None,

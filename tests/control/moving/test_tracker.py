@@ -75,6 +75,28 @@ def test_a_worn_arm_follows_a_circle_better_than_one_that_is_sent_it():
         assert judge(ARM, sent, guide, b).encoder.rms > 10e-3
 
 
+def test_the_tool_on_a_path_is_known_by_a_model_where_nobody_sees_it():
+    """The mean square over the path of what the model expects; without one it is not known."""
+
+    class OneMillimetre:
+        def expected(self, position, target):
+            assert position.shape[:-1] == target.shape[:-1]
+            return np.full(len(position), 1e-3)
+
+        def interval(self, position, target):
+            return np.full(len(position), 0.5e-3), np.full(len(target), 2e-3)
+
+    guide = Ahead(path=standard_path("circle-8s", ARM))
+    recording = drive(lambda: Sender(ARM), [guide])
+    seen = judge(ARM, recording, guide, model=OneMillimetre()).true_error
+    assert seen.how == "known"
+    unseen = replace(recording, true_tcp=np.full_like(recording.true_tcp, np.nan))
+    assert judge(ARM, unseen, guide).true_error.how == "not known"
+    told = judge(ARM, unseen, guide, model=OneMillimetre()).true_error
+    assert told.how == "modelled"
+    assert [told.value, told.low, told.high] == pytest.approx([1e-3, 0.5e-3, 2e-3])
+
+
 def test_a_worn_arm_turns_its_tool_behind_a_stream_of_poses():
     time = np.linspace(0.0, 8.0, 81)
     swing = np.stack([0.17 * np.cos(time) ** 2, 0.17 * np.cos(time), -np.ones_like(time)], axis=-1)

@@ -60,7 +60,7 @@ def diagnosis(arm):
                 sentence="joint3 is soft and sags under the arm's own weight, 14.2 mm at the tool.",
             ),
         ),
-        unseen=("The encoders sit before the gears.",),
+        unseen=("Play and flex behind the encoders cannot be seen.",),
         open_loop=OpenLoop(
             targets=targets, error_mm=estimate(float(errors.mean())), spread_mm=float(errors.std(ddof=1)),
             true_error_mm=estimate(27.0), hidden_mm=7.5,

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, tcp_position
 from rejoint.arms.orientation import REACHED_TURN, Orientation
-from rejoint.control.accuracy import NOT_KNOWN, TrueError
+from rejoint.control.accuracy import NOT_KNOWN, ToolModel, TrueError, modelled
 from rejoint.control.controller import ControlInput, Controller
 from rejoint.control.correction import Modelled, checked
 from rejoint.control.guard import GuardLimits
@@ -28,6 +28,7 @@ GiveUp = Callable[[ControlInput], Mask]
 """Ends a motion early, see `rejoint.control.loop.Schedule`"""
 
 _STEP = 0.02  # [s] between the places of a path that is corrected or judged
+_JUDGED = 100  # places of a path at which a model is asked for the tool (chosen: it draws from its covariance at each)
 _APPROACH = 15  # of those back is where an arm came from: 0.3 s (chosen: longer than play takes to turn round)
 
 
@@ -112,19 +113,30 @@ def follow_guide(
     return follow(robot, controller, Routes([guide]), schedule, limits=limits, on_cycle=on_cycle)
 
 
-def judge(arm: Arm, recording: Recording, guide: Ahead | Stream, b: int = 0) -> Pass:
-    """Say how well arm ``b`` followed."""
+def judge(arm: Arm, recording: Recording, guide: Ahead | Stream, b: int = 0, model: ToolModel | None = None) -> Pass:
+    """Say how well arm ``b`` followed; where nobody sees its tool, by what the ``model`` expects of that."""
     rows, time = rows_on(recording, guide, b)
     tool = tcp_position(arm, recording.position[rows, b])
     at, places, aims = route_of(guide)
     true = np.linalg.norm(recording.true_tcp[rows, b] - interpolated(time, at, places), axis=-1)
     known = bool(np.isfinite(true).all()) and len(true) > 0
+    expected = NOT_KNOWN if model is None else _expected(model, recording.position[rows, b], time, at, places)
     turned = recording.turned[rows, b]
     return Pass(
         encoder=along(time, tool, at, aims),
-        true_error=TrueError(how="known", value=float(np.sqrt((true**2).mean()))) if known else NOT_KNOWN,
+        true_error=TrueError(how="known", value=float(np.sqrt((true**2).mean()))) if known else expected,
         turned=float(np.sqrt((turned**2).mean())) if len(turned) and np.isfinite(turned).all() else None,
     )
+
+
+def _expected(model: ToolModel, position: Array, time: Array, at: Array, places: Array) -> TrueError:
+    """Root mean square of what a model says of the tool at ``position`` (T, n) [rad] and ``time`` (T,) [s]."""
+    few = slice(None, None, max(1, len(time) // _JUDGED))
+    found = modelled(model, position[few], interpolated(time[few], at, places))
+    if not np.isfinite(found).all() or not found.size:
+        return NOT_KNOWN
+    value, low, high = (float(np.sqrt((part**2).mean())) for part in found)
+    return TrueError(how="modelled", value=value, low=low, high=high)
 
 
 def rows_on(recording: Recording, guide: Ahead | Stream, b: int = 0) -> tuple[Rows, Array]:

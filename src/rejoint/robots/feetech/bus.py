@@ -2,7 +2,8 @@
 
 The arm is never dropped: torque is never switched off, and where it is off, the goal is set to where the joint is
 before it comes on. Nothing that the servos keep is written: their lock is shut, and of their settings none is changed
-but the gains that the address or a controller asks for, until the power goes. Only `Tuning.keep` opens the lock.
+but how promptly they follow, as LeRobot does, and the gains that the address or a controller asks for, until the power
+goes. Only `Tuning.keep` opens the lock.
 """
 
 from __future__ import annotations
@@ -39,6 +40,11 @@ MODELS = {777: "STS3215", 2825: "STS3250"}
 """Servos with this register table and 4096 counts a turn"""
 ID, CONFIRMS, LIMITS, HOMING, MODE, TORQUE, GOAL, LOCK, VOLTAGE = 5, 8, 9, 31, 33, 40, 42, 55, 62
 """Addresses of registers (Feetech's memory table of the STS/SMS series)."""
+ACCELERATION, SPEED, FASTEST = 41, 46, 85
+"""likewise: of the way to a goal, zero for the most there is; and the most of the acceleration, with its multiplier"""
+PROMPT = 254
+"""[100 counts/s^2] acceleration that LeRobot sets, and that the arm's description, its twin and the policies count on:
+with that of a servo as sold (100), or what an earlier program left, a joint sets off so late that it looks stuck"""
 LAST_ID = 12
 """up to which another ID is looked for where a servo is missing (chosen: two arms in a row; a second of looking)"""
 QUIET = 0.03
@@ -65,6 +71,7 @@ class FeetechBus(Bus):
         )  # fmt: skip
         self._supply: tuple[float, ...] | None = None
         self._goal: list[int] | None = None
+        self._limp: set[int] = set()
         self._was_ready = False
 
     def open(self) -> None:
@@ -91,6 +98,7 @@ class FeetechBus(Bus):
             self._registers(LIMITS + 2, until), self.address.zero,
         )  # fmt: skip
         self._hold(until)
+        self._hasten(until)
         self._tuning.prepare(until)
         if self._supply is None:
             self._supply = tuple(VOLT * self._register(servo, VOLTAGE, 1, until) for servo in self.ids)
@@ -146,7 +154,10 @@ class FeetechBus(Bus):
         return None
 
     def resynchronise(self, deadline: float) -> None:
-        """Drop late answers, and wait for servos that are silent; ConnectionLostError where they stay so."""
+        """Drop late answers, and wait for servos that are silent; ConnectionLostError where they stay so.
+
+        PowerLostError where one comes back without its torque: it fell silent since it began anew.
+        """
         while self.wire.quieten(QUIET) and self.clock.now() < deadline:
             pass
         silent = list(self.ids)
@@ -154,6 +165,7 @@ class FeetechBus(Bus):
             if self.clock.now() + RETRY > deadline:
                 raise ConnectionLostError(f"{self.address}: {_listed(map(self._call, silent))} stays silent")
             self.clock.wait(RETRY)
+        self._require_torque(deadline)
 
     def close(self) -> None:
         """Release the port; the servos hold."""
@@ -182,18 +194,35 @@ class FeetechBus(Bus):
 
     def _hold(self, until: float | None) -> None:
         """Shut the locks, and switch torque on where it is off, each servo holding where it is."""
+        if self._was_ready:
+            self._require_torque(until)
         for servo in self.ids:
             if self._register(servo, LOCK, 1, until) == 0:
                 self._write(servo, LOCK, [1], until)
             if self._register(servo, TORQUE, 1, until) == 1:
                 continue
-            if self._was_ready:
-                raise PowerLostError(
-                    f"{self.address}: {self._call(servo)} has lost its torque, by a loss of power or its own "
-                    "protection; support the arm, then start again"
-                )
             self._write(servo, GOAL, self._read(servo, PRESENT, 2, until), until)
             self._write(servo, TORQUE, [1], until)
+
+    def _require_torque(self, until: float | None) -> None:
+        """Raise PowerLostError where servos have lost their torque; a goal would switch it on, so they get none."""
+        self._limp = {servo for servo in self.ids if self._register(servo, TORQUE, 1, until) != 1}
+        if self._limp:
+            raise PowerLostError(
+                f"{self.address}: {_listed(map(self._call, sorted(self._limp)))} has lost its torque, by a loss of "
+                "power or its own protection; support the arm, then start again"
+            )
+
+    def _hasten(self, until: float | None) -> None:
+        """Take away what slows a servo on its way to a goal, until the power goes."""
+        for servo in self.ids:
+            (most, times), (wanted,) = self._read(servo, FASTEST, 2, until), self._read(servo, ACCELERATION, 1, until)
+            if most * times < PROMPT:
+                self._write(servo, FASTEST, [PROMPT], until)
+            if 0 < wanted < PROMPT:
+                self._write(servo, ACCELERATION, [PROMPT], until)
+            if self._register(servo, SPEED, 2, until) != 0:
+                self._write(servo, SPEED, [0, 0], until)
 
     def _registers(self, address: int, until: float | None, *, sign: int = 16) -> Counts:
         """Two registers of every servo, as a number whose bit ``sign`` is its sign."""
@@ -233,7 +262,9 @@ class FeetechBus(Bus):
         self.wire.quieten(QUIET)
 
     def _send(self, goal: Sequence[int]) -> None:
-        self.wire.write_all(self.ids, GOAL, [count.to_bytes(2, "little") for count in goal])
+        goals = {servo: count for servo, count in zip(self.ids, goal, strict=True) if servo not in self._limp}
+        if goals:
+            self.wire.write_all(list(goals), GOAL, [count.to_bytes(2, "little") for count in goals.values()])
 
     def _require(self, missing: Sequence[int], strangers: Sequence[int] = ()) -> None:
         """Raise TimeoutError that names the ``missing`` servos, NoReplyError where there is none at all."""

@@ -147,6 +147,8 @@ def diagnose(
                 opened(robot, chosen, seed, period) as connection,
             ):
                 connection = shown(live, meter.watch(connection))
+                if healthy is None:
+                    reference = _as_set(connection, reference)
                 return _drive(connection, about, reference, seed, quick=quick, on_progress=on_progress)
         except BaseException:
             if about is not None:  # a robot that does not answer, or is not ready, leaves no folder behind
@@ -185,6 +187,14 @@ def _drive(
             summarise(run)
         journal.discard()
     return result
+
+
+def _as_set(robot: Robot, reference: HealthyReference | None) -> HealthyReference | None:
+    """Take the ``reference`` for the gains and the supply that the servos of ``robot`` have."""
+    from rejoint.diagnosis.healthy import as_set
+
+    voltage = robot.read().voltage
+    return as_set(robot.arm, reference, gains_in_force(robot), None if voltage is None else voltage[0])
 
 
 def _write(folder: RunFolder, found: Diagnosis, logs: DiagnosisLogs) -> None:

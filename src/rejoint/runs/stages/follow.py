@@ -36,6 +36,7 @@ from rejoint.runs.given import (
 from rejoint.runs.run import Run, exclusive
 from rejoint.runs.stages.driving import (
     ControllerLike,
+    calibration_of,
     correction_of,
     guard_limits,
     kept_if_stopped,
@@ -181,6 +182,7 @@ def follow(
             drive = PathDrive(
                 arm=chosen, name=name, make=make, usual=start.usual_period(), within=within, carrier=carrier,
                 correction=None if correct is None else correct(chosen),
+                model=calibration_of(calibration, about, chosen, address_of(robot)),
             )  # fmt: skip
             if isinstance(given, Stream):
                 done = drive.behind(given, duration or 0.0, start.command[-1])

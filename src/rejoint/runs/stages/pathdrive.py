@@ -15,6 +15,7 @@ import numpy as np
 
 from rejoint.arms import Arm, Array
 from rejoint.arms.orientation import tool_axis
+from rejoint.control.accuracy import ToolModel
 from rejoint.control.controller import Controller
 from rejoint.control.correction import Modelled
 from rejoint.control.moving.drive import Followed, Pass, corrected_path, corrector, judge, missed
@@ -84,6 +85,8 @@ class PathDrive:
     within: float
     """[m] root mean square within which a path counts as followed"""
     carrier: Carrier
+    model: ToolModel | None = None
+    """tells how far the tool itself is off, where nobody sees it"""
 
     def along(self, path: Path, repeat: int, rate: float | None, sent: Array) -> Followed:
         """Go along a path, ``repeat`` times, from the command ``sent`` (1, n) [rad]; at a ``rate`` [Hz] it is told."""
@@ -97,7 +100,7 @@ class PathDrive:
             piece = Piece(label=self._label(path.name), duration=duration, number=number, total=repeat)
             told = guide if rate is None else played(wanted, rate)
             last = self.carrier.carry(told, self.make(self.arm, self.usual), sent, piece)
-            done = judge(self.arm, last, Ahead(path=path, aim=wanted))
+            done = judge(self.arm, last, Ahead(path=path, aim=wanted), model=self.model)
             passes.append(replace(done, log=last.log(0, piece.label)))
             aim, sent = repetition.learn(aim, *missed(self.arm, last, guide, wanted)), last.command[-1]
         return self._followed(path.name, passes, last)
@@ -115,7 +118,7 @@ class PathDrive:
         sent = self.carrier.approach(start, sent, turn).command[-1]
         piece = Piece(label=self._label("stream"), duration=duration, number=0, total=1)
         last = self.carrier.carry(stream, self.make(self.arm, self.usual), sent, piece)
-        done = replace(judge(self.arm, last, stream), log=last.log(0, piece.label))
+        done = replace(judge(self.arm, last, stream, model=self.model), log=last.log(0, piece.label))
         return self._followed("stream", [done], last)
 
     def _label(self, path: str) -> str:

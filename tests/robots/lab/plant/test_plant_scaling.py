@@ -181,4 +181,4 @@ def test_a_link_as_soft_as_a_spring_is_still_simulated_stably():
 
 
 def test_every_profile_is_either_scaled_or_of_an_arm_of_its_own():
-    assert set(SCALING) | {"so101"} == set(wear_names())
+    assert set(SCALING) | {"so101", "so101-new"} == set(wear_names())

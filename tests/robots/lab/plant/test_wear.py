@@ -36,7 +36,7 @@ def worn_text() -> str:
 
 def test_the_profiles_of_the_package_load():
     assert set(SCALING) == {"healthy", "worn", "worn-true", "play-in-loop"}
-    assert set(wear_names()) == {*SCALING, "so101"}
+    assert set(wear_names()) == {*SCALING, "so101", "so101-new"}
     for name in SCALING:
         wear = load_wear(name, ARM)
         assert wear.name == name
