@@ -15,6 +15,7 @@ from benchmarks.serve import ARM, abuse, check_log, connected, holds, play, read
 import rejoint
 from rejoint.arms import tcp_position
 from rejoint.arms.wire.frames import Decoder, Frame, encode
+from rejoint.arms.wire.values import pack_angles
 from rejoint.control.robot import JointState
 from rejoint.robots.lab.plant.wear import load_wear
 from rejoint.robots.serving.answering import REFUSED, Answering
@@ -135,6 +136,16 @@ def test_orders_that_would_let_the_arm_fall_are_refused_and_said() -> None:
         assert answers.answer(Frame(command, b"\x01")) == Frame(command, b"\x00")
     assert len(said) == len(REFUSED)
     assert answers.answer(Frame(0x1A, b"\x00")) == Frame(0x1A, b"\x01"), "free mode may end"
+
+
+def test_an_error_is_told_until_it_is_cleared() -> None:
+    answers, _ = answering(ServedArm(ARM, ARM.rest))
+    beyond = Frame(0x22, pack_angles(np.full(6, 3.2)) + b"\x32")
+    assert answers.answer(beyond) == Frame(0x22, b"\x00")
+    assert answers.answer(Frame(0x26)) == Frame(0x26, b"\x01"), "another order leaves the error"
+    assert answers.answer(Frame(0x07)) == Frame(0x07, b"\x01"), "joint 1 is beyond its limit"
+    assert answers.answer(Frame(0x08)) == Frame(0x08, b"\x01")
+    assert answers.answer(Frame(0x07)) == Frame(0x07, b"\x00")
 
 
 def test_what_is_old_is_not_told(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -26,6 +26,7 @@ PASSED_ON = frozenset((0x60, 0x61, 0x62, *range(0x64, 0x70), 0xA0, 0xA1))
 """Gripper, lamp and pins (pymycobot 4.0.7, `ProtocolCode`)"""
 _ASKS = frozenset((0x62, 0x65, 0x69, 0x6B, 0x6E, 0xA1))
 """Those of them that change nothing"""
+CLEAR_ERROR = 0x08
 MOVES = frozenset((0x21, 0x22, 0x24, 0x25, *range(0x30, 0x35), 0x3A, 0x3C, 0x3E))
 
 
@@ -51,7 +52,9 @@ class Answering:
         with self._served.carrying_out():
             error, self._served.error = self._served.error, 0
             reply = answer(self._served, request)
-            found_error, self._served.error = self._served.error, self._served.error or error
+            found_error = self._served.error
+            if command != CLEAR_ERROR:
+                self._served.error = found_error or error
         if reply is None:
             return None  # not well formed
         done = reply.frame.payload == flag(True)
