@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from rejoint.arms import Arm, Array
+from rejoint.arms.numbers import numbers
 from rejoint.arms.orientation import WEIGHT, Orientation, tool_axis
 from rejoint.arms.rotations import quaternion_of, rotation_about, rotation_of
 from rejoint.arms.wire.values import to_coords, to_pose
@@ -55,10 +56,10 @@ class Pose:
         if len(given) > 1:
             raise InputError(f"pose: {given[0][0]} and {given[1][0]} are given, expected one of them")
         for name, value, size in [("place_m", self.place_m, 3), *((n, v, len(KINDS[n])) for n, v in given)]:
-            numbers = np.asarray(value, dtype=float)
-            if numbers.shape != (size,) or not np.isfinite(numbers).all():
+            found = numbers(value, f"pose: expected {size} finite numbers as {name}")
+            if found.shape != (size,) or not np.isfinite(found).all():
                 raise InputError(f"pose: {name} {value!r} is not {size} finite numbers")
-            if name in ("direction", "quaternion") and not np.linalg.norm(numbers) > 0.0:
+            if name in ("direction", "quaternion") and not np.linalg.norm(found) > 0.0:
                 raise InputError(f"pose: {name} is zero; give one of any other length")
         if not (np.isfinite(self.weight_m) and self.weight_m >= 0.0):
             raise InputError(f"pose: a weight is a number of metres from 0 on, got {self.weight_m}")

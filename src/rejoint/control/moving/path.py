@@ -11,6 +11,7 @@ from pathlib import Path as FilePath
 import numpy as np
 
 from rejoint.arms import Arm, Array
+from rejoint.arms.numbers import numbers
 from rejoint.arms.orientation import WEIGHT, Orientation, tool_axis
 from rejoint.arms.posing import NEAR, TURNED, missed_pose
 from rejoint.arms.rotations import quaternion_of, same_side
@@ -58,7 +59,8 @@ class Path:
     _turning: Array | None = field(init=False, repr=False, default=None)  # their slopes [1/s]
 
     def __post_init__(self) -> None:
-        time, place = (np.array(value, dtype=float) for value in (self.time, self.place))
+        time = numbers(self.time, "path: expected times (T,) in seconds").copy()
+        place = numbers(self.place, "path: expected places (T, 3) in metres").copy()
         if time.ndim != 1 or place.shape != (len(time), 3) or len(time) < 2:
             raise InputError(f"path: times {time.shape} and places {place.shape}, expected (T,) and (T, 3), T > 1")
         if not (np.isfinite(time).all() and np.isfinite(place).all()):
@@ -82,7 +84,7 @@ class Path:
         given, size = (self.quaternion, 4) if self.direction is None else (self.direction, 3)
         if given is None:
             return None
-        turn = np.array(given, dtype=float)
+        turn = numbers(given, f"path: expected orientations ({len(self.time)}, {size})")
         if turn.shape != (len(self.time), size) or not (np.linalg.norm(turn, axis=-1) > 0.0).all():
             raise InputError(
                 f"path: orientations of shape {turn.shape}, expected ({len(self.time)}, {size}), none zero"
