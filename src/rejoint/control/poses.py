@@ -25,8 +25,9 @@ from rejoint.system.errors import InputError
 PLACE = ("x", "y", "z")
 KINDS = {"direction": ("dx", "dy", "dz"), "angles": ("rx", "ry", "rz"), "quaternion": ("qw", "qx", "qy", "qz")}
 """Columns of each way to give an orientation"""
-FORMS = "x,y,z, and perhaps dx,dy,dz or rx,ry,rz or qw,qx,qy,qz, and perhaps weight"
-"""What a header may be, in words"""
+ORIENTED = "dx,dy,dz or rx,ry,rz or qw,qx,qy,qz, and perhaps weight"
+"""What a header may have after the place, in words"""
+_SHOWN = 80  # letters of a header that an error shows
 _NUMBERS = dict(enumerate(("three", "four", "five", "six", "seven", "eight", "nine"), start=3))
 _DEGREE = 1e3 * np.radians(1.0)  # a weight in m/rad, in mm/deg
 
@@ -134,6 +135,19 @@ def columns(header: Sequence[str], first: Sequence[str] = PLACE) -> Callable[[Se
         return Pose(place_m=place, weight_m=float(weight), **given)
 
     return pose
+
+
+def unknown_header(header: Sequence[str], first: Sequence[str] = PLACE) -> tuple[str, str]:
+    """Return what is wrong with a ``header`` that `columns` does not know, and what to do."""
+    found, expected = ",".join(header), ",".join(first)
+    problem = f"it holds nothing, expected the header '{expected}'"
+    if found:
+        shown = found if len(found) <= _SHOWN else f"{found[:_SHOWN]}..."
+        problem = f"the header is {shown!r}, expected '{expected}'"
+    if len(header) == 1 and any(sign in found for sign in ";\t |"):
+        return problem, "separate columns by commas, and write numbers with points"
+    units = "s, mm and deg" if "time" in first else "mm and deg"
+    return problem, f"name the columns so, and after z perhaps {ORIENTED}; in {units}"
 
 
 def turn_knot(pose: Pose) -> Array:

@@ -17,7 +17,7 @@ from rejoint.arms.posing import NEAR, TURNED, missed_pose
 from rejoint.arms.rotations import quaternion_of, same_side
 from rejoint.control.comparison.targets import beyond_reach, parsed, unit_hint
 from rejoint.control.moving.posture import PathPostures
-from rejoint.control.poses import FORMS, PLACE, Pose, columns, in_words, turned_as
+from rejoint.control.poses import PLACE, Pose, columns, in_words, turned_as, unknown_header
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import read_bounded
 
@@ -242,19 +242,18 @@ def read_path(file: FilePath) -> Path:
     """
     try:
         text = read_bounded(file, _MOST, "give fewer points").decode("utf-8-sig")
-        rows = [(n, row) for n, row in enumerate(csv.reader(io.StringIO(text, newline="")), start=1) if any(row)]
+        numbered = enumerate(csv.reader(io.StringIO(text, newline="")), start=1)
+        rows = [(number, row) for number, row in numbered if any(map(str.strip, row))]
     except FileNotFoundError as error:
         raise FileError(file, "no such file, and no standard path", "check the name") from error
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise FileError(file, f"cannot be read as text ({error})", "give a CSV file") from error
     make = columns(rows[0][1], _HEADER) if rows else None
     if make is None:
-        found = ",".join(rows[0][1]) if rows else "nothing"
-        raise FileError(
-            file, f"the header is {found!r}, expected 'time,x,y,z'", f"seconds and millimetres; after them {FORMS}"
-        )
+        raise FileError(file, *unknown_header(rows[0][1] if rows else (), _HEADER))
     if len(rows) < 3:
-        raise FileError(file, f"{len(rows) - 1} points below the header, at least two were expected", "add lines")
+        found = "one point" if len(rows) == 2 else "no point"
+        raise FileError(file, f"{found} below the header, at least two were expected", "add lines")
     poses = [parsed(file, number, row, make) for number, row in rows[1:]]
     time = np.array([float(row[0]) for _, row in rows[1:]])
     try:
