@@ -85,7 +85,7 @@ def test_targets_of_a_file_have_orientations_in_degrees_and_points_among_them(tm
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("x,y,z,rx\n180,0,200,0\n", "expected 'x,y,z'; name the columns: .* dx,dy,dz or rx,ry,rz"),
+        ("x,y,z,rx\n180,0,200,0\n", "expected 'x,y,z'; name the columns so, .* dx,dy,dz or rx,ry,rz"),
         ("x,y,z,dx,dy,dz\n180,0,200,0,0\n", "line 2: '180,0,200,0,0' is not six finite numbers"),
         ("x,y,z,dx,dy,dz\n180,0,200,0,0,\n", "line 2: '180,0,200,0,0,' holds no numbers"),
         ("x,y,z,dx,dy,dz\n180,0,200,0,0,0\n", "line 2: .* direction is zero"),

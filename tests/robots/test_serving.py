@@ -15,6 +15,7 @@ from benchmarks.serve import ARM, abuse, check_log, connected, holds, play, read
 import rejoint
 from rejoint.arms import tcp_position
 from rejoint.arms.wire.frames import Decoder, Frame, encode
+from rejoint.arms.wire.values import pack_angles
 from rejoint.control.robot import JointState
 from rejoint.robots.lab.plant.wear import load_wear
 from rejoint.robots.serving.answering import REFUSED, Answering
@@ -22,6 +23,7 @@ from rejoint.robots.serving.apparent import Apparent
 from rejoint.robots.serving.orderlog import OrderLog
 from rejoint.robots.serving.relay import Relay
 from rejoint.robots.serving.served import PATIENCE, MoveEnd, ServedArm
+from rejoint.robots.serving.server import tcp_wire
 from rejoint.robots.vendor import MyCobot280
 from rejoint.runs.run import Run
 from rejoint.system.errors import InputError, NoReplyError
@@ -135,6 +137,58 @@ def test_orders_that_would_let_the_arm_fall_are_refused_and_said() -> None:
         assert answers.answer(Frame(command, b"\x01")) == Frame(command, b"\x00")
     assert len(said) == len(REFUSED)
     assert answers.answer(Frame(0x1A, b"\x00")) == Frame(0x1A, b"\x01"), "free mode may end"
+
+
+@pytest.mark.parametrize(("command", "length"), [(0x81, 12), (0x83, 12), (0x85, 1), (0x87, 1), (0x89, 1)])
+def test_another_frame_for_coordinates_is_refused_and_said(command: int, length: int) -> None:
+    answers, said = answering(ServedArm(ARM, ARM.rest))
+    zeros = bytes(length)
+    assert answers.answer(Frame(command, zeros)) == Frame(command, b"\x01"), "that is what holds"
+    assert not said
+    assert answers.answer(Frame(command, zeros[1:] + b"\x01")) == Frame(command, b"\x00")
+    assert len(said) == 1
+    assert answers.answer(Frame(command + 1)) == Frame(command + 1, zeros)
+
+
+def test_the_same_refusal_is_not_said_fifty_times_a_second(monkeypatch: pytest.MonkeyPatch) -> None:
+    answers, said = answering(ServedArm(ARM, ARM.rest))
+    for _ in range(50):
+        answers.answer(Frame(0x11))
+    assert len(said) == 1
+    answers.answer(Frame(0x13))
+    assert len(said) == 2, "another one is"
+    now = time.monotonic()
+    monkeypatch.setattr(time, "monotonic", lambda: now + 11.0)
+    answers.answer(Frame(0x11))
+    assert len(said) == 3
+
+
+def test_a_client_that_leaves_a_move_half_done_is_told_of() -> None:
+    said: list[str] = []
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        answers, _ = answering(ServedArm(ARM, ARM.rest))
+        with tcp_wire(answers, listener, said.append) as server:
+            for request in (b"", encode(Frame(0x22, pack_angles(ARM.rest + 0.2) + b"\x32"))):
+                with closing(socket.create_connection(listener.getsockname()[:2], 2.0)) as client:
+                    client.sendall(request + encode(Frame(0x2B)))
+                    client.recv(100)
+                    time.sleep(0.1)
+                while sum("the arm holds" in line for line in said) < 1 + bool(request):
+                    time.sleep(0.01)
+            assert server.failure is None
+    ends = [line for line in said if "the arm holds" in line]
+    assert "not at its end" not in ends[0]
+    assert "Its last move was not at its end: a program waits for it" in ends[1]
+
+
+def test_an_error_is_told_until_it_is_cleared() -> None:
+    answers, _ = answering(ServedArm(ARM, ARM.rest))
+    beyond = Frame(0x22, pack_angles(np.full(6, 3.2)) + b"\x32")
+    assert answers.answer(beyond) == Frame(0x22, b"\x00")
+    assert answers.answer(Frame(0x26)) == Frame(0x26, b"\x01"), "another order leaves the error"
+    assert answers.answer(Frame(0x07)) == Frame(0x07, b"\x01"), "joint 1 is beyond its limit"
+    assert answers.answer(Frame(0x08)) == Frame(0x08, b"\x01")
+    assert answers.answer(Frame(0x07)) == Frame(0x07, b"\x00")
 
 
 def test_what_is_old_is_not_told(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,5 +1,7 @@
 """An arm of a run that is sent to points from Python."""
 
+import threading
+import time
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -76,8 +78,57 @@ def test_what_cannot_be_reached_is_an_error_with_a_name_and_the_arm_goes_on(run:
             arm.move_to([0.2, 0.0])
         with pytest.raises(rejoint.InputError, match="positive"):
             arm.move_to([0.18, 0.03, 0.21], timeout_s=0.0)
+        with pytest.raises(rejoint.InputError, match=r"within_m is in metres and at most 0\.1, got 2"):
+            arm.move_to([0.18, 0.03, 0.21], within_m=2)
+        for wrong in ("home", None, [[0.18, 0.03, 0.21]], [0.18, "y", 0.2]):
+            with pytest.raises(rejoint.InputError, match="expected a point"):
+                arm.move_to(wrong)
+        for wrong in (None, "10 s"):
+            with pytest.raises(rejoint.InputError, match="positive"):
+                arm.move_to([0.18, 0.03, 0.21], timeout_s=wrong)
+        with pytest.raises(rejoint.InputError, match="expected a Path, a file, or points"):
+            arm.follow([0.1 * k, 0.18, 0.0, 0.2] for k in range(9))
         assert arm.move_to([0.18, 0.03, 0.21], within_m=0.05) is not None
     assert issubclass(rejoint.NotReachedError, TimeoutError)
+
+
+def test_an_arm_that_is_closed_takes_no_orders(run: Path) -> None:
+    with rejoint.connect("emulated:worn", run=run) as arm:
+        before = arm.state.joints_rad
+    for order in (
+        lambda: arm.move_to([0.18, 0.03, 0.21]),
+        lambda: arm.follow("circle-8s"),
+        lambda: arm.state,
+        arm.wait,
+    ):
+        with pytest.raises(rejoint.NotReadyError, match="the arm is closed"):
+            order()
+    arm.stop()
+    arm.close()
+    with rejoint.connect("emulated:worn", run=run) as again:
+        np.testing.assert_allclose(again.state.joints_rad, before)
+
+
+def test_of_two_threads_one_drives_the_arm(run: Path) -> None:
+    both, refused = threading.Barrier(2), list[Exception]()
+
+    def go(place: list[float]) -> None:
+        both.wait()
+        try:
+            arm.move_to(place, within_m=0.05)
+        except rejoint.NotReadyError as error:
+            refused.append(error)
+
+    with rejoint.connect("emulated:worn", run=run, controller="default") as arm:
+        slow = arm._require_free
+        arm._require_free = lambda: (slow(), time.sleep(0.05))  # both threads look before either starts
+        threads = [threading.Thread(target=go, args=([0.18, y, 0.2],)) for y in (0.03, -0.03)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+    assert len(refused) == 1
+    assert "still on its way" in str(refused[0])
 
 
 def test_arguments_that_do_not_go_together_are_refused(run: Path) -> None:

@@ -170,7 +170,10 @@ def test_a_node_drives_an_arm_to_its_target_and_is_silent_without_joint_states(
 ) -> None:
     about = Run.create(tmp_path / "run", "emulated:worn", ARM, 0)
     folder, _ = export_run(about, "ros2")
-    ElementTree.parse(folder / "package.xml")
+    needs = {one.text for one in ElementTree.parse(folder / "package.xml").iter("exec_depend")}
+    launch = (folder / "launch/controller.launch.py").read_text(encoding="utf-8")
+    used = {line.split()[1].partition(".")[0] for line in launch.splitlines() if line.startswith("from ")}
+    assert used | {"controller_manager", "rclpy"} <= needs
     parameters = YAML(typ="safe").load((folder / "config/controllers.yaml").read_text(encoding="utf-8"))
     assert parameters["rejoint_forward"]["ros__parameters"]["joints"] == list(ARM.joint_names)
     for script in folder.rglob("*.py"):
@@ -198,6 +201,16 @@ def test_a_node_drives_an_arm_to_its_target_and_is_silent_without_joint_states(
         state = robot.step((state.position[0] + step)[None])
     assert topic == "/rejoint_forward/commands"
     assert np.linalg.norm(tcp_position(ARM, state.position[0]) - target) < 3e-3, "a sent target is missed by 20 mm"
+    for named, told in ((ARM.joint_names, []), (ARM.joint_names, [np.nan, *places[1:]]), (["gripper"], [0.1])):
+        node.subscriptions["/joint_states"](SimpleNamespace(name=list(named), position=told))
+    node.subscriptions["/rejoint/target"](SimpleNamespace(header=header, point=SimpleNamespace(x=np.nan, y=0.0, z=0.2)))
+    assert "finite numbers in metres; ignored" in node.said[-1]
+    timer()
+    assert np.isfinite(node.sent[-1][1]).all()
+    memory = node.controller.memory.copy()
+    with pytest.raises(ValueError, match="expected finite numbers"):
+        node.controller.command(state.position[0], (np.nan, 0.0, 0.2), 0.036)
+    np.testing.assert_array_equal(node.controller.memory, memory)
     count = len(node.sent)
     node.time += 1.0
     timer()

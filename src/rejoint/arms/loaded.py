@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from rejoint.arms.arm import Arm, Array
 from rejoint.arms.inertia import SpatialInertia, combined
+from rejoint.arms.numbers import numbers
 from rejoint.system.errors import InputError
 
 LONGEST_TOOL = 0.5
@@ -43,7 +44,7 @@ def loaded(arm: Arm, payload: Payload | float | None = None, tool: ArrayLike | N
     The tool is given in the frame of the bare arm's TCP. Without either, ``arm`` itself. InputError for a mass or
     length that no such arm carries.
     """
-    carried = Payload(mass=float(payload)) if isinstance(payload, float | int) else payload
+    carried = payload if payload is None or isinstance(payload, Payload) else Payload(mass=_mass(payload))
     if (carried is None or carried.mass == 0.0) and tool is None:
         return arm
     carried = carried or Payload(mass=0.0)
@@ -65,8 +66,15 @@ def loaded(arm: Arm, payload: Payload | float | None = None, tool: ArrayLike | N
     )  # fmt: skip
 
 
+def _mass(given: ArrayLike) -> float:
+    mass = numbers(given, "payload: expected a mass in kg, or a Payload")
+    if mass.shape != ():
+        raise InputError(f"payload: expected a mass in kg, or a Payload, got {given!r}")
+    return float(mass)
+
+
 def _lengths(what: str, given: ArrayLike) -> Array:
-    lengths = np.asarray(given, dtype=float)
+    lengths = numbers(given, f"{what}: expected x, y, z of at most {LONGEST_TOOL:g} m")
     if (
         lengths.shape != (3,)
         or not np.abs(lengths).max(initial=np.inf if lengths.shape != (3,) else 0.0) <= LONGEST_TOOL

@@ -207,8 +207,10 @@ def payload_of(text: str | None) -> LoadedWith | None:
         return None
     mass, at, place = text.partition("@")
     try:
-        com = _millimetres(place) if at else (0.0, 0.0, 0.0)
+        com = _millimetres(place, "--payload") if at else (0.0, 0.0, 0.0)
         return LoadedWith(mass=float(mass), com=com)
+    except InputError:
+        raise
     except ValueError as error:
         raise InputError(f"--payload {text!r}: expected kg, such as 0.15, or with x,y,z in mm: 0.15@0,0,30") from error
 
@@ -216,11 +218,16 @@ def payload_of(text: str | None) -> LoadedWith | None:
 def tool_of(text: str | None) -> tuple[float, float, float] | None:
     """Read ``x,y,z`` in mm as metres; InputError for anything else."""
     try:
-        return None if text is None else _millimetres(text)
+        return None if text is None else _millimetres(text, "--tool")
+    except InputError:
+        raise
     except ValueError as error:
         raise InputError(f"--tool {text!r}: expected x,y,z in mm, such as 0,0,50") from error
 
 
-def _millimetres(text: str) -> tuple[float, float, float]:
-    x, y, z = (1e-3 * float(part) for part in text.split(","))
-    return x, y, z
+def _millimetres(text: str, option: str) -> tuple[float, float, float]:
+    """Read ``x,y,z`` in mm as metres; InputError for lengths of the size of metres, ValueError for anything else."""
+    x, y, z = (float(part) for part in text.split(","))
+    if 0.0 < max(abs(x), abs(y), abs(z)) < 1.0:
+        raise InputError(f"{option}: x,y,z of {text} mm look like metres; give millimetres, such as 0,0,50")
+    return 1e-3 * x, 1e-3 * y, 1e-3 * z

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from rejoint.arms import Arm, Array
+from rejoint.arms.numbers import numbers
 from rejoint.arms.orientation import WEIGHT, Orientation, tool_axis
 from rejoint.arms.rotations import quaternion_of, rotation_about, rotation_of
 from rejoint.arms.wire.values import to_coords, to_pose
@@ -24,8 +25,9 @@ from rejoint.system.errors import InputError
 PLACE = ("x", "y", "z")
 KINDS = {"direction": ("dx", "dy", "dz"), "angles": ("rx", "ry", "rz"), "quaternion": ("qw", "qx", "qy", "qz")}
 """Columns of each way to give an orientation"""
-FORMS = "x,y,z, and perhaps dx,dy,dz or rx,ry,rz or qw,qx,qy,qz, and perhaps weight"
-"""What a header may be, in words"""
+ORIENTED = "dx,dy,dz or rx,ry,rz or qw,qx,qy,qz, and perhaps weight"
+"""What a header may have after the place, in words"""
+_SHOWN = 80  # letters of a header that an error shows
 _NUMBERS = dict(enumerate(("three", "four", "five", "six", "seven", "eight", "nine"), start=3))
 _DEGREE = 1e3 * np.radians(1.0)  # a weight in m/rad, in mm/deg
 
@@ -55,10 +57,10 @@ class Pose:
         if len(given) > 1:
             raise InputError(f"pose: {given[0][0]} and {given[1][0]} are given, expected one of them")
         for name, value, size in [("place_m", self.place_m, 3), *((n, v, len(KINDS[n])) for n, v in given)]:
-            numbers = np.asarray(value, dtype=float)
-            if numbers.shape != (size,) or not np.isfinite(numbers).all():
+            found = numbers(value, f"pose: expected {size} finite numbers as {name}")
+            if found.shape != (size,) or not np.isfinite(found).all():
                 raise InputError(f"pose: {name} {value!r} is not {size} finite numbers")
-            if name in ("direction", "quaternion") and not np.linalg.norm(numbers) > 0.0:
+            if name in ("direction", "quaternion") and not np.linalg.norm(found) > 0.0:
                 raise InputError(f"pose: {name} is zero; give one of any other length")
         if not (np.isfinite(self.weight_m) and self.weight_m >= 0.0):
             raise InputError(f"pose: a weight is a number of metres from 0 on, got {self.weight_m}")
@@ -133,6 +135,19 @@ def columns(header: Sequence[str], first: Sequence[str] = PLACE) -> Callable[[Se
         return Pose(place_m=place, weight_m=float(weight), **given)
 
     return pose
+
+
+def unknown_header(header: Sequence[str], first: Sequence[str] = PLACE) -> tuple[str, str]:
+    """Return what is wrong with a ``header`` that `columns` does not know, and what to do."""
+    found, expected = ",".join(header), ",".join(first)
+    problem = f"it holds nothing, expected the header '{expected}'"
+    if found:
+        shown = found if len(found) <= _SHOWN else f"{found[:_SHOWN]}..."
+        problem = f"the header is {shown!r}, expected '{expected}'"
+    if len(header) == 1 and any(sign in found for sign in ";\t |"):
+        return problem, "separate columns by commas, and write numbers with points"
+    units = "s, mm and deg" if "time" in first else "mm and deg"
+    return problem, f"name the columns so, and after z perhaps {ORIENTED}; in {units}"
 
 
 def turn_knot(pose: Pose) -> Array:

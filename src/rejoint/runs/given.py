@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Literal, Protocol, TypeAlias, cast
 import numpy as np
 
 from rejoint.arms import Arm, Array, load_arm
+from rejoint.arms.numbers import numbers
 from rejoint.control.comparison.targets import draw_targets, read_targets, require_reachable
 from rejoint.control.poses import Pose, placed
 from rejoint.control.robot import Robot
@@ -265,7 +266,7 @@ def as_targets(given: Targets | None, arm: Arm, *, sets: int, seed: int) -> tupl
         turns = turns and turns[None]
         require_reachable(arm, points[None], turns)
         return points[None], turns
-    points = np.asarray(given, dtype=float)
+    points = numbers(given, "targets: expected (targets, 3) or (sets, targets, 3) in metres")
     if points.ndim not in (2, 3) or points.shape[-1] != 3:
         raise InputError(f"targets have shape {points.shape}, expected (targets, 3) or (sets, targets, 3) in metres")
     points = points[None] if points.ndim == 2 else points

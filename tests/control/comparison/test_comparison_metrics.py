@@ -176,8 +176,9 @@ def test_targets_from_a_file_are_metres(tmp_path):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "the header is 'nothing', expected 'x,y,z'"),
+        ("", "it holds nothing, expected the header 'x,y,z'; name the columns so"),
         ("a,b,c\n1,2,3\n", "the header is 'a,b,c', expected 'x,y,z'"),
+        ("x;y;z\n1;2;3\n", "the header is 'x;y;z', expected 'x,y,z'; separate columns by commas"),
         ("x,y,z\n", "no targets below the header"),
         ("x,y,z\n150,0,200\n150,zero,200\n", "line 3: '150,zero,200' holds no numbers"),
         ("x,y,z\n150,0\n", "line 2: '150,0' is not three finite numbers"),

@@ -83,6 +83,8 @@ def test_files_are_read_in_seconds_and_millimetres_and_wrong_lines_are_named(tmp
     file.write_text("time,x,y,z\n0,180,0,200\n1.5,190,10,200\n3,180,0,210\n")
     path = read_path(file)
     assert path.name == "square"
+    file.write_text("  \n" + file.read_text() + "\n  \n,,,\n")  # as tables leave them
+    np.testing.assert_array_equal(read_path(file).place, path.place)
     assert path.duration == 3.0
     assert np.allclose(path.place[1], [0.19, 0.01, 0.2])
     for text, words in (
@@ -90,7 +92,12 @@ def test_files_are_read_in_seconds_and_millimetres_and_wrong_lines_are_named(tmp
         ("time,x,y,z\n0,1,2,3\n1,a,2,3\n", "line 3"),
         ("time,x,y,z\n1,180,0,200\n0,180,0,200\n", "point 2 is not after"),
         ("time,x,y,z,roll\n0,1,2,3,4\n", "expected 'time,x,y,z'"),
-        ("time,x,y,z\n0,180,0,200\n", "1 points below the header, at least two"),
+        ("time,x,y,z\n0,180,0,200\n", "one point below the header, at least two"),
+        ("time,x,y,z\n", "no point below the header, at least two"),
+        ("", "it holds nothing, expected the header 'time,x,y,z'; name the columns so"),
+        ("time;x;y;z\n0;180,5;0;200\n", "'time;x;y;z', expected 'time,x,y,z'; separate columns by commas"),
+        ("t,x,y,z\n0,180,0,200\n", "the header is 't,x,y,z', expected 'time,x,y,z'; name .* in s, mm and deg$"),
+        ("%time," + "field.header.seq," * 20 + "\n1,2\n", r"the header is '%time,.{,90}expected 'time,x,y,z'"),
     ):
         file.write_text(text)
         with pytest.raises(FileError, match=words):

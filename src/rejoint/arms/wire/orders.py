@@ -183,6 +183,15 @@ def _switch_servo(computer: Computer, identity: int, *, on: bool) -> bool:
     return True
 
 
+_FRAMES = {0x81: 12, 0x83: 12, 0x85: 1, 0x87: 1, 0x89: 1}
+"""Orders that change what coordinates mean (frames of tool and base, lines as a rule), and their lengths [bytes]. Only
+zeros, the arm's own frames, are carried out: to take coordinates in another frame for these would go elsewhere"""
+
+
+def _own_frame(_: Computer, payload: bytes) -> bool:
+    return not any(payload)
+
+
 ORDERS: dict[int, tuple[tuple[int, ...], Callable[[Computer, bytes], bool]]] = {
     0x13: ((1,), lambda computer, _: _switch_servo(computer, 0, on=False)),
     0x16: ((1,), _set_fresh_mode),
@@ -206,6 +215,7 @@ ORDERS: dict[int, tuple[tuple[int, ...], Callable[[Computer, bytes], bool]]] = {
     0x55: ((1,), _brake),
     0x56: ((1, 2), lambda computer, payload: _switch_servo(computer, payload[0], on=False)),
     0x57: ((1,), lambda computer, payload: _switch_servo(computer, payload[0], on=True)),
+    **{identity: ((length,), _own_frame) for identity, length in _FRAMES.items()},
     0x6A: ((3,), lambda _computer, _payload: True),  # colour of a lamp that is not there
 }
 """Orders with a payload: its accepted lengths [bytes] and what is done; False is a refusal."""

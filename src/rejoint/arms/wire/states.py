@@ -53,6 +53,8 @@ STATES: dict[int, Callable[[Computer], bytes]] = {
     0x2B: lambda computer: flag(computer.moving),
     0x3D: lambda computer: values.pack_encoders(computer.angles, computer.arm.encoder_step),
     0x51: lambda computer: flag(bool(computer.enabled.all())),
+    **{identity: lambda _: bytes(12) for identity in (0x82, 0x84)},  # frames of tool and base: the arm's own
+    **{identity: lambda _: flag(False) for identity in (0x86, 0x88, 0x8A)},  # which of them counts, and lines as a rule
     0xC1: lambda _: bytes((SYSTEM_VERSION,)),
     0xD5: _angles_and_coords,
     0xD8: lambda _: values.pack_int16([1]),

@@ -14,7 +14,7 @@ from rejoint.arms import Arm, Array, solve_position, tcp_position
 from rejoint.arms.orientation import Orientation
 from rejoint.arms.posing import NEAR, TURNED, find_postures, missed_pose
 from rejoint.arms.size import in_metres
-from rejoint.control.poses import FORMS, columns, in_words, placed
+from rejoint.control.poses import columns, in_words, placed, unknown_header
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import read_bounded
 
@@ -64,8 +64,7 @@ def read_targets(path: Path, arm: Arm) -> tuple[Array, Orientation | None]:
         raise FileError(path, f"cannot be read as text ({error})", "give a CSV file") from error
     make = columns(lines[0][1]) if lines else None
     if make is None:
-        found = ",".join(lines[0][1]) if lines else "nothing"
-        raise FileError(path, f"the header is {found!r}, expected 'x,y,z'", f"name the columns: {FORMS}; in mm and deg")
+        raise FileError(path, *unknown_header(lines[0][1] if lines else ()))
     if len(lines) == 1:
         raise FileError(path, "no targets below the header", "add one line per target")
     targets, turns = placed(arm, [parsed(path, number, line, make) for number, line in lines[1:]])

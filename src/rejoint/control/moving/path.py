@@ -11,12 +11,13 @@ from pathlib import Path as FilePath
 import numpy as np
 
 from rejoint.arms import Arm, Array
+from rejoint.arms.numbers import numbers
 from rejoint.arms.orientation import WEIGHT, Orientation, tool_axis
 from rejoint.arms.posing import NEAR, TURNED, missed_pose
 from rejoint.arms.rotations import quaternion_of, same_side
 from rejoint.control.comparison.targets import beyond_reach, parsed, unit_hint
 from rejoint.control.moving.posture import PathPostures
-from rejoint.control.poses import FORMS, PLACE, Pose, columns, in_words, turned_as
+from rejoint.control.poses import PLACE, Pose, columns, in_words, turned_as, unknown_header
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import read_bounded
 
@@ -58,7 +59,8 @@ class Path:
     _turning: Array | None = field(init=False, repr=False, default=None)  # their slopes [1/s]
 
     def __post_init__(self) -> None:
-        time, place = (np.array(value, dtype=float) for value in (self.time, self.place))
+        time = numbers(self.time, "path: expected times (T,) in seconds").copy()
+        place = numbers(self.place, "path: expected places (T, 3) in metres").copy()
         if time.ndim != 1 or place.shape != (len(time), 3) or len(time) < 2:
             raise InputError(f"path: times {time.shape} and places {place.shape}, expected (T,) and (T, 3), T > 1")
         if not (np.isfinite(time).all() and np.isfinite(place).all()):
@@ -82,7 +84,7 @@ class Path:
         given, size = (self.quaternion, 4) if self.direction is None else (self.direction, 3)
         if given is None:
             return None
-        turn = np.array(given, dtype=float)
+        turn = numbers(given, f"path: expected orientations ({len(self.time)}, {size})")
         if turn.shape != (len(self.time), size) or not (np.linalg.norm(turn, axis=-1) > 0.0).all():
             raise InputError(
                 f"path: orientations of shape {turn.shape}, expected ({len(self.time)}, {size}), none zero"
@@ -240,19 +242,18 @@ def read_path(file: FilePath) -> Path:
     """
     try:
         text = read_bounded(file, _MOST, "give fewer points").decode("utf-8-sig")
-        rows = [(n, row) for n, row in enumerate(csv.reader(io.StringIO(text, newline="")), start=1) if any(row)]
+        numbered = enumerate(csv.reader(io.StringIO(text, newline="")), start=1)
+        rows = [(number, row) for number, row in numbered if any(map(str.strip, row))]
     except FileNotFoundError as error:
         raise FileError(file, "no such file, and no standard path", "check the name") from error
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise FileError(file, f"cannot be read as text ({error})", "give a CSV file") from error
     make = columns(rows[0][1], _HEADER) if rows else None
     if make is None:
-        found = ",".join(rows[0][1]) if rows else "nothing"
-        raise FileError(
-            file, f"the header is {found!r}, expected 'time,x,y,z'", f"seconds and millimetres; after them {FORMS}"
-        )
+        raise FileError(file, *unknown_header(rows[0][1] if rows else (), _HEADER))
     if len(rows) < 3:
-        raise FileError(file, f"{len(rows) - 1} points below the header, at least two were expected", "add lines")
+        found = "one point" if len(rows) == 2 else "no point"
+        raise FileError(file, f"{found} below the header, at least two were expected", "add lines")
     poses = [parsed(file, number, row, make) for number, row in rows[1:]]
     time = np.array([float(row[0]) for _, row in rows[1:]])
     try:

@@ -11,6 +11,7 @@ from typing import Protocol
 import numpy as np
 
 from rejoint.arms import Array
+from rejoint.arms.numbers import numbers
 from rejoint.arms.orientation import Orientation, stacked
 from rejoint.arms.rotations import same_side
 from rejoint.control.moving.errors import interpolated
@@ -106,7 +107,7 @@ class Stream:
         """
         time = self._now if time is None else time
         pose = target if isinstance(target, Pose) else None
-        place = np.asarray(target if pose is None else pose.place_m, dtype=float)
+        place = numbers(target if pose is None else pose.place_m, "stream: expected three finite numbers in metres")
         if place.shape != (3,) or not np.isfinite(place).all() or not np.isfinite(time):
             raise InputError(f"stream: a target is three finite numbers in metres, got {target} at {time} s")
         knot = None if pose is None or not pose.turned else turn_knot(pose)

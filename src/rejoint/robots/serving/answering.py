@@ -7,6 +7,7 @@ error code. Grippers, lamps and pins are passed on to the robot.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 
 from rejoint.arms.wire.commands import answer
@@ -20,12 +21,17 @@ from rejoint.robots.serving.served import MoveEnd, ServedArm
 
 _FALLS = "the arm would fall; support it and switch it off at its supply"
 _STAYS = "it would change what the run knows of the arm; end `rejoint serve` first"
+_OWN = "coordinates are those of the arm's own tool in its own base; the tip of a tool is told by --tool"
+_OTHER_FRAME = {0x81: _OWN, 0x83: _OWN, 0x85: _OWN, 0x87: "straight lines are asked for with each order", 0x89: _OWN}
 REFUSED = {0x11: _FALLS, 0x13: _FALLS, 0x1A: _FALLS, 0x56: _FALLS, 0x52: _STAYS, 0x54: _STAYS}
 """Orders that are never carried out, and why. 0x1A with 0, which ends free mode, is no such order"""
 PASSED_ON = frozenset((0x60, 0x61, 0x62, *range(0x64, 0x70), 0xA0, 0xA1))
 """Gripper, lamp and pins (pymycobot 4.0.7, `ProtocolCode`)"""
 _ASKS = frozenset((0x62, 0x65, 0x69, 0x6B, 0x6E, 0xA1))
 """Those of them that change nothing"""
+CLEAR_ERROR = 0x08
+AGAIN = 10.0
+"""[s] after which the same refusal is said again (chosen: a program that orders 50 times a second fills no terminal)"""
 MOVES = frozenset((0x21, 0x22, 0x24, 0x25, *range(0x30, 0x35), 0x3A, 0x3C, 0x3E))
 
 
@@ -35,6 +41,7 @@ class Answering:
     def __init__(self, served: ServedArm, log: OrderLog, relay: Relay, say: Callable[[str], object]) -> None:
         self._served, self._log, self._relay, self._say = served, log, relay, say
         self._number: int | None = None
+        self._said: dict[str, float] = {}  # refusal -> when [s] it was said last
 
     def answer(self, request: Frame) -> Frame | None:
         """Carry out ``request``; None where the arm stays silent, as for what it does not know."""
@@ -51,12 +58,14 @@ class Answering:
         with self._served.carrying_out():
             error, self._served.error = self._served.error, 0
             reply = answer(self._served, request)
-            found_error, self._served.error = self._served.error, self._served.error or error
+            found_error = self._served.error
+            if command != CLEAR_ERROR:
+                self._served.error = found_error or error
         if reply is None:
             return None  # not well formed
         done = reply.frame.payload == flag(True)
         if not done:
-            return self._refuse(request, _reason(found_error))
+            return self._refuse(request, _OTHER_FRAME.get(command) or _reason(found_error))
         number = self._log.ordered(command, payload, done=True)
         if command in MOVES:
             self._number = number
@@ -69,16 +78,20 @@ class Answering:
             farthest_joint_rad=round(arrival.angle, 5), after_s=round(arrival.after, 3),
         )  # fmt: skip
 
-    def hold(self, why: str) -> None:
-        """Let the arm hold where it is; ``why`` is written."""
+    def hold(self, why: str) -> bool:
+        """Let the arm hold where it is, and return whether it was on its way; ``why`` is written."""
         with self._served.carrying_out():
             under_way = self._served.moving
             self._served.stop()
         self._log.write("hold", why=why, on_its_way=under_way)
+        return under_way
 
     def _refuse(self, request: Frame, why: str) -> Frame:
         self._log.ordered(request.command, request.payload, done=False, why=why)
-        self._say(f"Refused {NAMES.get(request.command, hex(request.command))}: {why}")
+        line, now = f"Refused {NAMES.get(request.command, hex(request.command))}: {why}", time.monotonic()
+        if now - self._said.get(line, -AGAIN) >= AGAIN:
+            self._said[line] = now
+            self._say(line)
         return Frame(request.command, flag(False))
 
     def _pass_on(self, request: Frame) -> Frame | None:

@@ -25,7 +25,8 @@ NAMES = {
     0x52: "set_servo_data", 0x54: "set_servo_calibration", 0x55: "joint_brake", 0x56: "release_servo",
     0x57: "focus_servo", 0x60: "set_pin_mode", 0x61: "set_digital_output", 0x66: "set_gripper_state",
     0x67: "set_gripper_value", 0x68: "set_gripper_calibration", 0x6A: "set_color", 0x6D: "set_gripper_mode",
-    0x6F: "set_gripper_torque", 0xA0: "set_basic_output",
+    0x6F: "set_gripper_torque", 0x81: "set_tool_reference", 0x83: "set_world_reference", 0x85: "set_reference_frame",
+    0x87: "set_movement_type", 0x89: "set_end_type", 0xA0: "set_basic_output",
 }  # fmt: skip
 """Orders by the names that the vendor's client gives them"""
 

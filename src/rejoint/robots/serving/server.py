@@ -33,6 +33,8 @@ QUIET_AFTER = 5
 _CHUNK = 1024
 _REFUSALS = 10  # of further clients that are told one by one; a program that tries for ever fills no terminal
 
+_UNFINISHED = "Its last move was not at its end: a program waits for it with sync_send_angles or is_moving."
+
 Say = Callable[[str], object]
 
 
@@ -96,6 +98,12 @@ class WireServer(ABC):
                     if found is not None:
                         send(encode(found))
 
+    def _hold(self, why: str) -> None:
+        """Let the arm hold, and say so: a program that does not wait for its last move leaves it half done."""
+        under_way = self._answering.hold(why)
+        unfinished = f" {_UNFINISHED}" if under_way else ""
+        self._say(f"{why[0].upper()}{why[1:]}; the arm holds.{unfinished}")
+
     def _await(self, handle: int, timeout: float) -> bool:
         """Tell whether a client has sent something, or is gone, within ``timeout`` [s]."""
         return bool(select.select([handle], [], [], timeout)[0])
@@ -120,8 +128,7 @@ class _TcpWire(WireServer):
             self._say(f"A client is there: {host}:{port}")
             self._present = connection
             self._converse(connection.fileno(), lambda: connection.recv(_CHUNK), connection.sendall)
-        self._answering.hold(f"the client {host}:{port} is gone")
-        self._say(f"The client {host}:{port} is gone; the arm holds.")
+        self._hold(f"the client {host}:{port} is gone")
 
     def _await(self, handle: int, timeout: float) -> bool:
         ready = select.select([handle, self._listener.fileno()], [], [], timeout)[0]
@@ -162,8 +169,7 @@ class _TerminalWire(WireServer):
             return
         self._say("A client has opened the serial line.")
         self._converse(self._own, self._receive, self._send)
-        self._answering.hold("the serial line was closed")
-        self._say("The serial line was closed; the arm holds.")
+        self._hold("the serial line was closed")
         with contextlib.suppress(OSError):
             tty.setraw(self._own)  # as the next client finds it
 

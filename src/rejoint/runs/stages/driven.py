@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from contextlib import ExitStack
 from dataclasses import dataclass
 from types import TracebackType
@@ -11,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from rejoint.arms import Arm, Array, tcp_position
+from rejoint.arms.numbers import numbers
 from rejoint.control.comparison.targets import require_reachable
 from rejoint.control.controller import heeds_turn
 from rejoint.control.moving.drive import Followed
@@ -40,6 +42,10 @@ from rejoint.system.stopping import noted, pause
 
 WITHIN_TURN = float(np.radians(1.0))
 """[rad] within which an orientation counts as reached where an arm is sent to a pose (chosen: as the vendor's)"""
+FARTHEST = 0.1
+"""[m] within which a point counts as reached at most (chosen: more is a number in millimetres)"""
+_BOUNDS = "move_to: within_m, within_rad and timeout_s are positive numbers"
+_POINT = "move_to: expected a point (3,) in metres"
 _LOOK = 0.01  # [s] between two looks at whether a motion has ended (chosen)
 
 
@@ -109,6 +115,8 @@ class DrivenArm:
             self._stack = stack.pop_all()
         self._motion: MotionThread | None = None
         self._followed: Followed | None = None
+        self._starting = threading.Lock()
+        self._closed = False
 
     @property
     def arm(self) -> Arm:
@@ -118,6 +126,7 @@ class DrivenArm:
     @property
     def state(self) -> ArmState:
         """What is known now: during a motion of its last control cycle, else read from the arm."""
+        self._require_open()
         cycle, motion = self._drive.last, self._motion
         if motion is not None and motion.is_alive() and cycle is not None:
             return self._state(float(cycle.time[0]), cycle.position[0], moving=True)
@@ -139,16 +148,21 @@ class DrivenArm:
         has an orientation ``within_rad`` of that. To poses the feed-forward drives, where the controller of the run
         does not turn the tool. With ``wait`` this
         returns the state at the end; without, it returns None at once: then `wait`, `state` and `stop` tell and end the
-        motion. InputError for a target out of reach, before anything moves; NotReachedError after ``timeout_s``;
-        GuardTripError or RobotError where the motion had to be ended. In any case the arm then holds.
+        motion. InputError for a target out of reach, before anything moves; NotReadyError while a motion is under way,
+        and once the arm is closed; NotReachedError after ``timeout_s``; GuardTripError or RobotError where the motion
+        had to be ended. In any case the arm then holds.
         """
         pose = target_m if isinstance(target_m, Pose) else None
-        target = np.asarray(target_m if pose is None else pose.place_m, dtype=float)
+        target = numbers(target_m if pose is None else pose.place_m, _POINT)
         if target.shape != (3,) or not np.isfinite(target).all():
-            raise InputError(f"move_to: expected a point (3,) in metres, got {target_m!r}")
-        if not (within_m > 0.0 and within_rad > 0.0 and timeout_s > 0.0):
-            given = f"{within_m}, {within_rad} and {timeout_s}"
-            raise InputError(f"move_to: within_m, within_rad and timeout_s are positive, got {given}")
+            raise InputError(f"{_POINT}, got {target_m!r}")
+        given = (within_m, within_rad, timeout_s)
+        bounds = numbers(given, _BOUNDS)
+        if bounds.shape != (3,) or not (bounds > 0.0).all():
+            raise InputError(f"{_BOUNDS}, got {given}")
+        within_m, within_rad, timeout_s = bounds.tolist()
+        if within_m > FARTHEST:
+            raise InputError(f"move_to: within_m is in metres and at most {FARTHEST:g}, got {within_m:g}")
         turns = None if pose is None else placed(self.arm, [pose])[1]
         require_reachable(self.arm, target[None, None], turns and turns[None])
         self._require_free()
@@ -223,7 +237,9 @@ class DrivenArm:
         return self.state
 
     def stop(self) -> None:
-        """End the motion under way; the arm holds where it is."""
+        """End the motion under way; the arm holds where it is. One that is closed holds already."""
+        if self._closed and self._motion is None:
+            return
         motion, self._motion = self._motion, None
         if motion is not None:
             motion.ended.set()
@@ -231,7 +247,10 @@ class DrivenArm:
         self._drive.robot.stop()
 
     def close(self) -> None:
-        """End the motion under way, keep the log, and let go of the arm, which holds."""
+        """End the motion under way, keep the log, and let go of the arm, which holds; it takes no orders any more."""
+        if self._closed:
+            return
+        self._closed = True
         try:
             if self._motion is not None:
                 self.stop()
@@ -247,13 +266,20 @@ class DrivenArm:
     ) -> None:
         self.close()
 
+    def _require_open(self) -> None:
+        if self._closed:
+            raise NotReadyError("the arm is closed, and others may drive it; call rejoint.connect again")
+
     def _require_free(self) -> None:
+        self._require_open()
         if self._motion is not None and self._motion.is_alive():
             raise NotReadyError("the arm is still on its way; wait() for it, or stop() it first")
 
     def _start(self, motion: MotionThread) -> None:
-        self._motion = motion
-        motion.start()
+        with self._starting:  # two threads may have looked before either started
+            self._require_free()
+            self._motion = motion
+            motion.start()
 
     def _keep_followed(self, followed: Followed) -> None:
         self._followed = followed

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Protocol, TypeAlias
 import numpy as np
 
 from rejoint.arms import Arm, Array
+from rejoint.arms.numbers import numbers
 from rejoint.arms.orientation import tool_axis
 from rejoint.control.accuracy import ToolModel
 from rejoint.control.controller import Controller
@@ -141,10 +142,10 @@ def as_path(given: PathLike, arm: Arm, seed: int) -> Path:
         return standard_path(given, arm, seed)
     if isinstance(given, str | FilePath):
         return read_path(FilePath(given))
-    numbers = np.asarray(given, dtype=float)
-    if numbers.ndim != 2 or numbers.shape[-1] != 4:
-        raise InputError(f"path: an array of shape {numbers.shape}, expected (points, 4): time [s] and x, y, z [m]")
-    return Path(time=numbers[:, 0], place=numbers[:, 1:])
+    points = numbers(given, "path: expected a Path, a file, or points (K, 4) of time [s] and x, y, z [m]")
+    if points.ndim != 2 or points.shape[-1] != 4:
+        raise InputError(f"path: an array of shape {points.shape}, expected (points, 4): time [s] and x, y, z [m]")
+    return Path(time=points[:, 0], place=points[:, 1:])
 
 
 def followable(given: PathLike | Stream, arm: Arm, seed: int, duration: float | None) -> Path | Stream:
