@@ -210,6 +210,54 @@ def test_a_single_odd_check_is_not_named_as_the_cause() -> None:
     assert "also" not in say(found, "R")
 
 
+def judged(*checks: CheckMeasures, tolerance: float | None = None, left: float | None = None) -> Outlook:
+    past = [PastCheck(time=BEGIN + timedelta(days=182 * i), measures=one) for i, one in enumerate(checks)]
+    return outlook(past, tolerance, left_mm=left)
+
+
+def changed(**joints: dict[str, float]) -> CheckMeasures:
+    seen = measures()
+    rows = (replace(row, **joints.get(row.joint, {})) for row in seen.joints)
+    return replace(seen, joints=tuple(rows))
+
+
+def test_of_joints_that_wear_fast_the_one_that_wears_most_is_the_cause() -> None:
+    """Checks are rare, and each is far off for both: so both have the same CUSUM."""
+    worse = [
+        changed(
+            shoulder={"hysteresis_mm": 2.0 + 0.3 * n}, elbow={"hysteresis_mm": 2.0 + n, "deviation_mm": 1.0 + 3 * n}
+        )
+        for n in range(1, 4)
+    ]
+    found = judged(*[measures()] * 8, *worse)
+    assert found.state == "alarm"
+    assert len({one.cusum for one in found.changes if one.quantity == "hysteresis"}) == 1
+    assert cause_of(found).startswith("elbow: friction or weakness in slow motion 2.0 -> 5.0 mm")
+    assert say(found, "R").endswith("if it stays, change the servo of elbow.")
+
+
+def test_what_got_better_is_no_wear() -> None:
+    found = judged(*[changed(elbow={"hysteresis_mm": 8.0})] * 8, *[measures()] * 3)
+    line = say(found, "R")
+    assert line.startswith("elbow: friction or weakness in slow motion 8.0 -> 2.0 mm")
+    assert "Do: look what was done to the servo of elbow, as it is better than it was" in line
+    assert "--moved" in line
+    assert "repair" not in line
+
+
+def test_an_arm_that_was_over_from_the_beginning_has_no_servo_to_blame() -> None:
+    assert say(judged(*[measures(9.0)] * 8, tolerance=6.0), "R").endswith("which is reached. Do: rejoint repair R.")
+
+
+def test_a_date_that_is_near_is_heeded() -> None:
+    grows = [measures(3.0 + 0.3 * n) for n in range(9)]
+    past = [PastCheck(time=BEGIN + timedelta(days=7 * n), measures=one) for n, one in enumerate(grows)]
+    found = replace(outlook(past, 5.6), state="steady")
+    assert found.due is not None
+    assert found.due.early - found.newest < timedelta(days=30)
+    assert f"Do: nothing yet; check again by {found.due.early:%Y-%m-%d}" in say(found, "R")
+
+
 def test_hours_that_fall_are_not_counted() -> None:
     def due(hours: list[float | None]) -> Due | None:
         past = [
@@ -265,8 +313,8 @@ def test_rows_are_asked_in_sql_where_they_lie(tmp_path: Path) -> None:
 def test_prometheus_reads_every_line() -> None:
     change = Change(joint='el"bow', quantity="sag", state="alarm", usual_mm=1, now_mm=2, since=None, cusum=6.5)
     seen = Outlook(
-        state="alarm", checks=9, since=BEGIN, changes=(change,), error_mm=2.5, error_known=False, tolerance_mm=3.0,
-        due=Due(early=BEGIN, middle=None, late=None),
+        state="alarm", checks=9, since=BEGIN, newest=BEGIN, changes=(change,), error_mm=2.5, error_known=False,
+        tolerance_mm=3.0, due=Due(early=BEGIN, middle=None, late=None),
     )  # fmt: skip
     text = prometheus_text("a7", seen, measures())
     samples = [line for line in text.splitlines() if not line.startswith("#")]
