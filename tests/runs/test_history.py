@@ -17,7 +17,7 @@ from rejoint.logs.history.identity import hours_of, name_of
 from rejoint.logs.history.index import INDEX, find_rows
 from rejoint.logs.history.rows import SUMMARY, HistoryRow, read_rows, write_rows
 from rejoint.logs.history.sql import ask
-from rejoint.runs.history.checks import rows_of, visits_of
+from rejoint.runs.history.checks import past_of, rows_of
 from rejoint.runs.history.page import history_page, write_history
 from rejoint.runs.history.prometheus import prometheus_text
 from rejoint.runs.history.table import arms_of, cells
@@ -141,10 +141,29 @@ def test_what_was_read_once_is_a_copy_and_no_more(tmp_path: Path) -> None:
 )
 def test_a_repair_or_a_moved_arm_begin_a_new_norm(rows: list[HistoryRow], count: int) -> None:
     every = [row for one in rows for row in (rows_of(one, measures()) if one.kind == "check" else [one])]
-    past, setup = visits_of(every, "a1", name_of("tcp://10.0.0.1:9000", "mycobot280"))
-    assert len(past) == count
-    assert setup == "same"
-    assert past[-1].measures == measures()
+    past = past_of(every, "a1", name_of("tcp://10.0.0.1:9000", "mycobot280"))
+    assert len(past.visits) == count
+    assert past.setup == "same"
+    assert past.visits[-1].measures == measures()
+
+
+def test_a_repair_is_of_the_arm_that_was_checked_last_at_its_address() -> None:
+    """Arms are plugged into one port one after the other; the history shows each with its own repair."""
+    key = name_of("tcp://10.0.0.1:9000", "mycobot280")
+    repair = head(2.5, kind="repair", arm=key, settled_mm=0.5, error_mm=30.0, state="bad")
+    checks = [head(month, arm=arm) for month, arm in enumerate(("a1", "a2", "a1", "a2", "a1"))]
+    rows = [row for one in checks for row in rows_of(one, measures())] + [repair]
+    mine, other = past_of(rows, "a1", key), past_of(rows, "a2", key)
+    assert (len(mine.visits), mine.left_mm) == (1, 0.5)
+    assert (len(other.visits), other.left_mm) == (2, None)
+    assert past_of([*rows, replace(repair, time=BEGIN)], "a3", key).left_mm is None
+    assert past_of([repair], "a3", key).left_mm == 0.5
+    assert {arm.name: len(arm.rows) for arm in arms_of(rows)} == {"a1": 4, "a2": 2}
+    told = arms_of([row for row in rows if row.time <= repair.time])
+    shown = {arm.name: cells(arm) for arm in told}
+    assert shown["a1"][1:3] == ["repaired", "0.5 by encoders"]
+    assert shown["a1"][-1].endswith("--repeat 5")
+    assert history_page(told).verdict[0] == "Nothing to do on 2 arms."
 
 
 def test_joints_come_back_in_their_order_and_once(tmp_path: Path) -> None:
@@ -152,8 +171,8 @@ def test_joints_come_back_in_their_order_and_once(tmp_path: Path) -> None:
     for month in range(2):
         for place in ("", "copy/"):
             put(tmp_path, f"{place}{month}", rows_of(head(month), measures()))
-    past, _ = visits_of(find_rows(tmp_path)[0], "a1", "")
-    assert [visit.measures for visit in past] == [measures(), measures()]
+    past = past_of(find_rows(tmp_path)[0], "a1", "")
+    assert [visit.measures for visit in past.visits] == [measures(), measures()]
 
 
 def test_an_emulated_arm_stays_the_same_while_it_ages() -> None:
@@ -256,6 +275,20 @@ def test_a_date_that_is_near_is_heeded() -> None:
     assert found.due is not None
     assert found.due.early - found.newest < timedelta(days=30)
     assert f"Do: nothing yet; check again by {found.due.early:%Y-%m-%d}" in say(found, "R")
+
+
+def test_a_repaired_arm_is_held_against_what_its_repair_left() -> None:
+    """It is bad without a controller, before and after; its owner bears what is left with it."""
+    bare = [measures(30.0) for _ in range(6)]
+    assert judged(*bare, tolerance=3.0).over
+    kept = judged(*bare, tolerance=3.0, left=1.0)
+    assert not kept.over
+    assert kept.controlled_mm == 1.0
+    assert "30.0 mm by the encoders without a controller, at most 1.0 mm with that of its repair" in say(kept, "R")
+    grown = judged(*bare, *(measures(30.0 + 0.4 * n) for n in range(1, 5)), tolerance=3.0, left=1.0)
+    assert grown.controlled_mm == pytest.approx(2.6)
+    assert grown.due is not None
+    assert judged(*bare, measures(32.1), tolerance=3.0, left=1.0).over
 
 
 def test_hours_that_fall_are_not_counted() -> None:

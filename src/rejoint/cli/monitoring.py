@@ -79,7 +79,7 @@ def check(
         write_prometheus(prometheus, found.arm, found.outlook, found.measures)
     terminal.finish(
         {"arm": found.arm, "robot": found.robot, "line": found.line, "outlook": found.outlook,
-         "measures": found.measures, "folder": found.folder}
+         "over": found.outlook.over, "measures": found.measures, "folder": found.folder}
     )  # fmt: skip
     if found.outlook.state == "alarm" or found.outlook.over:
         raise typer.Exit(ALARM)

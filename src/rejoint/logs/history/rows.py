@@ -68,6 +68,8 @@ class HistoryRow:
     approach_mm: float | None = None
     true_error_mm: float | None = None
     true_approach_mm: float | None = None
+    controlled_mm: float | None = None
+    """of a check after a repair: error of the tool with the controller of that repair, see `Outlook.controlled_mm`"""
     tolerance_mm: float | None = None
     """that the owner gave"""
     stiffness_nm_per_rad: float | None = None
@@ -93,6 +95,23 @@ class HistoryRow:
     due: datetime | None = None
     due_late: datetime | None = None
     """one in ten lies after; None where it may never be reached"""
+
+    @property
+    def left_mm(self) -> float | None:
+        """[mm] error of the tool that a run's controller leaves: the true one where it is known."""
+        return self.settled_mm if self.settled_true_mm is None else self.settled_true_mm
+
+    @property
+    def counts_mm(self) -> float | None:
+        """[mm] error of the tool that counts for its owner: with the controller where the arm was repaired."""
+        with_it = self.left_mm if self.kind == "repair" else self.controlled_mm
+        bare = self.error_mm if self.true_error_mm is None else self.true_error_mm
+        return bare if with_it is None else with_it
+
+    @property
+    def over(self) -> bool:
+        """Whether that error has reached the tolerance."""
+        return None not in (self.tolerance_mm, self.counts_mm) and (self.counts_mm or 0.0) >= (self.tolerance_mm or 0.0)
 
 
 def _column(kind: Any) -> pa.DataType:  # noqa: ANN401

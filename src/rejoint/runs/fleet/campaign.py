@@ -117,20 +117,9 @@ class Campaign:
         return None
 
 
-def error_of(row: HistoryRow) -> float | None:
-    """[mm] of the tool in a check: the true one where it is known."""
-    return row.error_mm if row.true_error_mm is None else row.true_error_mm
-
-
-def is_over(row: HistoryRow) -> bool:
-    """Tell whether the tolerance is reached in a check."""
-    error = error_of(row)
-    return row.tolerance_mm is not None and error is not None and error >= row.tolerance_mm
-
-
 def needs_repair(row: HistoryRow) -> bool:
     """Tell whether a check says that its arm is to be repaired."""
-    return row.state == "alarm" or is_over(row)
+    return row.state == "alarm" or row.over
 
 
 def state_folder(fleet: Fleet) -> Path:

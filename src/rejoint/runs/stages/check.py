@@ -26,7 +26,7 @@ from rejoint.runs.given import (
     opened,
     shown,
 )
-from rejoint.runs.history.checks import rows_of, visits_of, with_outlook
+from rejoint.runs.history.checks import MOVED, SET_UP, past_of, rows_of, with_outlook
 from rejoint.runs.run import RUNS
 from rejoint.system.errors import InputError
 from rejoint.system.files import require_space, saving
@@ -165,21 +165,25 @@ def _once(
     from rejoint.diagnosis.monitoring.words import say
 
     rows, unread = find_rows(home, head.arm)
-    past, setup = visits_of(rows, head.arm, key)
-    begins = "moved" if moved else "set up" if past and setup != head.setup else ""
-    past = [] if begins else past
+    if any(row.kind == "repair" for row in rows):  # whose it was is told by the checks of all arms
+        rows, unread = find_rows(home)
+    past = past_of(rows, head.arm, key)
+    begins = MOVED if moved else SET_UP if past.setup not in ("", head.setup) else ""
+    visits, left = () if begins else past.visits, None if begins == SET_UP else past.left_mm
     mine = [row for row in rows if row.arm == head.arm and row.kind == "check" and not row.joint]
     if mine and mine[-1].time >= head.time:
         raise InputError(
             f"check: the history of {head.arm} has a check of {mine[-1].time:%Y-%m-%d %H:%M} already, expected a later "
-            f"date than that, got {head.time:%Y-%m-%d %H:%M}"
+            f"date than that, got {head.time:%Y-%m-%d %H:%M} (UTC): set the clock right; if it was wrong then, delete "
+            f"that check in {home / CHECKS / head.arm}"
         )
     tolerance = head.tolerance_mm if head.tolerance_mm is not None or not mine else mine[-1].tolerance_mm
     folder = home / CHECKS / head.arm / f"{head.time:%Y%m%dT%H%M%S}-{os.urandom(2).hex()}"
     with noted(), opened(robot, arm, len(mine) if seed is None else seed, period) as connection:
         log, warm = _drive(shown(live, connection), folder, on_progress)
     measures = measure_check(arm, log, warm)
-    found = outlook([*past, PastCheck(time=head.time, measures=measures, used_h=head.used_h)], tolerance)
+    now = PastCheck(time=head.time, measures=measures, used_h=head.used_h)
+    found = outlook([*visits, now], tolerance, left_mm=left)
     line = say(found, head.robot)
     result = Checked(
         arm=head.arm, robot=head.robot, line=line, outlook=found, measures=measures, folder=folder, unread=unread
