@@ -3,11 +3,13 @@
 import os
 import threading
 import time
-from dataclasses import replace
+from dataclasses import asdict, replace
 from datetime import datetime, timedelta
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 from rejoint.diagnosis.monitoring.judge import Change, Due, Outlook, PastCheck, outlook
@@ -15,7 +17,7 @@ from rejoint.diagnosis.monitoring.measures import CheckMeasures, JointCheck
 from rejoint.diagnosis.monitoring.words import cause_of, say
 from rejoint.logs.history.identity import hours_of, name_of
 from rejoint.logs.history.index import INDEX, find_rows
-from rejoint.logs.history.rows import SUMMARY, HistoryRow, read_rows, write_rows
+from rejoint.logs.history.rows import SCHEMA, SUMMARY, HistoryRow, read_rows, write_rows
 from rejoint.logs.history.sql import ask
 from rejoint.runs.history.checks import past_of, rows_of
 from rejoint.runs.history.page import history_page, write_history
@@ -73,6 +75,42 @@ def test_a_damaged_file_loses_only_itself(tmp_path: Path) -> None:
     assert any(str(paths[1]) in problem for problem in unread)
     with pytest.raises(FileError, match="delete it"):
         read_rows(paths[1])
+
+
+def strange(name: str, value: object, kind: pa.DataType) -> pa.Table:
+    """Rows of which one column holds something that none of ours does."""
+    table = pa.Table.from_pylist([asdict(head(3))], schema=SCHEMA).replace_schema_metadata({b"rejoint.history": b"1"})
+    return table.set_column(table.column_names.index(name), name, pa.array([value], kind))
+
+
+TIME = pa.timestamp("us")
+
+
+@pytest.mark.parametrize(
+    ("table", "told"),
+    [
+        (strange("time", None, TIME), "rows without time"),
+        (strange("arm", None, pa.string()), "rows without arm"),
+        (strange("time", 2**62, TIME), "time is no date"),
+        (strange("due_late", -(2**62), TIME), "due_late is no date"),
+        (strange("error_mm", "x", pa.string()), "damaged"),
+        (strange("time", BEGIN, TIME).append_column("time", pa.array([BEGIN], TIME)), "damaged"),
+        (pa.table({"a": [1]}), "holds no summary rows"),
+        (strange("arm", "a9", pa.string()).replace_schema_metadata({b"rejoint.history": b"2"}), "update rejoint"),
+    ],
+)
+def test_rows_of_somebody_else_are_left_out_and_told(tmp_path: Path, table: pa.Table, told: str) -> None:
+    put(tmp_path, "checks/a1/0", rows_of(head(0), measures()))
+    (tmp_path / "checks" / "a1" / "1").mkdir()
+    pq.write_table(table, tmp_path / "checks" / "a1" / "1" / SUMMARY)
+    (tmp_path / "loop").mkdir()
+    (tmp_path / "loop" / SUMMARY).symlink_to(tmp_path / "loop" / SUMMARY)
+    for arm in (None, "a1"):
+        rows, unread = find_rows(tmp_path, arm)
+        assert rows == rows_of(head(0), measures())
+        (problem,) = unread
+        assert told in problem
+    write_history(tmp_path / "history.html", arms_of(rows))
 
 
 def test_many_write_at_once(tmp_path: Path) -> None:
