@@ -267,6 +267,17 @@ def test_checks_go_on_and_begin_anew(tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert len(executor.begun) == 2
 
 
+def test_what_a_wrong_clock_began_in_the_future_is_begun_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    arms = [emulated("a"), emulated("b")]
+    with monkeypatch.context() as wrong:
+        wrong.setattr(campaigns, "utc_now", lambda: utc_now() + timedelta(days=1))
+        with pytest.raises(KilledError):
+            call(tmp_path, arms, PlayedExecutor({("b", "check"): [KilledError()]}))
+    found = call(tmp_path, arms, executor := PlayedExecutor())
+    assert len(executor.begun) == 2
+    assert found.finished
+
+
 def test_some_arms_alone_are_a_call_of_their_own(tmp_path: Path) -> None:
     arms = [emulated("a"), emulated("b")]
     for _ in range(2):  # a norm is made of checks that follow one another

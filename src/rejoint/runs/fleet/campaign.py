@@ -57,7 +57,8 @@ class Campaign:
         """Go on with what an earlier call left, or begin; who calls has the folder to itself (`state_folder`)."""
         path, now, arms = state_file(fleet, verb), utc_now(), fleet.only(only)
         before = read_json(path, CampaignInfo) if path.exists() else None
-        if before is not None and (before.finished or anew or now - before.begun >= STALE[verb]):
+        # What was begun in the future was so by a wrong clock: no check of now would count for it.
+        if before is not None and (before.finished or anew or not timedelta(0) <= now - before.begun < STALE[verb]):
             before = None
         runs = {} if before is None else dict(before.runs)
         for arm in arms:
