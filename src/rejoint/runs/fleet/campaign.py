@@ -95,15 +95,17 @@ class Campaign:
         folder = self.fleet.folder if step == "check" else self.run(arm)
         return Work(arm=arm, step=step, folder=folder, options=self.options)
 
-    def finish(self) -> bool:
-        """Note whether nothing is left to do that the file allows, and tell: the next call then begins anew."""
+    @property
+    def through(self) -> bool:
+        """Whether nothing is left to do that the file allows."""
         asked = [arm for arm in self.fleet.arms if arm.name in self.info.runs]
         allowed = [arm for arm in asked if arm.may_move and (self.verb == "check" or arm.may_repair)]
-        finished = not any(self.left(arm) for arm in allowed)
-        if finished:
-            done = CampaignInfo(begun=self.info.begun, runs=self.info.runs, finished=True)
-            write_json(state_file(self.fleet, self.verb), done)
-        return finished
+        return not any(self.left(arm) for arm in allowed)
+
+    def finish(self) -> None:
+        """Note that it is through: the next call begins anew."""
+        done = CampaignInfo(begun=self.info.begun, runs=self.info.runs, finished=True)
+        write_json(state_file(self.fleet, self.verb), done)
 
     def check_of(self, arm: FleetArm) -> HistoryRow | None:
         """Return the newest check of an arm since this was begun; None where there is none."""
