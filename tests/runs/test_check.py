@@ -138,7 +138,8 @@ def test_a_history_grows_and_begins_anew(tmp_path: Path) -> None:
     changed = once(12, arm=other)
     assert changed.outlook.checks == 1
     assert read_rows(changed.folder / SUMMARY)[0].norm == "set up"
-    with pytest.raises(InputError, match="later date"):
+    assert changed.line.startswith("A new norm begins, as the arm is described otherwise")
+    with pytest.raises(InputError, match=r"later date.*delete that check in .*checks.mycobot280-emulated-healthy"):
         once(3)
 
 

@@ -6,12 +6,14 @@ import time
 from dataclasses import asdict, replace
 from datetime import datetime, timedelta
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from rejoint.arms import load_arm
 from rejoint.diagnosis.monitoring.judge import Change, Due, Outlook, PastCheck, outlook
 from rejoint.diagnosis.monitoring.measures import CheckMeasures, JointCheck
 from rejoint.diagnosis.monitoring.words import cause_of, say
@@ -19,6 +21,8 @@ from rejoint.logs.history.identity import hours_of, name_of
 from rejoint.logs.history.index import INDEX, find_rows
 from rejoint.logs.history.rows import SCHEMA, SUMMARY, HistoryRow, read_rows, write_rows
 from rejoint.logs.history.sql import ask
+from rejoint.logs.runfolder.folder import RunFolder
+from rejoint.runs.history import summary
 from rejoint.runs.history.checks import past_of, rows_of
 from rejoint.runs.history.page import history_page, write_history
 from rejoint.runs.history.prometheus import prometheus_text
@@ -202,6 +206,25 @@ def test_a_repair_is_of_the_arm_that_was_checked_last_at_its_address() -> None:
     assert shown["a1"][1:3] == ["repaired", "0.5 by encoders"]
     assert shown["a1"][-1].endswith("--repeat 5")
     assert history_page(told).verdict[0] == "Nothing to do on 2 arms."
+
+
+def test_a_later_comparison_in_a_finished_run_is_no_new_repair(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    times = iter(BEGIN + timedelta(days=100 * n) for n in range(3))
+    monkeypatch.setattr(summary, "utc_now", lambda: next(times))
+    monkeypatch.setattr(summary, "_compared", lambda arm, _: arm)
+    run = SimpleNamespace(
+        diagnosis=None, comparison="made", robot="tcp://10.0.0.1:9000", arm=load_arm("mycobot280"), path=tmp_path,
+        folder=RunFolder(tmp_path),
+    )  # fmt: skip
+    told = []
+    for finished in (False, True, True):
+        if finished:
+            run.folder.finished.write_text("{}")
+        summary.summarise(run)
+        (row,) = read_rows(tmp_path / SUMMARY)
+        told.append((row.kind, row.time))
+    repaired = BEGIN + timedelta(days=100)
+    assert told == [("run", BEGIN), ("repair", repaired), ("repair", repaired)]
 
 
 def test_joints_come_back_in_their_order_and_once(tmp_path: Path) -> None:

@@ -32,7 +32,7 @@ def check(
     ] = None,
     used: Annotated[float | None, typer.Option(help="Hours for which the arm has been used so far.", min=0)] = None,
     date: Annotated[
-        datetime | None, typer.Option(help="Date of the check, by default now; for trying years in minutes.")
+        datetime | None, typer.Option(help="Date of the check in UTC, by default now; for trying years in minutes.")
     ] = None,
     moved: Annotated[
         bool, typer.Option("--moved", help="The arm was moved, or its zeros set anew: begin a new norm.")

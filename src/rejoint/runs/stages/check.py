@@ -185,6 +185,9 @@ def _once(
     now = PastCheck(time=head.time, measures=measures, used_h=head.used_h)
     found = outlook([*visits, now], tolerance, left_mm=left)
     line = say(found, head.robot)
+    if begins == SET_UP:  # by mistake as well: another arm under this name, at each check
+        then = mine[-1].model if mine else "another"
+        line = f"A new norm begins, as the arm is described otherwise ({head.model}) than before ({then}). {line}"
     result = Checked(
         arm=head.arm, robot=head.robot, line=line, outlook=found, measures=measures, folder=folder, unread=unread
     )
