@@ -258,6 +258,7 @@ def test_checks_go_on_and_begin_anew(tmp_path: Path, monkeypatch: pytest.MonkeyP
     found = call(tmp_path, arms, executor := PlayedExecutor())
     assert executor.begun == [("b", "check")]
     assert [(row.state, row.end) for row in found.rows] == [("steady", "done")] * 2
+    assert f"ended {found.ended:%Y-%m-%d %H:%M} UTC" in found.page.read_text()  # of a call cut short it is an older one
     call(tmp_path, arms, executor := PlayedExecutor())
     assert len(executor.begun) == 2
     with pytest.raises(KilledError):

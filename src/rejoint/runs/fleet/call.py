@@ -8,6 +8,7 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TypeAlias
 
+from rejoint.logs.history.rows import utc_now
 from rejoint.logs.runfolder.folder import RunFolder, locked
 from rejoint.runs.fleet.campaign import Campaign, Verb, state_folder
 from rejoint.runs.fleet.drive import Event, Executor, Rules, Standing, drive
@@ -79,7 +80,7 @@ def run_fleet(
         with executor(arms) as ready:
             standings = drive(arms, campaign.left, campaign.work, ready, rules, tell)
         result = FleetResult(
-            verb=verb, rows=rows_of(campaign, standings), seconds=time.monotonic() - begun,
+            verb=verb, rows=rows_of(campaign, standings), ended=utc_now(), seconds=time.monotonic() - begun,
             page=state_folder(fleet) / f"{verb}.html", finished=campaign.through,
         )  # fmt: skip
         with saving(result):

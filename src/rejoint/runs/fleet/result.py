@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
 
 from rejoint.logs.history.index import CHECKS
@@ -65,6 +66,8 @@ class FleetResult:
     verb: Verb
     rows: tuple[FleetRow, ...]
     """the worst first"""
+    ended: datetime
+    """UTC, without a zone"""
     seconds: float
     """[s] that the call took"""
     page: Path
