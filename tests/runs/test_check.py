@@ -143,6 +143,21 @@ def test_a_history_grows_and_begins_anew(tmp_path: Path) -> None:
         once(3)
 
 
+@pytest.mark.parametrize(
+    ("robot", "arm", "told"),
+    [
+        ("emulated:healthy", ARM, ""),
+        ("tcp://10.0.0.1", ARM, ""),
+        ("emulated:healthy", load_arm("so101"), " --arm so101"),
+        ("feetech:///dev/ttyACM0", load_arm("so101"), ""),
+        ("emulated:healthy", replace(ARM, name="mine"), " with the same --arm"),
+        ("a robot of my own", ARM, ""),
+    ],
+)
+def test_the_repair_that_is_advised_is_of_the_same_arm(robot: str, arm: Arm, told: str) -> None:
+    assert stage._described(robot, arm) == told
+
+
 @pytest.mark.usefixtures("stood_in")
 def test_the_command_tells_cron_by_its_exit_code(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     from typer.testing import CliRunner

@@ -21,9 +21,9 @@ MEANINGS = {
 """What each quantity is, in words"""
 
 
-def say(found: Outlook, robot: str) -> str:
-    """Say in one line how an arm stands; ``robot`` is its address."""
-    repair = command("repair", robot)
+def say(found: Outlook, robot: str, described: str = "") -> str:
+    """Say in one line how an arm stands; ``robot`` is its address, ``described`` what a repair is told beside."""
+    repair = command("repair", robot) + described
     error = _error(found)
     if found.moved:
         return _ask(found, error, repair)

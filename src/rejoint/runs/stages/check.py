@@ -8,7 +8,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rejoint.arms import Arm, Array
+from rejoint.arms import CATALOGUE, Arm, Array
 from rejoint.control.robot import Robot
 from rejoint.logs.history.identity import hours_of, name_of, plain_name, setup_of
 from rejoint.logs.history.index import CHECKS, find_rows
@@ -28,7 +28,7 @@ from rejoint.runs.given import (
 )
 from rejoint.runs.history.checks import MOVED, SET_UP, past_of, rows_of, with_outlook
 from rejoint.runs.run import RUNS
-from rejoint.system.errors import InputError
+from rejoint.system.errors import AddressError, InputError
 from rejoint.system.files import require_space, saving
 from rejoint.system.progress import Progress, no_progress, paced, part
 from rejoint.system.stopping import noted
@@ -184,7 +184,7 @@ def _once(
     measures = measure_check(arm, log, warm)
     now = PastCheck(time=head.time, measures=measures, used_h=head.used_h)
     found = outlook([*visits, now], tolerance, left_mm=left)
-    line = say(found, head.robot)
+    line = say(found, head.robot, _described(head.robot, arm))
     if begins == SET_UP:  # by mistake as well: another arm under this name, at each check
         then = mine[-1].model if mine else "another"
         line = f"A new norm begins, as the arm is described otherwise ({head.model}) than before ({then}). {line}"
@@ -214,6 +214,17 @@ def _drive(robot: Robot, folder: Path, on_progress: Progress) -> tuple[RunLog, A
         raise
     journal.finish(log)
     return log, warm
+
+
+def _described(address: str, arm: Arm) -> str:
+    """Return what `rejoint repair` has to be told of an arm that is not the one its address names."""
+    try:
+        usual = arm_of(address, None).name
+    except AddressError:  # a robot of the caller's own
+        usual = arm.name
+    if arm.name == usual:
+        return ""
+    return f" --arm {arm.name}" if arm.name in CATALOGUE else " with the same --arm"
 
 
 def _remove_if_empty(folder: Path) -> None:
