@@ -156,13 +156,13 @@ def read_table(path: Path) -> pa.Table:
         count, found = len(table), table.column_names
         columns = [table[item.name] if item.name in found else pa.nulls(count, item.type) for item in SCHEMA]
         table = pa.table(columns, schema=SCHEMA)
-        _require_told(table)
+        _require_usable(table)
         return table
     except (OSError, pa.ArrowException, LookupError, TypeError, ValueError) as error:
         raise FileError(path, f"damaged ({first_line(error)})", remedy) from error
 
 
-def _require_told(table: pa.Table) -> None:
+def _require_usable(table: pa.Table) -> None:
     """Raise ValueError where rows lack what every row has, or have times of no calendar."""
     for name in ("time", "kind", "arm"):
         if table[name].null_count:

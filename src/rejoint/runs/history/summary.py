@@ -30,7 +30,7 @@ def summarise(run: Run) -> None:
         return
     kind = "repair" if is_finished(run.folder) else "run"
     head = HistoryRow(
-        time=_told(run.path / SUMMARY, kind) or utc_now(), kind=kind, arm=name_of(run.robot, run.arm.name),
+        time=_repaired_at(run.path / SUMMARY, kind) or utc_now(), kind=kind, arm=name_of(run.robot, run.arm.name),
         robot=run.robot, model=run.arm.name, setup=setup_of(run.arm),
     )  # fmt: skip
     arm = head
@@ -42,7 +42,7 @@ def summarise(run: Run) -> None:
     write_rows(run.path / SUMMARY, [arm, *joints])
 
 
-def _told(path: Path, kind: str) -> datetime | None:
+def _repaired_at(path: Path, kind: str) -> datetime | None:
     """Return the time of the rows of a finished repair that are there already."""
     if kind != "repair":
         return None
