@@ -1,6 +1,7 @@
 """Rows that runs and checks leave: written by many at once, read in place, damaged one by one."""
 
 import os
+import signal
 import threading
 import time
 from dataclasses import asdict, replace
@@ -402,6 +403,16 @@ def test_rows_are_asked_in_sql_where_they_lie(tmp_path: Path) -> None:
         ask(tmp_path, f"copy history to '{tmp_path}/out.csv'")
     with pytest.raises(FileError, match="rejoint check"):
         ask(tmp_path / "none", "select 1")
+
+
+def test_a_query_without_end_can_be_interrupted(tmp_path: Path) -> None:
+    pytest.importorskip("duckdb")
+    many(tmp_path, 1, 1)
+    timer = threading.Timer(0.5, os.kill, (os.getpid(), signal.SIGINT))
+    timer.start()
+    with pytest.raises(KeyboardInterrupt):
+        ask(tmp_path, "select count(*) from range(1000000000000) a where a.range % 7 = 3")
+    timer.join()
 
 
 def test_prometheus_reads_every_line() -> None:
