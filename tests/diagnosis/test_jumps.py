@@ -54,7 +54,7 @@ def test_zeros_that_were_moved_are_no_wear(checks: list[CheckMeasures]) -> None:
     line = say(found, "ROBOT")
     assert line.startswith(
         "The zeros of joint2 and joint3 have moved by 1.2 and 0.8 deg between 2027-05-31 and 2027-06-30, which is no "
-        "wear: was the arm bumped, or set anew?"
+        "wear: was the arm bumped, set anew or given another load?"
     )
     assert "--moved" in line
     later = judged(*[healthy] * 6, *[moved] * 3)  # by then the charts call out as well

@@ -153,8 +153,24 @@ def test_a_history_grows_and_begins_anew(tmp_path: Path) -> None:
     changed = once(12, arm=other)
     assert changed.outlook.checks == 1
     assert read_rows(changed.folder / SUMMARY)[0].norm == "set up"
-    with pytest.raises(InputError, match="later date"):
+    assert changed.line.startswith("A new norm begins, as the arm is described otherwise")
+    with pytest.raises(InputError, match=r"later date.*delete that check in .*checks.mycobot280-emulated-healthy"):
         once(3)
+
+
+@pytest.mark.parametrize(
+    ("robot", "arm", "told"),
+    [
+        ("emulated:healthy", ARM, ""),
+        ("tcp://10.0.0.1", ARM, ""),
+        ("emulated:healthy", load_arm("so101"), " --arm so101"),
+        ("feetech:///dev/ttyACM0", load_arm("so101"), ""),
+        ("emulated:healthy", replace(ARM, name="mine"), " with the same --arm"),
+        ("a robot of my own", ARM, ""),
+    ],
+)
+def test_the_repair_that_is_advised_is_of_the_same_arm(robot: str, arm: Arm, told: str) -> None:
+    assert stage._described(robot, arm) == told
 
 
 @pytest.mark.usefixtures("stood_in")

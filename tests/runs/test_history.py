@@ -1,23 +1,30 @@
 """Rows that runs and checks leave: written by many at once, read in place, damaged one by one."""
 
 import os
+import signal
 import threading
 import time
-from dataclasses import replace
+from dataclasses import asdict, replace
 from datetime import datetime, timedelta
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
+from rejoint.arms import load_arm
 from rejoint.diagnosis.monitoring.judge import Change, Due, Outlook, PastCheck, outlook
 from rejoint.diagnosis.monitoring.measures import CheckMeasures, JointCheck
 from rejoint.diagnosis.monitoring.words import cause_of, say
 from rejoint.logs.history.identity import hours_of, name_of
 from rejoint.logs.history.index import INDEX, find_rows
-from rejoint.logs.history.rows import SUMMARY, HistoryRow, read_rows, write_rows
+from rejoint.logs.history.rows import SCHEMA, SUMMARY, HistoryRow, read_rows, write_rows
 from rejoint.logs.history.sql import ask
-from rejoint.runs.history.checks import rows_of, visits_of
+from rejoint.logs.runfolder.folder import RunFolder
+from rejoint.runs.history import summary
+from rejoint.runs.history.checks import past_of, rows_of
 from rejoint.runs.history.page import history_page, write_history
 from rejoint.runs.history.prometheus import prometheus_text
 from rejoint.runs.history.table import arms_of, cells
@@ -73,6 +80,42 @@ def test_a_damaged_file_loses_only_itself(tmp_path: Path) -> None:
     assert any(str(paths[1]) in problem for problem in unread)
     with pytest.raises(FileError, match="delete it"):
         read_rows(paths[1])
+
+
+def strange(name: str, value: object, kind: pa.DataType) -> pa.Table:
+    """Rows of which one column holds something that none of ours does."""
+    table = pa.Table.from_pylist([asdict(head(3))], schema=SCHEMA).replace_schema_metadata({b"rejoint.history": b"1"})
+    return table.set_column(table.column_names.index(name), name, pa.array([value], kind))
+
+
+TIME = pa.timestamp("us")
+
+
+@pytest.mark.parametrize(
+    ("table", "told"),
+    [
+        (strange("time", None, TIME), "rows without time"),
+        (strange("arm", None, pa.string()), "rows without arm"),
+        (strange("time", 2**62, TIME), "time is no date"),
+        (strange("due_late", -(2**62), TIME), "due_late is no date"),
+        (strange("error_mm", "x", pa.string()), "damaged"),
+        (strange("time", BEGIN, TIME).append_column("time", pa.array([BEGIN], TIME)), "damaged"),
+        (pa.table({"a": [1]}), "holds no summary rows"),
+        (strange("arm", "a9", pa.string()).replace_schema_metadata({b"rejoint.history": b"2"}), "update rejoint"),
+    ],
+)
+def test_rows_of_somebody_else_are_left_out_and_told(tmp_path: Path, table: pa.Table, told: str) -> None:
+    put(tmp_path, "checks/a1/0", rows_of(head(0), measures()))
+    (tmp_path / "checks" / "a1" / "1").mkdir()
+    pq.write_table(table, tmp_path / "checks" / "a1" / "1" / SUMMARY)
+    (tmp_path / "loop").mkdir()
+    (tmp_path / "loop" / SUMMARY).symlink_to(tmp_path / "loop" / SUMMARY)
+    for arm in (None, "a1"):
+        rows, unread = find_rows(tmp_path, arm)
+        assert rows == rows_of(head(0), measures())
+        (problem,) = unread
+        assert told in problem
+    write_history(tmp_path / "history.html", arms_of(rows))
 
 
 def test_many_write_at_once(tmp_path: Path) -> None:
@@ -141,10 +184,48 @@ def test_what_was_read_once_is_a_copy_and_no_more(tmp_path: Path) -> None:
 )
 def test_a_repair_or_a_moved_arm_begin_a_new_norm(rows: list[HistoryRow], count: int) -> None:
     every = [row for one in rows for row in (rows_of(one, measures()) if one.kind == "check" else [one])]
-    past, setup = visits_of(every, "a1", name_of("tcp://10.0.0.1:9000", "mycobot280"))
-    assert len(past) == count
-    assert setup == "same"
-    assert past[-1].measures == measures()
+    past = past_of(every, "a1", name_of("tcp://10.0.0.1:9000", "mycobot280"))
+    assert len(past.visits) == count
+    assert past.setup == "same"
+    assert past.visits[-1].measures == measures()
+
+
+def test_a_repair_is_of_the_arm_that_was_checked_last_at_its_address() -> None:
+    """Arms are plugged into one port one after the other; the history shows each with its own repair."""
+    key = name_of("tcp://10.0.0.1:9000", "mycobot280")
+    repair = head(2.5, kind="repair", arm=key, settled_mm=0.5, error_mm=30.0, state="bad")
+    checks = [head(month, arm=arm) for month, arm in enumerate(("a1", "a2", "a1", "a2", "a1"))]
+    rows = [row for one in checks for row in rows_of(one, measures())] + [repair]
+    mine, other = past_of(rows, "a1", key), past_of(rows, "a2", key)
+    assert (len(mine.visits), mine.left_mm) == (1, 0.5)
+    assert (len(other.visits), other.left_mm) == (2, None)
+    assert past_of([*rows, replace(repair, time=BEGIN)], "a3", key).left_mm is None
+    assert past_of([repair], "a3", key).left_mm == 0.5
+    assert {arm.name: len(arm.rows) for arm in arms_of(rows)} == {"a1": 4, "a2": 2}
+    told = arms_of([row for row in rows if row.time <= repair.time])
+    shown = {arm.name: cells(arm) for arm in told}
+    assert shown["a1"][1:3] == ["repaired", "0.5 by encoders"]
+    assert shown["a1"][-1].endswith("--repeat 5")
+    assert history_page(told).verdict[0] == "Nothing to do on 2 arms."
+
+
+def test_a_later_comparison_in_a_finished_run_is_no_new_repair(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    times = iter(BEGIN + timedelta(days=100 * n) for n in range(3))
+    monkeypatch.setattr(summary, "utc_now", lambda: next(times))
+    monkeypatch.setattr(summary, "_compared", lambda arm, _: arm)
+    run = SimpleNamespace(
+        diagnosis=None, comparison="made", robot="tcp://10.0.0.1:9000", arm=load_arm("mycobot280"), path=tmp_path,
+        folder=RunFolder(tmp_path),
+    )  # fmt: skip
+    told = []
+    for finished in (False, True, True):
+        if finished:
+            run.folder.finished.write_text("{}")
+        summary.summarise(run)
+        (row,) = read_rows(tmp_path / SUMMARY)
+        told.append((row.kind, row.time))
+    repaired = BEGIN + timedelta(days=100)
+    assert told == [("run", BEGIN), ("repair", repaired), ("repair", repaired)]
 
 
 def test_joints_come_back_in_their_order_and_once(tmp_path: Path) -> None:
@@ -152,8 +233,8 @@ def test_joints_come_back_in_their_order_and_once(tmp_path: Path) -> None:
     for month in range(2):
         for place in ("", "copy/"):
             put(tmp_path, f"{place}{month}", rows_of(head(month), measures()))
-    past, _ = visits_of(find_rows(tmp_path)[0], "a1", "")
-    assert [visit.measures for visit in past] == [measures(), measures()]
+    past = past_of(find_rows(tmp_path)[0], "a1", "")
+    assert [visit.measures for visit in past.visits] == [measures(), measures()]
 
 
 def test_an_emulated_arm_stays_the_same_while_it_ages() -> None:
@@ -210,6 +291,68 @@ def test_a_single_odd_check_is_not_named_as_the_cause() -> None:
     assert "also" not in say(found, "R")
 
 
+def judged(*checks: CheckMeasures, tolerance: float | None = None, left: float | None = None) -> Outlook:
+    past = [PastCheck(time=BEGIN + timedelta(days=182 * i), measures=one) for i, one in enumerate(checks)]
+    return outlook(past, tolerance, left_mm=left)
+
+
+def changed(**joints: dict[str, float]) -> CheckMeasures:
+    seen = measures()
+    rows = (replace(row, **joints.get(row.joint, {})) for row in seen.joints)
+    return replace(seen, joints=tuple(rows))
+
+
+def test_of_joints_that_wear_fast_the_one_that_wears_most_is_the_cause() -> None:
+    """Checks are rare, and each is far off for both: so both have the same CUSUM."""
+    worse = [
+        changed(
+            shoulder={"hysteresis_mm": 2.0 + 0.3 * n}, elbow={"hysteresis_mm": 2.0 + n, "deviation_mm": 1.0 + 3 * n}
+        )
+        for n in range(1, 4)
+    ]
+    found = judged(*[measures()] * 8, *worse)
+    assert found.state == "alarm"
+    assert len({one.cusum for one in found.changes if one.quantity == "hysteresis"}) == 1
+    assert cause_of(found).startswith("elbow: friction or weakness in slow motion 2.0 -> 5.0 mm")
+    assert say(found, "R").endswith("if it stays, change the servo of elbow.")
+
+
+def test_what_got_better_is_no_wear() -> None:
+    found = judged(*[changed(elbow={"hysteresis_mm": 8.0})] * 8, *[measures()] * 3)
+    line = say(found, "R")
+    assert line.startswith("elbow: friction or weakness in slow motion 8.0 -> 2.0 mm")
+    assert "Do: look what was done to the servo of elbow, as it is better than it was" in line
+    assert "--moved" in line
+    assert "repair" not in line
+
+
+def test_an_arm_that_was_over_from_the_beginning_has_no_servo_to_blame() -> None:
+    assert say(judged(*[measures(9.0)] * 8, tolerance=6.0), "R").endswith("which is reached. Do: rejoint repair R.")
+
+
+def test_a_date_that_is_near_is_heeded() -> None:
+    grows = [measures(3.0 + 0.3 * n) for n in range(9)]
+    past = [PastCheck(time=BEGIN + timedelta(days=7 * n), measures=one) for n, one in enumerate(grows)]
+    found = replace(outlook(past, 5.6), state="steady")
+    assert found.due is not None
+    assert found.due.early - found.newest < timedelta(days=30)
+    assert f"Do: nothing yet; check again by {found.due.early:%Y-%m-%d}" in say(found, "R")
+
+
+def test_a_repaired_arm_is_held_against_what_its_repair_left() -> None:
+    """It is bad without a controller, before and after; its owner bears what is left with it."""
+    bare = [measures(30.0) for _ in range(6)]
+    assert judged(*bare, tolerance=3.0).over
+    kept = judged(*bare, tolerance=3.0, left=1.0)
+    assert not kept.over
+    assert kept.controlled_mm == 1.0
+    assert "30.0 mm by the encoders without a controller, at most 1.0 mm with that of its repair" in say(kept, "R")
+    grown = judged(*bare, *(measures(30.0 + 0.4 * n) for n in range(1, 5)), tolerance=3.0, left=1.0)
+    assert grown.controlled_mm == pytest.approx(2.6)
+    assert grown.due is not None
+    assert judged(*bare, measures(32.1), tolerance=3.0, left=1.0).over
+
+
 def test_hours_that_fall_are_not_counted() -> None:
     def due(hours: list[float | None]) -> Due | None:
         past = [
@@ -262,11 +405,21 @@ def test_rows_are_asked_in_sql_where_they_lie(tmp_path: Path) -> None:
         ask(tmp_path / "none", "select 1")
 
 
+def test_a_query_without_end_can_be_interrupted(tmp_path: Path) -> None:
+    pytest.importorskip("duckdb")
+    many(tmp_path, 1, 1)
+    timer = threading.Timer(0.5, os.kill, (os.getpid(), signal.SIGINT))
+    timer.start()
+    with pytest.raises(KeyboardInterrupt):
+        ask(tmp_path, "select count(*) from range(1000000000000) a where a.range % 7 = 3")
+    timer.join()
+
+
 def test_prometheus_reads_every_line() -> None:
     change = Change(joint='el"bow', quantity="sag", state="alarm", usual_mm=1, now_mm=2, since=None, cusum=6.5)
     seen = Outlook(
-        state="alarm", checks=9, since=BEGIN, changes=(change,), error_mm=2.5, error_known=False, tolerance_mm=3.0,
-        due=Due(early=BEGIN, middle=None, late=None),
+        state="alarm", checks=9, since=BEGIN, newest=BEGIN, changes=(change,), error_mm=2.5, error_known=False,
+        tolerance_mm=3.0, due=Due(early=BEGIN, middle=None, late=None),
     )  # fmt: skip
     text = prometheus_text("a7", seen, measures())
     samples = [line for line in text.splitlines() if not line.startswith("#")]

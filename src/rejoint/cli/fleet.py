@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from rejoint.runs.fleet.drive import Event, Executor
     from rejoint.runs.fleet.file import FleetArm
     from rejoint.runs.fleet.rayexecutor import RayExecutor
+    from rejoint.runs.fleet.result import FleetResult
 
 
 def fleet(
@@ -67,7 +68,6 @@ def fleet(
     from rejoint.runs.fleet.drive import Rules
     from rejoint.runs.fleet.file import read_fleet
     from rejoint.runs.fleet.rayexecutor import RayExecutor, has_token
-    from rejoint.runs.fleet.result import HEADERS
     from rejoint.runs.fleet.work import RepairOptions
 
     terminal = Terminal(json=json)
@@ -94,13 +94,12 @@ def fleet(
     rules = Rules(somebody=somebody, stay=wait)
     if address is None:  # all control loops run here
         rules = replace(rules, at_once=cpus or os.cpu_count() or 1)
-    result = run_fleet(
-        found, verb, make_executor, rules,
-        only=opt.controller_names(only) if only else (), options=options, anew=anew, tell=view.tell, begins=view.begins,
-    )  # fmt: skip
-    terminal.table("All arms, the worst first", HEADERS, [row.cells for row in result.rows])
-    for row in result.rows:
-        terminal.result(f"{row.name}: {row.found}")
+    with terminal.unsaved(view.show_rows):
+        result = run_fleet(
+            found, verb, make_executor, rules, only=opt.controller_names(only) if only else (), options=options,
+            anew=anew, tell=view.tell, begins=view.begins,
+        )  # fmt: skip
+    view.show_rows(result)
     if quick:
         terminal.say("A quick try: little of everything was done, so none of this is a result.")
     terminal.result(f"Page: {os.path.relpath(result.page)}")
@@ -138,6 +137,14 @@ class _FleetView:
         took = f" in {event.seconds:.0f} s" if event.kind == "done" else ""
         why = f": {event.text}" if event.text else ""
         self._terminal.say(f"{name}: {event.step} {event.kind}{took}{why}")
+
+    def show_rows(self, result: FleetResult) -> None:
+        """Show what became of each arm."""
+        from rejoint.runs.fleet.result import HEADERS
+
+        self._terminal.table("All arms, the worst first", HEADERS, [row.cells for row in result.rows])
+        for row in result.rows:
+            self._terminal.result(f"{row.name}: {row.found}")
 
     @contextmanager
     def watching(self, executor: RayExecutor) -> Iterator[None]:

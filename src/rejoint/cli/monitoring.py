@@ -32,7 +32,7 @@ def check(
     ] = None,
     used: Annotated[float | None, typer.Option(help="Hours for which the arm has been used so far.", min=0)] = None,
     date: Annotated[
-        datetime | None, typer.Option(help="Date of the check, by default now; for trying years in minutes.")
+        datetime | None, typer.Option(help="Date of the check in UTC, by default now; for trying years in minutes.")
     ] = None,
     moved: Annotated[
         bool, typer.Option("--moved", help="The arm was moved, or its zeros set anew: begin a new norm.")
@@ -79,7 +79,7 @@ def check(
         write_prometheus(prometheus, found.arm, found.outlook, found.measures)
     terminal.finish(
         {"arm": found.arm, "robot": found.robot, "line": found.line, "outlook": found.outlook,
-         "measures": found.measures, "folder": found.folder}
+         "over": found.outlook.over, "measures": found.measures, "folder": found.folder}
     )  # fmt: skip
     if found.outlook.state == "alarm" or found.outlook.over:
         raise typer.Exit(ALARM)

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from urllib.parse import parse_qs, urlsplit
+
+_HERE = dict.fromkeys(("localhost", "0.0.0.0"), "127.0.0.1")  # noqa: S104 - names of this computer, not listened on
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -18,6 +21,11 @@ class TcpAddress:
     def __str__(self) -> str:
         return self.text
 
+    @property
+    def spot(self) -> str:
+        """The one place that it means, however it is written."""
+        return f"{_HERE.get(self.host, self.host)}:{self.port}"
+
 
 @dataclass(frozen=True, kw_only=True)
 class SerialAddress:
@@ -30,6 +38,11 @@ class SerialAddress:
 
     def __str__(self) -> str:
         return self.text
+
+    @property
+    def spot(self) -> str:
+        """The one place that it means: a device has a name for each adapter and socket as well."""
+        return os.path.realpath(self.device)
 
 
 def tcp_address(text: str, *, port: int) -> TcpAddress:

@@ -67,6 +67,11 @@ class Place(Generic[T]):
     """what the family read from the address"""
 
     @property
+    def spot(self) -> str:
+        """What two addresses of one arm have in common, as far as they tell."""
+        return str(getattr(self.detail, "spot", self.text))
+
+    @property
     def virtual(self) -> bool:
         """Whether arms come in batches there, in virtual time."""
         return self.family.virtual

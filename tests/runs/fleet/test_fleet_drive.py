@@ -20,7 +20,7 @@ from rejoint.runs.fleet.hours import read_hours
 from rejoint.runs.fleet.result import FleetResult
 from rejoint.runs.fleet.work import Lost, RepairOptions, Work, WorkOutcome
 from rejoint.runs.given import arm_of
-from rejoint.system.errors import FileError, InputError
+from rejoint.system.errors import FileError, InputError, UnsavedError
 from rejoint.system.stopping import Interrupted
 
 MONDAY = datetime(2026, 11, 23, 9)
@@ -258,6 +258,7 @@ def test_checks_go_on_and_begin_anew(tmp_path: Path, monkeypatch: pytest.MonkeyP
     found = call(tmp_path, arms, executor := PlayedExecutor())
     assert executor.begun == [("b", "check")]
     assert [(row.state, row.end) for row in found.rows] == [("steady", "done")] * 2
+    assert f"ended {found.ended:%Y-%m-%d %H:%M} UTC" in found.page.read_text()  # of a call cut short it is an older one
     call(tmp_path, arms, executor := PlayedExecutor())
     assert len(executor.begun) == 2
     with pytest.raises(KilledError):
@@ -265,6 +266,17 @@ def test_checks_go_on_and_begin_anew(tmp_path: Path, monkeypatch: pytest.MonkeyP
     monkeypatch.setitem(campaigns.STALE, "check", timedelta(0))  # the next week
     call(tmp_path, arms, executor := PlayedExecutor())
     assert len(executor.begun) == 2
+
+
+def test_what_a_wrong_clock_began_in_the_future_is_begun_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    arms = [emulated("a"), emulated("b")]
+    with monkeypatch.context() as wrong:
+        wrong.setattr(campaigns, "utc_now", lambda: utc_now() + timedelta(days=1))
+        with pytest.raises(KilledError):
+            call(tmp_path, arms, PlayedExecutor({("b", "check"): [KilledError()]}))
+    found = call(tmp_path, arms, executor := PlayedExecutor())
+    assert len(executor.begun) == 2
+    assert found.finished
 
 
 def test_some_arms_alone_are_a_call_of_their_own(tmp_path: Path) -> None:
@@ -396,6 +408,24 @@ def test_the_command_ends_with_the_worst_and_in_json(
     ]  # fmt: skip
     assert "real: check failed: check: no robot answers" in said
     assert given == [{"address": None, "cpus": 2, "training_cpus": 1.0}, {"closed": True}]
+
+
+def test_what_became_of_the_arms_is_told_where_the_disk_is_full(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(path: Path, *_: object) -> None:
+        raise FileError(path, "cannot be written (No space left on device)", "free some space")
+
+    arms = [emulated("a"), arm("b")]
+    monkeypatch.setattr("rejoint.runs.fleet.page.write_page", full)
+    failed = WorkOutcome(seconds=1.0, problem="a bug", kind="KeyError", code=1, trace="where it is")
+    with pytest.raises(UnsavedError, match="No space left") as error:
+        call(tmp_path, arms, PlayedExecutor({("b", "check"): [failed]}))
+    assert [(row.name, row.end) for row in error.value.result.rows] == [("b", "failed"), ("a", "done")]
+    assert (tmp_path / "lab" / "fleet" / "bug-b.txt").read_text() == "where it is"
+    monkeypatch.setattr(campaigns, "write_json", full)
+    with pytest.raises(FileError, match="No space left"):
+        call(tmp_path, arms, PlayedExecutor())
 
 
 def test_the_state_is_a_plain_file(tmp_path: Path) -> None:

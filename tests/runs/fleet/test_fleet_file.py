@@ -76,6 +76,12 @@ def test_the_file_in_the_docs_says_what_holds_where_nothing_is_said(tmp_path: Pa
         ('name = "desk"', 'name = "bench-3"', r"line 14: arm 2: name: two arms have the name 'bench-3'"),
         ('name = "desk"', 'name = "a desk"', r"line 14: arm 2: name: expected letters, digits"),
         ("emulated:worn?seed=2", "tcp://192.168.1.20:9000", r"line 15: arm 2: address: two arms have the address"),
+        (
+            "emulated:worn?seed=2",
+            "tcp://192.168.1.20",
+            r"two arms have the address 'tcp://192.168.1.20', which is that of",
+        ),
+        ("emulated:worn?seed=2", "feetech://192.168.1.20:9000?p=16", r"two arms have the address"),
         ("emulated:worn?seed=2", "emulated worn", r"line 15: arm 2: address: unknown robot address"),
         ("Fri 22", "Fre 22", r"line 17: arm 2: hours: expected hours such as Mon-Fri 08:00-18:00"),
         ("08:00-18:00", "08:00-24:30", r"line 3: hours: expected two different times from 00:00 to 24:00"),
@@ -94,6 +100,17 @@ def test_what_cannot_be_used_is_named_in_one_line(tmp_path: Path, found: str, in
     with pytest.raises(FileError, match=told) as error:
         read_fleet(tmp_path / "FLEET.toml")
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("one", ["tcp://localhost:9311", "tcp://0.0.0.0:9311", "feetech://LOCALHOST:9311"])
+def test_one_place_has_one_arm_however_it_is_written(tmp_path: Path, one: str) -> None:
+    link = tmp_path / "by-id"
+    link.symlink_to("/dev/ttyACM0")
+    for first, second in (("tcp://127.0.0.1:9311", one), (f"feetech://{link}?p=16", "feetech:///dev/ttyACM0")):
+        text = "".join(f'[[arm]]\nname = "a{n}"\naddress = "{arm}"\n' for n, arm in enumerate((first, second)))
+        (tmp_path / "FLEET.toml").write_text(text)
+        with pytest.raises(FileError, match=r"line 6: arm 2: address: two arms have the address .* of a0"):
+            read_fleet(tmp_path / "FLEET.toml")
 
 
 @settings(max_examples=300)

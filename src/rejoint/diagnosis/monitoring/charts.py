@@ -34,6 +34,9 @@ PRIOR_CHECKS = 6.0
 """Checks that what is known of the scatter before counts for (chosen: a norm of five alone would often have next to
 none, and call out at nothing)"""
 
+LATELY = 3
+"""Checks whose middle says by how much a quantity has changed (chosen: the fewest that bear an odd one)"""
+
 State = Literal["learning", "steady", "drifting", "alarm"]
 """Too few checks to say; as at the beginning; moving away; surely not as at the beginning"""
 
@@ -50,6 +53,8 @@ class Chart:
     """mean of the norm, at its own warmth"""
     change: float
     """newest value, at the warmth of the norm, less `usual`"""
+    lately: float
+    """the same, the middle of the last `LATELY` checks"""
     state: State
     since: int | None
     """index of the last check before the quantity began to leave, as the CUSUM sees it; None where it has not"""
@@ -63,15 +68,15 @@ def chart(value: Array, temperature: Array, *, scatter: float, per_degree: float
     """
     count = len(value)
     warm = np.nan_to_num(temperature - temperature[0]) if count else temperature
-    z, cusum = np.full(count, np.nan), np.zeros(count)
+    z, cusum, changes = np.full(count, np.nan), np.zeros(count), np.zeros(count)
     up = down = smooth = 0.0
     began_up = began_down = FEWEST - 1
-    usual, change, since = float(np.mean(value)) if count else 0.0, 0.0, None
+    usual, since = float(np.mean(value)) if count else 0.0, None
     for t in range(FEWEST, count):
         seen = slice(t + 1)
         mean, slope, deviation = _norm(value[seen], warm[seen], min(t, MOST), scatter, per_degree)
-        usual, change = mean, float(value[t] - mean - slope)
-        z[t] = change / deviation
+        usual, changes[t] = mean, float(value[t] - mean - slope)
+        z[t] = changes[t] / deviation
         step = float(np.clip(z[t], -CUT, CUT))
         smooth = WEIGHT * step + (1.0 - WEIGHT) * smooth
         up, began_up = (up + step - SLACK, began_up) if up + step > SLACK else (0.0, t)
@@ -84,7 +89,8 @@ def chart(value: Array, temperature: Array, *, scatter: float, per_degree: float
     elif count > FEWEST and abs(smooth) > DRIFTING:
         state = "drifting"
     return Chart(
-        z=z, cusum=cusum, usual=usual, change=change, state=state,
+        z=z, cusum=cusum, usual=usual, change=float(changes[-1]) if count else 0.0,
+        lately=float(np.median(changes[-LATELY:])) if count else 0.0, state=state,
         since=since if state in ("drifting", "alarm") else None,
     )  # fmt: skip
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 
 import numpy as np
@@ -55,6 +55,13 @@ class Change:
     """of the last check before it began to leave; None where it has not"""
     cusum: float
     """standard deviations that have come together, with sign"""
+    away: float = 0.0
+    """standard deviations of a check that changes nothing by which the last three lie off, their middle, with sign"""
+
+    @property
+    def better(self) -> bool:
+        """Whether there is less of it than there was: nothing wears like that."""
+        return abs(self.now_mm) < abs(self.usual_mm)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,10 +95,12 @@ class Outlook:
     checks: int
     since: datetime
     """of the first of them"""
+    newest: datetime
+    """of the last of them"""
     changes: tuple[Change, ...]
-    """the worst state first, and in it what changed most"""
+    """the worst state first, and in it the joint that changed most; what is of the tool comes last"""
     error_mm: float
-    """of the tool in the five poses, newest"""
+    """of the tool in the five poses, newest, without a controller"""
     error_known: bool
     """whether that is where the tool really is; else it is by the encoders"""
     tolerance_mm: float | None
@@ -99,31 +108,45 @@ class Outlook:
     """None where nothing can be said, no wear shows, or zeros have moved"""
     moved: tuple[MovedZero, ...] = ()
     """joints whose zeros have moved since the norm began, the furthest first"""
+    controlled_mm: float | None = None
+    """of the tool with the controller of the repair that the norm began after, at most: what the repair left, and by
+    how much the bare arm is worse than in its first checks since; None where there was no repair"""
+
+    @property
+    def counts_mm(self) -> float:
+        """[mm] error that the tolerance is compared with: with the controller where the arm was repaired."""
+        return self.error_mm if self.controlled_mm is None else self.controlled_mm
 
     @property
     def over(self) -> bool:
         """Whether the tolerance is reached already."""
-        return self.tolerance_mm is not None and self.error_mm >= self.tolerance_mm
+        return self.tolerance_mm is not None and self.counts_mm >= self.tolerance_mm
 
 
-def outlook(visits: Sequence[PastCheck], tolerance_mm: float | None = None) -> Outlook:
-    """Judge an arm by its checks since the norm began, the oldest first; there is at least one."""
+def outlook(visits: Sequence[PastCheck], tolerance_mm: float | None = None, *, left_mm: float | None = None) -> Outlook:
+    """Judge an arm by its checks since the norm began, the oldest first; there is at least one.
+
+    ``left_mm`` is the tool error that the controller of the last repair left, where there was one: the owner drives the
+    arm with it, so that is what comes near to ``tolerance_mm``, by as much as the bare arm becomes worse.
+    """
     warm = np.array([_nan(visit.measures.temperature_c) for visit in visits])
     drawn = [_change(visits, *one) for one in _quantities(visits, warm)]
-    order: tuple[State, ...] = ("alarm", "drifting", "steady", "learning")
-    changes = tuple(sorted(drawn, key=lambda one: (order.index(one.state), -abs(one.cusum))))
+    changes = _ranked(drawn)
     moved = _moved(visits)
     state: State = "drifting" if moved and changes[0].state == "steady" else changes[0].state
     known = all(visit.measures.true_error_mm is not None for visit in visits)
     error = [visit.measures.true_error_mm if known else visit.measures.error_mm for visit in visits]
-    now = float(error[-1] or 0.0)
-    due = None
-    if tolerance_mm is not None and now < tolerance_mm and not moved:
-        due = _due(visits, np.array(error, dtype=float), warm, tolerance_mm)
-    return Outlook(
-        state=state, checks=len(visits), since=visits[0].time, changes=changes, error_mm=now,
-        error_known=known, tolerance_mm=tolerance_mm, due=due, moved=moved,
+    bare = np.array(error, dtype=float)
+    counts = bare if left_mm is None else left_mm + bare - bare[:FEWEST].mean()
+    found = Outlook(
+        state=state, checks=len(visits), since=visits[0].time, newest=visits[-1].time, changes=changes,
+        error_mm=float(bare[-1]),
+        error_known=known, tolerance_mm=tolerance_mm, due=None, moved=moved,
+        controlled_mm=None if left_mm is None else max(float(counts[-1]), left_mm),
     )  # fmt: skip
+    if tolerance_mm is None or found.over or moved:
+        return found
+    return replace(found, due=_due(visits, counts, warm, tolerance_mm))
 
 
 def error_per_degree(measures: CheckMeasures) -> float:
@@ -156,6 +179,22 @@ def _quantities(visits: Sequence[PastCheck], warm: Array) -> list[tuple[str, str
                 found.append((row.joint, name, value, own, least + share * abs(float(np.median(value[:FEWEST])))))
     error = np.array([visit.measures.error_mm for visit in visits])
     return [*found, ("", "error", error, warm, error_per_degree(first))]
+
+
+def _ranked(drawn: Sequence[Change]) -> tuple[Change, ...]:
+    """Put what is to be named as the cause first: the worst state, then the joint that is furthest off.
+
+    Of a joint its friction and sag come first, which say more than how far it stands off.
+    Not by the CUSUM: no check adds more to it than `CUT`, so that all joints that wear fast have the same.
+    """
+    order: tuple[State, ...] = ("alarm", "drifting", "steady", "learning")
+    most: dict[tuple[str, str], float] = {}
+    for one in drawn:
+        key = one.state, one.joint
+        most[key] = max(most.get(key, 0.0), abs(one.away))
+    return tuple(sorted(drawn, key=lambda one: (
+        order.index(one.state), not one.joint, -most[one.state, one.joint], one.quantity == "deviation", -abs(one.away),
+    )))  # fmt: skip
 
 
 def _moved(visits: Sequence[PastCheck]) -> tuple[MovedZero, ...]:
@@ -191,7 +230,7 @@ def _change(visits: Sequence[PastCheck], joint: str, name: str, value: Array, wa
     return Change(
         joint=joint, quantity=name, state=drawn.state, usual_mm=drawn.usual, now_mm=drawn.usual + drawn.change,
         since=None if drawn.since is None else visits[drawn.since].time,
-        cusum=float(drawn.cusum[-1]),
+        cusum=float(drawn.cusum[-1]), away=drawn.lately / _scatter(name, value),
     )  # fmt: skip
 
 

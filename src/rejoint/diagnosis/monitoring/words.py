@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from datetime import datetime
+from datetime import datetime, timedelta
 
 from rejoint.diagnosis.monitoring.charts import FEWEST
 from rejoint.diagnosis.monitoring.judge import Change, Outlook
 from rejoint.system.shell import command
 
+MONTH = timedelta(days=30)
+"""Between two checks of an arm that does not change (chosen)"""
 MEANINGS = {
     "hysteresis": "friction or weakness in slow motion",
     "reversal": "difference between its two directions",
@@ -19,9 +21,9 @@ MEANINGS = {
 """What each quantity is, in words"""
 
 
-def say(found: Outlook, robot: str) -> str:
-    """Say in one line how an arm stands; ``robot`` is its address."""
-    repair = command("repair", robot)
+def say(found: Outlook, robot: str, described: str = "") -> str:
+    """Say in one line how an arm stands; ``robot`` is its address, ``described`` what a repair is told beside."""
+    repair = command("repair", robot) + described
     error = _error(found)
     if found.moved:
         return _ask(found, error, repair)
@@ -35,7 +37,7 @@ def say(found: Outlook, robot: str) -> str:
     worst = found.changes[0]
     if found.state == "steady":
         joints = len({one.joint for one in found.changes if one.joint})
-        act = _act(found, worst, repair) if found.over else "nothing; check again in a month"
+        act = _act(found, worst, repair) if found.over else _next(found)
         return f"No change in {joints} joints since {_day(found.since)}. {error}. Do: {act}."
     called = [one for one in found.changes if one.state == found.state]
     others = sorted({one.joint or "the tool" for one in called} - {worst.joint or "the tool"})
@@ -49,8 +51,8 @@ def _ask(found: Outlook, error: str, repair: str) -> str:
     also = f" Beside that {', '.join(sorted({one.joint for one in calls}))} wears (alarm)." if calls else ""
     yes = "if so, check it again with --moved, five times"
     return (
-        f"{cause_of(found)}, which is no wear: was the arm bumped, or set anew?{also} {error}. Do: {yes}; if not, look "
-        f"whether {found.moved[0].joint} has slipped, then {repair}."
+        f"{cause_of(found)}, which is no wear: was the arm bumped, set anew or given another load?{also} {error}. Do: "
+        f"{yes}; if not, look whether {found.moved[0].joint} has slipped, then {repair}."
     )
 
 
@@ -78,6 +80,8 @@ def _changed(change: Change) -> str:
 def _error(found: Outlook) -> str:
     known = "" if found.error_known else " by the encoders"
     text = f"Tool error at the five poses {found.error_mm:.1f} mm{known}"
+    if found.controlled_mm is not None:
+        text = f"{text} without a controller, at most {found.controlled_mm:.1f} mm with that of its repair"
     if found.tolerance_mm is None:
         return text
     text = f"{text}, tolerance {found.tolerance_mm:.1f} mm"
@@ -91,8 +95,21 @@ def _error(found: Outlook) -> str:
     return f"{text}, reached between {_day(due.early)} and {_day(due.late)}"
 
 
+def _next(found: Outlook) -> str:
+    """Say when to check an arm again that has not changed; in time, where the tolerance may be reached before."""
+    if found.due is not None and found.due.early - found.newest < MONTH:
+        return f"nothing yet; check again by {_day(found.due.early)}, and make time for a repair"
+    return "nothing; check again in a month"
+
+
 def _act(found: Outlook, worst: Change, repair: str) -> str:
+    if worst.better and worst.state in ("drifting", "alarm"):
+        part = f"of {worst.joint}" if worst.joint else "of the arm"
+        look = f"look what was done to the servo {part}, as it is better than it was; if it was changed or greased, or "
+        return f"{look}the hand carries less, check with --moved, five times{f'; {repair}' if found.over else ''}"
     if found.over or found.state == "alarm":
+        if worst.state not in ("drifting", "alarm"):  # it was so from the beginning
+            return repair
         if worst.quantity == "deviation":
             look = f"look whether {worst.joint} has slipped or was set anew (then check with --moved)"
             return f"{look}; else {repair}"

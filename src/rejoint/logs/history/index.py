@@ -88,7 +88,7 @@ def _files(folder: Path) -> dict[str, Path]:
     found = {}
     for place in (Path(where) for where, _, names in os.walk(folder) if SUMMARY in names):
         path = place / SUMMARY
-        with suppress(FileNotFoundError, PermissionError):
+        with suppress(OSError):
             seen = path.stat()
             found[f"{path.relative_to(folder)} {seen.st_size} {seen.st_mtime_ns}"] = path
     return found

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from rejoint.logs.runlog import read_parquet
@@ -29,6 +30,8 @@ FORMAT = 1
 """Version of the columns; a reader leaves files of later ones out, and takes missing columns for unknown"""
 
 _FORMAT_KEY = b"rejoint.history"
+_TIME = pa.timestamp("us")
+_EARLIEST, _LATEST = (pa.scalar(end, _TIME).value for end in (datetime.min, datetime.max))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,6 +71,8 @@ class HistoryRow:
     approach_mm: float | None = None
     true_error_mm: float | None = None
     true_approach_mm: float | None = None
+    controlled_mm: float | None = None
+    """of a check after a repair: error of the tool with the controller of that repair, see `Outlook.controlled_mm`"""
     tolerance_mm: float | None = None
     """that the owner gave"""
     stiffness_nm_per_rad: float | None = None
@@ -94,10 +99,27 @@ class HistoryRow:
     due_late: datetime | None = None
     """one in ten lies after; None where it may never be reached"""
 
+    @property
+    def left_mm(self) -> float | None:
+        """[mm] error of the tool that a run's controller leaves: the true one where it is known."""
+        return self.settled_mm if self.settled_true_mm is None else self.settled_true_mm
+
+    @property
+    def counts_mm(self) -> float | None:
+        """[mm] error of the tool that counts for its owner: with the controller where the arm was repaired."""
+        with_it = self.left_mm if self.kind == "repair" else self.controlled_mm
+        bare = self.error_mm if self.true_error_mm is None else self.true_error_mm
+        return bare if with_it is None else with_it
+
+    @property
+    def over(self) -> bool:
+        """Whether that error has reached the tolerance."""
+        return None not in (self.tolerance_mm, self.counts_mm) and (self.counts_mm or 0.0) >= (self.tolerance_mm or 0.0)
+
 
 def _column(kind: Any) -> pa.DataType:  # noqa: ANN401
     plain = next(one for one in (typing.get_args(kind) or (kind,)) if one is not types.NoneType)
-    return {str: pa.string(), float: pa.float64(), datetime: pa.timestamp("us")}[plain]
+    return {str: pa.string(), float: pa.float64(), datetime: _TIME}[plain]
 
 
 _KINDS = typing.get_type_hints(HistoryRow)
@@ -125,14 +147,31 @@ def read_table(path: Path) -> pa.Table:
     remedy = "delete it; the other files are not concerned"
     try:
         table = read_parquet(path, remedy)
-        version = int((table.schema.metadata or {}).get(_FORMAT_KEY, b"0"))
+        told = (table.schema.metadata or {}).get(_FORMAT_KEY)
+        if told is None:
+            raise FileError(path, "holds no summary rows", "move it elsewhere; the other files are not concerned")
+        version = int(told)
         if not 1 <= version <= FORMAT:
             raise FileError(path, f"summary rows of format {version}, expected {FORMAT}", "update rejoint")
         count, found = len(table), table.column_names
         columns = [table[item.name] if item.name in found else pa.nulls(count, item.type) for item in SCHEMA]
-        return pa.table(columns, schema=SCHEMA)
-    except (OSError, pa.ArrowException, TypeError, ValueError) as error:
+        table = pa.table(columns, schema=SCHEMA)
+        _require_usable(table)
+        return table
+    except (OSError, pa.ArrowException, LookupError, TypeError, ValueError) as error:
         raise FileError(path, f"damaged ({first_line(error)})", remedy) from error
+
+
+def _require_usable(table: pa.Table) -> None:
+    """Raise ValueError where rows lack what every row has, or have times of no calendar."""
+    for name in ("time", "kind", "arm"):
+        if table[name].null_count:
+            raise ValueError(f"rows without {name}")
+    for item in SCHEMA:
+        if item.type == _TIME:
+            ends = pc.min_max(table[item.name].cast(pa.int64()))
+            if any(end is not None and not _EARLIEST <= end <= _LATEST for end in ends.as_py().values()):
+                raise ValueError(f"{item.name} is no date")
 
 
 def read_rows(path: Path) -> list[HistoryRow]:

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rejoint.logs.history.index import find_table
 from rejoint.system.errors import FileError, InputError, first_line
 from rejoint.system.extras import require
+
+if TYPE_CHECKING:
+    import duckdb
 
 
 def ask(folder: Path, query: str) -> tuple[list[str], list[tuple[Any, ...]]]:
@@ -26,10 +30,19 @@ def ask(folder: Path, query: str) -> tuple[list[str], list[tuple[Any, ...]]]:
     with duckdb.connect() as connection:
         connection.from_arrow(table).to_table("history")
         connection.execute("set enable_external_access = false")
-        try:
-            found = connection.sql(query)
-            if found is None:
-                raise InputError("--sql: expected a query that answers with rows")
-            return found.columns, found.fetchall()
-        except duckdb.Error as error:
-            raise InputError(f"--sql: {first_line(error)}") from error
+        with ThreadPoolExecutor(1) as pool:  # DuckDB hears no signal while it is at work
+            answer = pool.submit(_answer, connection, query)
+            try:
+                return answer.result()
+            except duckdb.Error as error:
+                raise InputError(f"--sql: {first_line(error)}") from error
+            except BaseException:
+                connection.interrupt()
+                raise
+
+
+def _answer(connection: duckdb.DuckDBPyConnection, query: str) -> tuple[list[str], list[tuple[Any, ...]]]:
+    found = connection.sql(query)
+    if found is None:
+        raise InputError("--sql: expected a query that answers with rows")
+    return found.columns, found.fetchall()

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from urllib.parse import parse_qs, urlsplit
 
-from rejoint.robots.address import tcp_address
+from rejoint.robots.address import serial_address, tcp_address
 from rejoint.robots.feetech.gains import KNOBS, Gains, read_gains
 
 FORM = "feetech:///dev/DEVICE or feetech://HOST:PORT"
@@ -35,6 +35,14 @@ class FeetechAddress:
 
     def __str__(self) -> str:
         return self.text
+
+    @property
+    def spot(self) -> str:
+        """The one place that it means, however it is written."""
+        plain = self.text.partition("?")[0]
+        if self.port.startswith("/"):
+            return serial_address(plain, baud=self.baud).spot
+        return tcp_address(plain, port=_PORT).spot
 
 
 def feetech_address(text: str) -> FeetechAddress:

@@ -8,13 +8,15 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TypeAlias
 
+from rejoint.logs.history.rows import utc_now
 from rejoint.logs.runfolder.folder import RunFolder, locked
 from rejoint.runs.fleet.campaign import Campaign, Verb, state_folder
-from rejoint.runs.fleet.drive import Event, Executor, Rules, drive
+from rejoint.runs.fleet.drive import Event, Executor, Rules, Standing, drive
 from rejoint.runs.fleet.file import Fleet, FleetArm
 from rejoint.runs.fleet.result import FleetResult, rows_of
 from rejoint.runs.fleet.work import RepairOptions
 from rejoint.system.extras import require
+from rejoint.system.files import saving, write_whole
 
 MakeExecutor: TypeAlias = Callable[[Sequence[FleetArm]], AbstractContextManager[Executor]]
 """Makes the executor for some arms"""
@@ -62,8 +64,9 @@ def run_fleet(
 
     Raises
     ------
-    FileError
-        if another call works in the folder of the fleet, or nothing can be written there
+    FileError, UnsavedError
+        if another call works in the folder of the fleet, or nothing can be written there; what became of the arms is in
+        the error where there is something
     InputError
         if there is no such arm, or no cluster
     MissingExtraError
@@ -76,19 +79,26 @@ def run_fleet(
         begins(campaign)
         with executor(arms) as ready:
             standings = drive(arms, campaign.left, campaign.work, ready, rules, tell)
-        finished = campaign.finish()
-        for one in standings:
-            if one.outcome is not None and one.outcome.trace:
-                _keep_trace(state_folder(fleet) / f"bug-{one.arm.name}.txt", one.outcome.trace)
         result = FleetResult(
-            verb=verb, rows=rows_of(campaign, standings), seconds=time.monotonic() - begun,
-            page=state_folder(fleet) / f"{verb}.html", finished=finished,
+            verb=verb, rows=rows_of(campaign, standings), ended=utc_now(), seconds=time.monotonic() - begun,
+            page=state_folder(fleet) / f"{verb}.html", finished=campaign.through,
         )  # fmt: skip
-        from rejoint.runs.fleet.page import write_page
-
-        write_page(result.page, result)
+        with saving(result):
+            _save(campaign, result, standings)
     return result
 
 
+def _save(campaign: Campaign, result: FleetResult, standings: Sequence[Standing]) -> None:
+    """Write what the next call goes by, where bugs are, and the page."""
+    from rejoint.runs.fleet.page import write_page
+
+    if result.finished:
+        campaign.finish()
+    for one in standings:
+        if one.outcome is not None and one.outcome.trace:
+            _keep_trace(result.page.parent / f"bug-{one.arm.name}.txt", one.outcome.trace)
+    write_page(result.page, result)
+
+
 def _keep_trace(path: Path, text: str) -> None:
-    path.write_text(text, encoding="utf-8")
+    write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))

@@ -57,7 +57,8 @@ class Campaign:
         """Go on with what an earlier call left, or begin; who calls has the folder to itself (`state_folder`)."""
         path, now, arms = state_file(fleet, verb), utc_now(), fleet.only(only)
         before = read_json(path, CampaignInfo) if path.exists() else None
-        if before is not None and (before.finished or anew or now - before.begun >= STALE[verb]):
+        # What was begun in the future was so by a wrong clock: no check of now would count for it.
+        if before is not None and (before.finished or anew or not timedelta(0) <= now - before.begun < STALE[verb]):
             before = None
         runs = {} if before is None else dict(before.runs)
         for arm in arms:
@@ -94,15 +95,17 @@ class Campaign:
         folder = self.fleet.folder if step == "check" else self.run(arm)
         return Work(arm=arm, step=step, folder=folder, options=self.options)
 
-    def finish(self) -> bool:
-        """Note whether nothing is left to do that the file allows, and tell: the next call then begins anew."""
+    @property
+    def through(self) -> bool:
+        """Whether nothing is left to do that the file allows."""
         asked = [arm for arm in self.fleet.arms if arm.name in self.info.runs]
         allowed = [arm for arm in asked if arm.may_move and (self.verb == "check" or arm.may_repair)]
-        finished = not any(self.left(arm) for arm in allowed)
-        if finished:
-            done = CampaignInfo(begun=self.info.begun, runs=self.info.runs, finished=True)
-            write_json(state_file(self.fleet, self.verb), done)
-        return finished
+        return not any(self.left(arm) for arm in allowed)
+
+    def finish(self) -> None:
+        """Note that it is through: the next call begins anew."""
+        done = CampaignInfo(begun=self.info.begun, runs=self.info.runs, finished=True)
+        write_json(state_file(self.fleet, self.verb), done)
 
     def check_of(self, arm: FleetArm) -> HistoryRow | None:
         """Return the newest check of an arm since this was begun; None where there is none."""
@@ -117,20 +120,9 @@ class Campaign:
         return None
 
 
-def error_of(row: HistoryRow) -> float | None:
-    """[mm] of the tool in a check: the true one where it is known."""
-    return row.error_mm if row.true_error_mm is None else row.true_error_mm
-
-
-def is_over(row: HistoryRow) -> bool:
-    """Tell whether the tolerance is reached in a check."""
-    error = error_of(row)
-    return row.tolerance_mm is not None and error is not None and error >= row.tolerance_mm
-
-
 def needs_repair(row: HistoryRow) -> bool:
     """Tell whether a check says that its arm is to be repaired."""
-    return row.state == "alarm" or is_over(row)
+    return row.state == "alarm" or row.over
 
 
 def state_folder(fleet: Fleet) -> Path:

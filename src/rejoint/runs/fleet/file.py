@@ -95,9 +95,11 @@ def read_fleet(path: Path | str) -> Fleet:
     for table in top.tables("arm", _ARM):
         arm = _arm(table, top, home)
         for other in arms:
-            for key, mine, taken in (("name", arm.name, other.name), ("address", arm.address, other.address)):
-                if mine == taken:
-                    raise table.error(key, f"two arms have the {key} {mine!r}")
+            if arm.name == other.name:
+                raise table.error("name", f"two arms have the name {arm.name!r}")
+            if place_of(arm.address).spot == place_of(other.address).spot:
+                same = "" if arm.address == other.address else f", which is that of {other.name}, {other.address!r}"
+                raise table.error("address", f"two arms have the address {arm.address!r}{same}")
         arms.append(arm)
     folder = home / (top.string("folder") if "folder" in top.data else FOLDER)
     return Fleet(path=place, folder=folder, arms=tuple(arms))

@@ -43,8 +43,9 @@ def fleet_page(result: FleetResult) -> Page:
             missing="" if steps.rows else "Nothing was done in this call.",
         ),
     )  # fmt: skip
+    ended = f"{result.ended:%Y-%m-%d %H:%M} UTC"
     return Page(
-        title=TITLES[result.verb], subtitle=f"{done} of {len(rows)} arms, {result.seconds:.0f} s",
+        title=TITLES[result.verb], subtitle=f"{done} of {len(rows)} arms, {result.seconds:.0f} s, ended {ended}",
         verdict=(first, *(f"{row.name}: {row.state}. {row.found}" for row in urgent[:_NAMED])), sections=sections,
         footer="Made by rejoint fleet from the files of the runs and checks, which are not changed.",
     )  # fmt: skip

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
 
 from rejoint.logs.history.index import CHECKS
 from rejoint.logs.runfolder.folder import RunFolder
-from rejoint.runs.fleet.campaign import Campaign, Verb, error_of, is_over, needs_repair
+from rejoint.runs.fleet.campaign import Campaign, Verb, needs_repair
 from rejoint.runs.fleet.drive import End, Standing
 from rejoint.runs.history.table import what_to_do
 from rejoint.runs.run import Run
@@ -65,6 +66,8 @@ class FleetResult:
     verb: Verb
     rows: tuple[FleetRow, ...]
     """the worst first"""
+    ended: datetime
+    """UTC, without a zone"""
     seconds: float
     """[s] that the call took"""
     page: Path
@@ -90,7 +93,7 @@ def _checked(campaign: Campaign, one: Standing) -> FleetRow:
         return _undone(campaign, one, campaign.fleet.folder)
     code = ALARM if needs_repair(row) else DRIFTS if row.state == "drifting" else 0
     return _row(
-        one, state="tolerance reached" if is_over(row) else row.state, error_mm=error_of(row),
+        one, state="tolerance reached" if row.over else row.state, error_mm=row.counts_mm,
         found=row.line.partition(" Do: ")[0], todo=what_to_do(row),
         folder=campaign.fleet.folder / CHECKS / one.arm.name, code=code,
     )  # fmt: skip

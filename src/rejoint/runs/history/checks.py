@@ -3,16 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from itertools import groupby
 
 from rejoint.diagnosis.monitoring.judge import Outlook, PastCheck
 from rejoint.diagnosis.monitoring.measures import CheckMeasures, JointCheck
 from rejoint.diagnosis.monitoring.words import cause_of
-from rejoint.logs.history.identity import name_of
 from rejoint.logs.history.rows import HistoryRow
+from rejoint.runs.history.owners import owners
+
+MOVED, SET_UP = "moved", "set up"
+"""Why a new norm begins with a check: the arm was moved, or has another description"""
 
 _TOOL = ("error_mm", "repeatability_mm", "approach_mm", "true_error_mm", "true_approach_mm", "temperature_c")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Past:
+    """What the history knows of an arm since its norm began."""
+
+    visits: tuple[PastCheck, ...]
+    """its checks, the oldest first"""
+    setup: str
+    """fingerprint of its description then; empty where it is not known"""
+    left_mm: float | None
+    """tool error that the controller of its last repair left; None where there was none"""
 
 
 def rows_of(head: HistoryRow, measures: CheckMeasures) -> list[HistoryRow]:
@@ -27,33 +42,37 @@ def with_outlook(rows: Sequence[HistoryRow], found: Outlook, line: str) -> list[
     joints = {name: _worst(found, name) for name in {row.joint for row in rows}}
     arm = replace(
         rows[0], state=found.state, cause=cause_of(found), line=line, tolerance_mm=found.tolerance_mm,
-        due_early=None if due is None else due.early, due=None if due is None else due.middle,
-        due_late=None if due is None else due.late,
+        controlled_mm=found.controlled_mm, due_early=None if due is None else due.early,
+        due=None if due is None else due.middle, due_late=None if due is None else due.late,
     )  # fmt: skip
     return [arm, *(replace(row, state=joints[row.joint]) for row in rows[1:])]
 
 
-def visits_of(rows: Sequence[HistoryRow], arm: str, key: str) -> tuple[list[PastCheck], str]:
-    """Return the checks of an arm since its norm began, the oldest first, and the setup of the newest.
+def past_of(rows: Sequence[HistoryRow], arm: str, key: str) -> Past:
+    """Return what the history knows of an arm since its norm began.
 
-    ``key`` is the name that the arm has by its address alone: a repair of that arm counts, whatever its name is.
+    A repair counts where it was this arm's (`owners`), or where no arm with a name was checked at its address, which
+    gives the arm the name ``key``.
     """
     visits: list[PastCheck] = []
-    setup = ""
-    mine = [row for row in rows if row.arm == arm or (row.kind == "repair" and name_of(row.robot, row.model) == key)]
+    setup, left = "", None
+    owner = owners(rows)
+    mine = [row for row in rows if row.arm == arm or (row.kind == "repair" and owner(row) in (arm, key))]
     mine.sort(key=lambda row: (row.time, row.kind))
     for (_, kind), group in groupby(mine, key=lambda row: (row.time, row.kind)):
         members = {row.joint: row for row in group}  # of a folder that was copied each stands there twice
+        head = members.pop("", None)
         if kind == "repair":
-            visits = []
+            visits, left = [], None if head is None else head.left_mm
+            setup = setup if head is None else head.setup
         elif kind == "check":
-            head = members.pop("", None)
             measures = None if head is None else _measures(head, tuple(members.values()))
             if head is None or measures is None:
                 continue
             visits, setup = [] if head.norm else visits, head.setup
+            left = None if head.norm == SET_UP else left
             visits.append(PastCheck(time=head.time, measures=measures, used_h=head.used_h))
-    return visits, setup
+    return Past(visits=tuple(visits), setup=setup, left_mm=left)
 
 
 def _worst(found: Outlook, joint: str) -> str:

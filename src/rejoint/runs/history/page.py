@@ -29,7 +29,7 @@ def history_page(arms: Sequence[ArmHistory]) -> Page:
     """Build the page."""
     checks = sum(row.kind == "check" for arm in arms for row in arm.rows)
     runs = sum(len(arm.rows) for arm in arms) - checks
-    urgent = [arm for arm in arms if arm.over or arm.newest.state in ("alarm", "drifting", "bad")]
+    urgent = [arm for arm in arms if arm.over or arm.state in ("alarm", "drifting", "bad")]
     first = f"{len(urgent)} of {len(arms)} arms need somebody." if urgent else f"Nothing to do on {len(arms)} arms."
     return Page(
         title="Arms over time", subtitle=f"{len(arms)} arms, {checks} checks, {runs} runs",
@@ -41,8 +41,7 @@ def history_page(arms: Sequence[ArmHistory]) -> Page:
 
 def _overview(arms: Sequence[ArmHistory]) -> Section:
     rows = tuple(
-        Row(cells=tuple(Cell(text) for text in cells(arm)), emphasis=arm.over or arm.newest.state == "alarm")
-        for arm in arms
+        Row(cells=tuple(Cell(text) for text in cells(arm)), emphasis=arm.over or arm.state == "alarm") for arm in arms
     )
     table = Table(caption="All arms, the worst first", headers=HEADERS, rows=rows, words=True)
     return Section(key="arms", short="Arms", heading="Arms", parts=(Part(tables=(table,)),))
@@ -56,7 +55,8 @@ def _trends(arms: Sequence[ArmHistory]) -> Section:
     )
     texts = (
         "Tool error at the five poses of each check [mm]; dashed the tolerance, a vertical line a repair or another "
-        "beginning. Where nobody knows where the tool really is, the error is that by the encoders.",
+        "beginning. After a repair it is the error with the controller of that repair, at most. Where nobody knows "
+        "where the tool really is, the error is that by the encoders.",
     )
     missing = "" if figures else "No arm has been checked twice yet."
     parts = (Part(texts=texts, figures=figures, columns=3),) if figures else ()
@@ -133,7 +133,7 @@ def _error(row: HistoryRow) -> float | None:
     """Error of a check; those of runs are of other motion, and do not go into one line with them."""
     if row.kind != "check":
         return None
-    return row.error_mm if row.true_error_mm is None else row.true_error_mm
+    return row.counts_mm
 
 
 def _pair(first: HistoryRow, last: HistoryRow, name: str) -> str:

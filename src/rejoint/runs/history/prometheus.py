@@ -33,6 +33,8 @@ def prometheus_text(name: str, seen: Outlook, measures: CheckMeasures) -> str:
     ])  # fmt: skip
     known = "tool" if seen.error_known else "encoders"
     metric("error_mm", "tool error at the five poses of a check", [(f'{arm},by="{known}"', seen.error_mm)])
+    metric("controlled_error_mm", "tool error with the controller of the last repair, at most",
+           [] if seen.controlled_mm is None else [(arm, seen.controlled_mm)])  # fmt: skip
     metric("tolerance_mm", "tool error that the owner can bear",
            [] if seen.tolerance_mm is None else [(arm, seen.tolerance_mm)])  # fmt: skip
     metric("repeatability_mm", "largest RP of a pose by the encoders", [(arm, measures.repeatability_mm)])

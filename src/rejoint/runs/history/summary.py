@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
+from datetime import datetime
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rejoint.control.comparison.recommend import recommend
 from rejoint.logs.history.identity import name_of, setup_of
-from rejoint.logs.history.rows import SUMMARY, HistoryRow, utc_now, write_rows
+from rejoint.logs.history.rows import SUMMARY, HistoryRow, read_rows, utc_now, write_rows
 from rejoint.runs.run import Run, is_finished
+from rejoint.system.errors import FileError
 
 if TYPE_CHECKING:
     from rejoint.control.comparison.result import Comparison
@@ -18,13 +22,15 @@ if TYPE_CHECKING:
 def summarise(run: Run) -> None:
     """Write ``summary.parquet`` into a run folder: what its diagnosis and its comparison found; FileError if it cannot.
 
-    A later stage writes it anew. Nothing is written before either of them has been run.
+    A later stage writes it anew. A finished repair keeps the time at which it was finished: a later comparison in its
+    folder begins no new norm. Nothing is written before either of them has been run.
     """
     diagnosis, comparison = run.diagnosis, run.comparison
     if diagnosis is None and comparison is None:
         return
+    kind = "repair" if is_finished(run.folder) else "run"
     head = HistoryRow(
-        time=utc_now(), kind="repair" if is_finished(run.folder) else "run", arm=name_of(run.robot, run.arm.name),
+        time=_repaired_at(run.path / SUMMARY, kind) or utc_now(), kind=kind, arm=name_of(run.robot, run.arm.name),
         robot=run.robot, model=run.arm.name, setup=setup_of(run.arm),
     )  # fmt: skip
     arm = head
@@ -34,6 +40,15 @@ def summarise(run: Run) -> None:
     if comparison is not None:
         arm = _compared(arm, comparison)
     write_rows(run.path / SUMMARY, [arm, *joints])
+
+
+def _repaired_at(path: Path, kind: str) -> datetime | None:
+    """Return the time of the rows of a finished repair that are there already."""
+    if kind != "repair":
+        return None
+    with suppress(FileError, FileNotFoundError):
+        return next((row.time for row in read_rows(path) if row.kind == kind), None)
+    return None
 
 
 def _diagnosed(head: HistoryRow, found: Diagnosis) -> tuple[HistoryRow, list[HistoryRow]]:

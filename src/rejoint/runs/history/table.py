@@ -7,9 +7,13 @@ from dataclasses import dataclass
 from datetime import datetime
 
 from rejoint.logs.history.rows import HistoryRow
+from rejoint.runs.history.owners import owners
+from rejoint.system.shell import command
 
 HEADERS = ("arm", "state", "error [mm]", "tolerance [mm]", "reached", "last check", "what to do")
-_ORDER = ("alarm", "bad", "drifting", "worn", "steady", "ok", "learning", "unknown", "")
+REPAIR, REPAIRED = "repair", "repaired"
+"""Kind of the row of a finished repair, and the state of an arm that was not checked since"""
+_ORDER = ("alarm", "bad", "drifting", "worn", REPAIRED, "steady", "ok", "learning", "unknown", "")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,28 +28,33 @@ class ArmHistory:
 
     @property
     def newest(self) -> HistoryRow:
-        """The last check, or the last run where there is no check."""
-        checks = [row for row in self.rows if row.kind == "check"]
-        return (checks or list(self.rows))[-1]
+        """The last check or repair, or the last run where there is neither."""
+        told = [row for row in self.rows if row.kind in ("check", "repair")]
+        return (told or list(self.rows))[-1]
 
     @property
     def error(self) -> float | None:
-        """[mm] newest error of the tool: the true one where it is known."""
-        row = self.newest
-        return row.error_mm if row.true_error_mm is None else row.true_error_mm
+        """[mm] newest error of the tool that counts for its owner."""
+        return self.newest.counts_mm
 
     @property
     def over(self) -> bool:
         """Whether the tolerance is reached."""
-        limit = self.newest.tolerance_mm
-        return limit is not None and self.error is not None and self.error >= limit
+        return self.newest.over
+
+    @property
+    def state(self) -> str:
+        """How it stands, in a word or two."""
+        return "tolerance reached" if self.over else REPAIRED if self.newest.kind == REPAIR else self.newest.state
 
 
 def arms_of(rows: Sequence[HistoryRow]) -> list[ArmHistory]:
     """Put rows, the oldest first, together by arm; what needs to be done first comes first."""
     found = []
-    for name in sorted({row.arm for row in rows}):
-        mine = [row for row in rows if row.arm == name]
+    owner = owners(rows)
+    whose = [(owner(row), row) for row in rows]
+    for name in sorted({name for name, _ in whose}):
+        mine = sorted((row for other, row in whose if other == name), key=lambda row: row.time)
         whole = tuple(row for row in mine if not row.joint)
         if whole:
             found.append(ArmHistory(name=name, rows=whole, joints=tuple(row for row in mine if row.joint)))
@@ -57,15 +66,16 @@ def cells(arm: ArmHistory) -> list[str]:
     row = arm.newest
     by = "" if row.true_error_mm is not None or arm.error is None else " by encoders"
     return [
-        arm.name, "tolerance reached" if arm.over else row.state,
-        "" if arm.error is None else f"{arm.error:.1f}{by}",
+        arm.name, arm.state, "" if arm.error is None else f"{arm.error:.1f}{by}",
         "" if row.tolerance_mm is None else f"{row.tolerance_mm:.1f}",
         "now" if arm.over else _span(row.due_early, row.due_late), f"{row.time:%Y-%m-%d}", what_to_do(row),
     ]  # fmt: skip
 
 
 def what_to_do(row: HistoryRow) -> str:
-    """Return the last part of what the owner was told."""
+    """Return the last part of what the owner was told; after a repair, that a norm is to be made."""
+    if row.kind == REPAIR:
+        return f"{command('check', row.robot)} --repeat 5"
     return row.line.rpartition("Do: ")[2] if "Do: " in row.line else ""
 
 
@@ -77,5 +87,5 @@ def _span(early: datetime | None, late: datetime | None) -> str:
 
 def _urgency(arm: ArmHistory) -> tuple[bool, int, datetime, float]:
     row = arm.newest
-    state = _ORDER.index(row.state) if row.state in _ORDER else len(_ORDER)
+    state = _ORDER.index(arm.state) if arm.state in _ORDER else len(_ORDER)
     return (not arm.over, state, row.due_early or datetime.max, -(arm.error or 0.0))

@@ -8,7 +8,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rejoint.arms import Arm, Array
+from rejoint.arms import CATALOGUE, Arm, Array
 from rejoint.control.robot import Robot
 from rejoint.logs.history.identity import hours_of, name_of, plain_name, setup_of
 from rejoint.logs.history.index import CHECKS, find_rows
@@ -26,9 +26,9 @@ from rejoint.runs.given import (
     opened,
     shown,
 )
-from rejoint.runs.history.checks import rows_of, visits_of, with_outlook
+from rejoint.runs.history.checks import MOVED, SET_UP, past_of, rows_of, with_outlook
 from rejoint.runs.run import RUNS
-from rejoint.system.errors import InputError
+from rejoint.system.errors import AddressError, InputError
 from rejoint.system.files import require_space, saving
 from rejoint.system.progress import Progress, no_progress, paced, part
 from rejoint.system.stopping import noted
@@ -165,14 +165,17 @@ def _once(
     from rejoint.diagnosis.monitoring.words import say
 
     rows, unread = find_rows(home, head.arm)
-    past, setup = visits_of(rows, head.arm, key)
-    begins = "moved" if moved else "set up" if past and setup != head.setup else ""
-    past = [] if begins else past
+    if any(row.kind == "repair" for row in rows):  # whose it was is told by the checks of all arms
+        rows, unread = find_rows(home)
+    past = past_of(rows, head.arm, key)
+    begins = MOVED if moved else SET_UP if past.setup not in ("", head.setup) else ""
+    visits, left = () if begins else past.visits, None if begins == SET_UP else past.left_mm
     mine = [row for row in rows if row.arm == head.arm and row.kind == "check" and not row.joint]
     if mine and mine[-1].time >= head.time:
         raise InputError(
             f"check: the history of {head.arm} has a check of {mine[-1].time:%Y-%m-%d %H:%M} already, expected a later "
-            f"date than that, got {head.time:%Y-%m-%d %H:%M}"
+            f"date than that, got {head.time:%Y-%m-%d %H:%M} (UTC): set the clock right; if it was wrong then, delete "
+            f"that check in {home / CHECKS / head.arm}"
         )
     tolerance = head.tolerance_mm if head.tolerance_mm is not None or not mine else mine[-1].tolerance_mm
     folder = home / CHECKS / head.arm / f"{head.time:%Y%m%dT%H%M%S}-{os.urandom(2).hex()}"
@@ -180,8 +183,12 @@ def _once(
         log, warm = _drive(shown(live, connection), folder, on_progress)
     require_followed(arm, log)
     measures = measure_check(arm, log, warm)
-    found = outlook([*past, PastCheck(time=head.time, measures=measures, used_h=head.used_h)], tolerance)
-    line = say(found, head.robot)
+    now = PastCheck(time=head.time, measures=measures, used_h=head.used_h)
+    found = outlook([*visits, now], tolerance, left_mm=left)
+    line = say(found, head.robot, _described(head.robot, arm))
+    if begins == SET_UP:  # by mistake as well: another arm under this name, at each check
+        then = mine[-1].model if mine else "another"
+        line = f"A new norm begins, as the arm is described otherwise ({head.model}) than before ({then}). {line}"
     result = Checked(
         arm=head.arm, robot=head.robot, line=line, outlook=found, measures=measures, folder=folder, unread=unread
     )
@@ -208,6 +215,17 @@ def _drive(robot: Robot, folder: Path, on_progress: Progress) -> tuple[RunLog, A
         raise
     journal.finish(log)
     return log, warm
+
+
+def _described(address: str, arm: Arm) -> str:
+    """Return what `rejoint repair` has to be told of an arm that is not the one its address names."""
+    try:
+        usual = arm_of(address, None).name
+    except AddressError:  # a robot of the caller's own
+        usual = arm.name
+    if arm.name == usual:
+        return ""
+    return f" --arm {arm.name}" if arm.name in CATALOGUE else " with the same --arm"
 
 
 def _remove_if_empty(folder: Path) -> None:
