@@ -183,6 +183,8 @@ def _postures(path: Path, arm: Arm, pictures: set[str]) -> dict[str, dict[str, A
         raise FileError(path, f"cannot be read ({first_line(error)})", remedy) from error
     blank = np.full(len(found), np.nan)
     position = np.array([found.filled(name) for name in joints]).T
+    if len(found) > 1 and (np.abs(np.degrees(position)) <= np.pi).all():
+        raise FileError(path, "every joint position lies between -3.14 and 3.14", "give degrees, not radians")
     approach = np.array([found.numbers(name) if name in found.places else blank for name in came]).T
     whole = {name: found.numbers(name) for name in ("posture", "side") if name in found.places}
     rows: dict[str, dict[str, Any]] = {}
