@@ -98,7 +98,7 @@ def calibration(terminal: Terminal, found: Calibrated) -> None:
         terminal.say(
             f"The place of the {own.frame_name} was fitted along: what all postures share is not in these numbers."
         )
-    if astray(own.arm, own.after):
+    if astray(own.arm, own.missed):
         terminal.result(
             "  ! No arm is that far from a description of itself: are units, columns, joint positions and the frame of "
             "the points right, and is it this arm?"
