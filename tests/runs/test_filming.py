@@ -28,6 +28,7 @@ from rejoint.robots.livecamera import LiveCamera
 from rejoint.runs.run import Run
 from rejoint.runs.stages.eyes import opened_eye
 from rejoint.runs.stages.filming import film_of
+from rejoint.runs.stages.liveeye import LiveEye
 from rejoint.system.errors import InputError
 from rejoint.system.extras import EXTRAS
 
@@ -253,6 +254,23 @@ def test_a_camera_watches_a_real_arm_until_its_cable_is_pulled(tmp_path, monkeyp
         wait_for(lambda: "check its cable" in eye.why)
     assert device.released
     assert "camera 0: camera 0 gives no pictures any more; check its cable" in caplog.text
+
+
+def test_a_camera_that_hangs_is_not_believed(caplog):
+    """It told for ever that the tool stood where it was, and the arm was pulled after it."""
+    robot = Still()
+    first, second = (SCENE.shows(robot.tool(), (5, number)) for number in (0, 1))
+    shown = [first]
+    stream = SimpleNamespace(picture=lambda: (shown[-1], time.monotonic()))
+    with LiveEye(stream, SCENE.rig, name="camera 0") as eye:
+        wait_for(lambda: "same picture for ever" in eye.why)
+        before = eye.sighting(100.0).time - 100.0 + time.monotonic()
+        time.sleep(0.1)
+        assert eye.sighting(100.0).time - 100.0 + time.monotonic() == pytest.approx(before, abs=0.02)  # it grows old
+        shown.append(second)
+        wait_for(lambda: eye.sighting(100.0).time - 100.0 + time.monotonic() > before + 0.05)
+        wait_for(lambda: "same picture for ever" in eye.why)
+    assert "camera 0: gives the same picture for ever; plug it in again; the arm was driven by" in caplog.text
 
 
 def test_a_camera_with_other_pictures_or_before_an_emulated_arm_is_refused(tmp_path, monkeypatch):

@@ -79,7 +79,7 @@ def calibration(terminal: Terminal, found: Calibrated) -> None:
     if found.filmed is not None:
         show_filmed(terminal, found.filmed)
     for row in own.suspects if found.filmed is None else ():
-        place = ", ".join(f"{1e3 * value:.1f}" for value in measured.point[row])
+        place = ", ".join("-" if np.isnan(value) else f"{1e3 * value:.1f}" for value in measured.point[row])
         terminal.result(
             f"  ! Measurement {row + 1} ({place} mm) does not fit to the others: read wrong, or touched hard? Measure "
             "it again."
@@ -98,7 +98,7 @@ def calibration(terminal: Terminal, found: Calibrated) -> None:
         terminal.say(
             f"The place of the {own.frame_name} was fitted along: what all postures share is not in these numbers."
         )
-    if astray(own.arm, own.after):
+    if astray(own.arm, own.missed):
         terminal.result(
             "  ! No arm is that far from a description of itself: are units, columns, joint positions and the frame of "
             "the points right, and is it this arm?"

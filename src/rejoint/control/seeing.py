@@ -29,6 +29,9 @@ JUMP = 0.015
 or another board)"""
 HISTORY = 64
 """Cycles in which the encoders are remembered (chosen: pictures come within a second)"""
+SHIFTED, ALIKE = 3e-3, 3
+"""[m] by which the tool is seen to one side of the model, and targets at which it is, from which camera or board were
+more likely moved (chosen: what calibrations leave differs from target to target, and has 1.5 mm)"""
 ENOUGH = 2
 """sightings at a target before they are acted on otherwise than by the aim (chosen: one may be wrong)"""
 FRESH = 0.6
@@ -64,6 +67,8 @@ class Seen(Modelled):
     visits: list[tuple[int, float | None]] = field(default_factory=list, init=False)
     """of each target so far: sightings that were believed, and the error [m] by the last of them, averaged; None where
     the tool was not seen"""
+    beyond: list[Array] = field(default_factory=list, init=False)
+    """(3,) [m] of each target that was seen: the tool, as seen there last, less where the model has it"""
     _target: Array = field(default_factory=lambda: np.full(3, np.nan), init=False)
     _extra: Array = field(default_factory=lambda: np.zeros(3), init=False)  # [m] of shift that the model does not know
     _count: int = field(default=0, init=False)  # sightings believed at this target
@@ -96,6 +101,9 @@ class Seen(Modelled):
         share = max(1.0 / self._count, 1.0 - np.exp(-elapsed / MEMORY))
         self._extra, self._believed = self._extra + share * (unknown - self._extra), seen.time
         self.used += 1
+        if self._count > 1:
+            self.beyond.pop()
+        self.beyond.append(self._extra)
         left = target[0] - tcp_position(self.arm, then) - self.shift(then) - self._extra
         self.visits[-1] = self._count, float(np.linalg.norm(left))
         fresh = target[0] - self.shift(position) - self._extra
@@ -108,6 +116,15 @@ class Seen(Modelled):
         if self._count < ENOUGH or now - self._believed > FRESH:
             return None
         return np.asarray(self._target - tcp_position(self.arm, position) - self.shift(position) - self._extra)
+
+    def shifted(self) -> float | None:
+        """Return how far [m] the tool is seen to one side of the model at all targets alike; None where it is not."""
+        if len(self.beyond) < ALIKE:
+            return None
+        side = np.mean(self.beyond, axis=0)
+        apart = np.linalg.norm(np.array(self.beyond) - side, axis=1)
+        far = float(np.linalg.norm(side))
+        return far if far > SHIFTED and far > 2.0 * float(np.sqrt((apart**2).mean())) else None
 
     def _remembered(self, time: float) -> bool:
         return self._told[0][0] <= time <= self._told[-1][0]

@@ -1,5 +1,8 @@
 """The camera that watches an emulated arm: its noise, rate, delay and hidden intervals, and deployments by it."""
 
+import re
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -65,3 +68,22 @@ def test_a_deployment_tells_what_was_seen():
     assert all(visit.reached for visit in seen.visits)
     own = rejoint.deploy("emulated:worn?seed=3", "integrator", TARGETS, eye=lambda robot: EmulatedEye(robot, seed=0))
     assert [visit.seen_error for visit in own.visits] == [visit.seen_error for visit in seen.visits]
+
+
+class Moved(EmulatedEye):
+    """A camera that was pushed after it had been calibrated: all that it sees is off to one side."""
+
+    def sighting(self, now):
+        seen = super().sighting(now)
+        return seen and replace(seen, place=seen.place + np.array([0.0, 5e-3, 0.0]))
+
+
+def test_a_camera_that_was_moved_is_named(caplog):
+    targets = np.array([*TARGETS, [0.16, -0.03, 0.19]])
+    found = rejoint.calibrate("emulated:worn?seed=3", count=5).calibration
+    rejoint.deploy("emulated:worn?seed=3", "integrator", targets, calibration=found, eye="emulated")
+    assert "camera or board moved" not in caplog.text
+    rejoint.deploy("emulated:worn?seed=3", "integrator", targets, calibration=found, eye=lambda robot: Moved(robot))
+    said = re.search(r"sees the tool (\S+) mm to one side .* were camera or board moved", caplog.text)
+    assert said is not None
+    assert 4.0 < float(said[1]) < 7.0

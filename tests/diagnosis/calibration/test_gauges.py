@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from rejoint.arms import mycobot280
 from rejoint.diagnosis.calibration.gauges import SPAN, EmulatedGauge, Stop, TouchGauge, TrackerGauge, parse_point
 from rejoint.system.errors import FileError, InputError
 
@@ -10,6 +11,8 @@ STOP = Stop(1, 2, np.zeros(3))
 
 
 class Secretive:
+    arm = mycobot280()
+
     def true_tcp(self):
         return np.full((1, 3), np.nan)
 
@@ -25,6 +28,9 @@ class Telling:
         ("171.5 -20 203\n", [171.5, -20, 203]),
         ("171.5, -20, 203", [171.5, -20, 203]),
         ("- - 203", [np.nan, np.nan, 203]),
+        ("171,5 -20,25 203", [171.5, -20.25, 203]),
+        ("171,5; -20; 203,", [171.5, -20, 203]),
+        ("171.5,-20,203", [171.5, -20, 203]),
         ("", [np.nan] * 3),
         ("  \n", [np.nan] * 3),
     ],
@@ -33,12 +39,31 @@ def test_what_people_type(text, millimetres):
     np.testing.assert_allclose(parse_point(text), 1e-3 * np.array(millimetres))
 
 
-@pytest.mark.parametrize("text", ["1 2", "1 2 3 4", "one two three", "1 2 inf", "99999 0 0", "nan nan 1e9"])
+@pytest.mark.parametrize(
+    "text", ["1 2", "171,5 203", "1 2 3 4", "one two three", "1 2 inf", "99999 0 0", "nan nan 1e9"]
+)
 def test_what_cannot_be_meant_is_asked_again(text):
     answers, complaints = iter([text, "1 2 3"]), []
     gauge = TouchGauge(ask=lambda _: next(answers), complain=complaints.append)
     np.testing.assert_allclose(gauge.measure(Secretive(), STOP), [1e-3, 2e-3, 3e-3])
     assert len(complaints) == 1
+
+
+def test_a_slip_far_from_the_encoders_is_asked_for_once_more():
+    """A missing minus turned the arm around, and an x of another row was only named at the end."""
+    robot, stop = Secretive(), Stop(1, 1, np.array([0.15, -0.08, 0.2]))
+    for told, points in (
+        (["150 80 200", "150 -80 200"], [150, -80, 200]),
+        (["150 80 200", "150 80 200"], [150, 80, 200]),
+        (["- 80 200", "- 80 200"], [np.nan, 80, 200]),
+        (["160 -70 190"], [160, -70, 190]),
+    ):
+        answers, complaints = iter(told), []
+        gauge = TouchGauge(ask=lambda _, left=answers: next(left), complain=complaints.append)
+        np.testing.assert_allclose(gauge.measure(robot, stop), 1e-3 * np.array(points, dtype=float))
+        assert [("160 mm from where the encoders" in line) for line in complaints] == [True] * (len(told) - 1)
+    elsewhere = TouchGauge(ask=lambda _: "900 0 0", complain=pytest.fail, frame="bench")
+    np.testing.assert_allclose(elsewhere.measure(robot, stop), [0.9, 0, 0])
 
 
 def test_the_end_of_the_answers_ends_the_measuring():

@@ -106,8 +106,19 @@ def test_points_that_describe_no_arm_are_no_correction():
     assert fit(ARM, points()).used
     swapped = fit(ARM, points(turn=(1, 0, 2)))
     assert swapped.after < swapped.before
-    assert astray(ARM, swapped.after)
+    assert astray(ARM, swapped.missed)
     assert not swapped.used
+
+
+def test_a_slip_at_one_point_of_ten_does_not_condemn_the_others():
+    """A decimal point in the wrong place had all ten refused as points of another frame."""
+    good = points()
+    point = good.point.copy()
+    point[3, 0] *= 10.0
+    found = fit(ARM, replace(good, point=point))
+    assert found.suspects == (3,)
+    assert found.used
+    assert not astray(ARM, found.missed)
 
 
 def test_one_posture_does_not_test_itself_whatever_it_is_numbered():

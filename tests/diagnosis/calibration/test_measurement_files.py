@@ -65,17 +65,20 @@ GOOD = ",".join(f"position.{name}_deg" for name in ARM.joint_names) + ",x_mm,y_m
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("", "columns none"),
+        ("", "is empty"),
         ("a,b\n1,2\n", "missing: position.joint1_deg"),
         (GOOD + "\n", "no measurements below the header"),
-        (GOOD + ",colour\n1,2,3,4,5,6,7,8,9,red\n", "columns"),
-        (GOOD + "\n1,2,3,4,5,6,7,8\n", "line 2 has 8 cells, expected 9"),
-        (GOOD + "\n1,2,3,4,5,6,7,8,nine\n", "line 2"),
-        (GOOD + "\n1,2,3,4,5,6,7,8,inf\n", "infinite"),
-        (GOOD + "\n1,2,3,4,5,6,,,\n", "at least one coordinate"),
-        (GOOD + "\n1,2,3,4,5,,7,8,9\n", "must be finite"),
+        (GOOD + ",sigma\n1,2,3,4,5,6,7,8,9,1\n", "column sigma does not say its unit; name it sigma_mm"),
+        (GOOD + ",approach.joint7_deg\n1,2,3,4,5,6,7,8,9,1\n", "column approach.joint7_deg is not known"),
+        (GOOD + ",X [cm]\n1,2,3,4,5,6,7,8,9,1\n", "columns x_mm and X [cm] are both x"),
+        (GOOD.partition(",x_mm")[0] + "\n1,2,3,4,5,6\n", "missing: x_mm, y_mm, z_mm"),
+        (GOOD + "\n1,2,3,4,5,6,7,8\n", "line 2: 8 columns, the header has 9"),
+        (GOOD + "\n1,2,3,4,5,6,7,8,nine\n", "line 2, column z_mm: 'nine' is no number"),
+        (GOOD + "\n1,2,3,4,5,6,7,8,inf\n", "line 2, column z_mm: an infinite number"),
+        (GOOD + "\n1,2,3,4,5,6,,,\n", "no line has a coordinate"),
+        (GOOD + "\n1,2,3,4,5,,7,8,9\n", "line 2, column position.joint6_deg is empty"),
         (GOOD + ",sigma_mm\n1,2,3,4,5,6,7,8,9,0\n", "positive"),
-        (GOOD + ",posture\n1,2,3,4,5,6,7,8,9,\n", "line 2 has no posture"),
+        (GOOD + ",posture\n1,2,3,4,5,6,7,8,9,\n", "line 2, column posture is empty"),
     ],
 )
 def test_a_csv_that_cannot_be_used_is_one_clear_line(tmp_path, text, said):
@@ -84,6 +87,49 @@ def test_a_csv_that_cannot_be_used_is_one_clear_line(tmp_path, text, said):
         read_measurements(tmp_path / "bad.csv", ARM)
     assert said in str(error.value)
     assert "\n" not in str(error.value)
+
+
+def written(separator=",", comma=".", titles=GOOD, factor=1.0):
+    rows = [titles.replace(",", separator)]
+    for posture, tool in zip(PLAN, 1e3 * factor * tcp_position(ARM, PLAN), strict=True):
+        cells = [f"{value:.6f}".replace(".", comma) for value in (*np.degrees(posture), *tool)]
+        rows.append(separator.join(cells))
+    return "\n".join(rows) + "\n"
+
+
+PLAN = suggest(ARM, 4).postures
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        written(";", ","),
+        "sep=;\n" + written(";", ","),
+        written("\t").encode("utf-16"),
+        written("\t", ","),
+        "# Monday, with the ruler\n" + written() + "# the end\n",
+        written().replace("\n", ",,\n"),
+        written().replace("\n", ",a note\n"),
+        written(titles=GOOD.upper()),
+        written(titles=GOOD.replace("_mm", " [mm]").replace("_deg", " (deg)")),
+        written(titles=GOOD.replace("_mm", "_cm"), factor=0.1),
+        written(titles=GOOD.replace("_mm", " [in]"), factor=1 / 25.4),
+        written() + "1,2,3,4,5,6,,,\n7,8,9,10,11,12,-,-,-\n",  # two places that could not be measured
+    ],
+)
+def test_a_csv_is_read_as_people_and_spreadsheets_write_it(tmp_path, data):
+    (tmp_path / "m.csv").write_bytes(data if isinstance(data, bytes) else data.encode())
+    found = read_measurements(tmp_path / "m.csv", ARM)
+    np.testing.assert_allclose(found.position, PLAN, atol=1e-7)
+    np.testing.assert_allclose(found.point, tcp_position(ARM, PLAN), atol=1e-6)
+
+
+def test_heights_alone_need_no_other_column(tmp_path):
+    lines = [line.split(",") for line in written().splitlines()]
+    (tmp_path / "m.csv").write_text("\n".join(",".join([*cells[:6], cells[8]]) for cells in lines))
+    found = read_measurements(tmp_path / "m.csv", ARM)
+    np.testing.assert_allclose(found.point[:, 2], tcp_position(ARM, PLAN)[:, 2], atol=1e-6)
+    assert np.isnan(found.point[:, :2]).all()
 
 
 def test_files_of_another_arm_and_damaged_ones_are_refused(tmp_path):

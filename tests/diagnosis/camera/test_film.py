@@ -7,15 +7,18 @@ import numpy as np
 import pytest
 from camera_scenes import ARM, WORN, taken
 
-from rejoint.arms import tcp_position
+from rejoint.arms import tcp_pose, tcp_position
 from rejoint.arms.camera.board import ON_TABLE, ON_TOOL, BoardView
 from rejoint.arms.camera.poses import inverse
 from rejoint.arms.camera.rigfile import read_rig, write_rig
 from rejoint.arms.camera.views import Unusable
+from rejoint.diagnosis.calibration.camera.bundle import bundle
 from rejoint.diagnosis.calibration.camera.film import Film, Shot
 from rejoint.diagnosis.calibration.camera.filmfile import POSTURES, read_film, read_folder, write_film, write_postures
 from rejoint.diagnosis.calibration.camera.filming import believed_rig
 from rejoint.diagnosis.calibration.camera.fit import fit_film
+from rejoint.diagnosis.calibration.camera.flatness import require_flat
+from rejoint.diagnosis.calibration.camera.starting import first_rig, first_sights
 from rejoint.robots.lab.camera.scene import LENS
 from rejoint.system.errors import ContractError, FileError, InputError
 
@@ -177,3 +180,33 @@ def test_a_print_of_another_size_is_noticed_by_how_the_arm_moves():
     larger = replace(scouted, board=replace(ON_TOOL, square=ON_TABLE.square, marker=ON_TABLE.marker))
     with pytest.raises(InputError, match=r"squares of the board measure about (19|20|21) mm, by its description 30"):
         believed_rig(ARM, larger)
+
+
+def bowed(bow, count=12):
+    """A film of a board whose middle stands ``bow`` [m] out of its plane."""
+    t, rng, board = taken(), np.random.default_rng(1), taken().scene.rig.board
+    corners = board.corners.copy()
+    corners[:, 2] = -bow * (1.0 - ((corners[:, 0] / board.size[0] - 0.5) / 0.5) ** 2)
+    views = []
+    for k in range(count):
+        pose = t.scene.rig.sight(tcp_pose(ARM, t.links[k]))
+        pixel = LENS.project(corners @ pose[:3, :3].T + pose[:3, 3])
+        views.append(
+            BoardView(
+                name=f"v{k}", number=np.arange(len(corners)), pixel=pixel + 0.1 * rng.standard_normal(pixel.shape)
+            )
+        )
+    return bundle(ARM, board, views, t.position[:count], size=(LENS.width, LENS.height))
+
+
+def test_a_bent_board_is_named():
+    """A lens that was a quarter too long explained it, and the tool was said to be 20 mm from where it was."""
+    with pytest.raises(InputError, match=r"the board is not flat: its corners stand by 1\.\d mm or more"):
+        require_flat(bowed(2.5e-3))
+
+
+def test_pictures_of_other_postures_are_a_line():
+    film = film_of(12)
+    position = np.array([shot.position for shot in film.usable])[::-1]
+    with pytest.raises(InputError, match="the pictures do not fit the joint positions"):
+        first_rig(ARM, LENS, film.board, "camera", position, first_sights(LENS, film.board, film.views))

@@ -2,6 +2,7 @@
 
 import ast
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -15,7 +16,7 @@ from rejoint.arms.camera.board import ON_TOOL
 from rejoint.arms.camera.lens import Lens
 from rejoint.arms.camera.poses import turned
 from rejoint.arms.camera.sighting import place
-from rejoint.arms.camera.views import Detector, Unusable
+from rejoint.arms.camera.views import Detector, Unusable, read_picture
 from rejoint.diagnosis.calibration.camera.track import ToolTracker
 from rejoint.robots import livecamera
 from rejoint.robots.lab.camera.rendering import Looks, render
@@ -73,6 +74,36 @@ def test_what_is_wrong_with_a_picture_is_named(looks, line):
     assert isinstance(found, Unusable)
     assert found.name == "third.png"
     assert re.search(line, found.why), found.why
+
+
+def test_boards_that_are_not_the_one_described_are_named():
+    shown = render(ON_TOOL, LENS, pose_of(3), 3, CLEAN)
+    two = np.minimum(shown, np.roll(shown, 700, axis=1))
+    two[:, :600] = np.roll(shown, -500, axis=1)[:, :600]
+    narrow = replace(ON_TOOL, columns=5, rows=7)
+    even = replace(ON_TOOL, rows=6)
+    legacy = even.opencv()
+    legacy.setLegacyPattern(True)
+    printed = cv2.copyMakeBorder(legacy.generateImage((700, 600)), 60, 60, 60, 60, cv2.BORDER_CONSTANT, value=255)
+    for board, picture, line in (
+        (ON_TOOL, shown[:, ::-1].copy(), "the picture is mirrored"),
+        (ON_TOOL, two, "markers are seen twice"),
+        (narrow, shown, "not where the board's description has them"),
+        (even, printed, "pattern of OpenCV before 4.6"),
+    ):
+        found = Detector(board).find("p", picture)
+        assert isinstance(found, Unusable)
+        assert line in found.why
+
+
+def test_a_phone_that_turns_its_pictures_does_not_turn_its_lens(tmp_path):
+    shown = render(ON_TOOL, LENS, pose_of(3), 3, CLEAN)
+    data = cv2.imencode(".jpg", shown)[1].tobytes()
+    turned_half = bytes.fromhex("ffe100224578696600004d4d002a00000008000101120003000000010003000000000000")
+    (tmp_path / "a.jpg").write_bytes(data[:2] + turned_half + data[2:])
+    upside_down = cv2.imread(str(tmp_path / "a.jpg"), cv2.IMREAD_GRAYSCALE)
+    assert np.abs(upside_down[::-1, ::-1].astype(int) - shown).mean() < 3.0  # OpenCV reads the mark
+    assert np.abs(read_picture(tmp_path / "a.jpg").astype(int) - shown).mean() < 3.0
 
 
 def test_a_part_of_the_board_is_enough():

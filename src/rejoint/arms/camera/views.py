@@ -21,6 +21,9 @@ SOFT = 6.0
 """[px] width of an edge from which a picture counts as blurred (chosen: sharp ones have 2 to 4; beyond it the markers
 of a board on a tool are no longer read)"""
 
+FEWEST_MARKERS = 4
+"""Markers, at least, that tell of another board when no corner between them is seen (chosen: not by chance)"""
+
 PICTURE_MOST = 100 * MEGABYTE
 """Largest file of a picture that is read (chosen: ten times what cameras write)"""
 
@@ -45,6 +48,8 @@ class Detector:
         self.board = board
         searching = cv2.aruco.DetectorParameters()
         searching.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_NONE  # of markers: the chessboard's are used
+        self._searching = searching
+        self._shown = False  # whether it has been seen: then it is the right board, and any fault is of one picture
         self._opencv = cv2.aruco.CharucoDetector(board.opencv(), cv2.aruco.CharucoParameters(), searching)
 
     def find(self, name: str, picture: NDArray[np.uint8]) -> BoardView | Unusable:
@@ -56,6 +61,8 @@ class Detector:
         whole = len(self.board.corners)
         found = 0 if numbers is None else len(numbers)
         markers = 0 if marker_numbers is None else len(marker_numbers)
+        if found == 0 and not self._shown and (why := self._unlike(grey)):
+            return Unusable(name=name, why=why)
         if markers == 0:
             soft = edge_width(grey, np.array([[0.0, 0.0], np.array(grey.shape[::-1]) - 1.0])) > SOFT
             return Unusable(
@@ -79,7 +86,35 @@ class Detector:
         )
         if np.linalg.matrix_rank(self.board.corners[view.number, :2] - self.board.corners[view.number[0], :2]) < 2:
             return Unusable(name=name, why="the corners of the board that are seen lie on one line")
+        self._shown = True
         return view
+
+    def _unlike(self, grey: NDArray[np.uint8]) -> str:
+        """Say what else a picture without any corner of the board shows; empty where nothing tells."""
+        import cv2
+
+        numbers = self._opencv.getBoard().getDictionary()
+        told = cv2.aruco.ArucoDetector(numbers, self._searching).detectMarkers(grey)[1]
+        seen = np.zeros(0) if told is None else np.ravel(told)
+        if len(seen) >= FEWEST_MARKERS and len(np.unique(seen)) < len(seen):
+            return "markers are seen twice: take every other board out of the picture"
+        legacy = self.board.opencv()
+        legacy.setLegacyPattern(True)
+        for other, picture, why in (
+            (
+                self.board.opencv(),
+                np.ascontiguousarray(grey[:, ::-1]),
+                "the picture is mirrored: switch that off where it is taken",
+            ),
+            (legacy, grey, "the board has the pattern of OpenCV before 4.6: print one with `rejoint board`"),
+        ):
+            detector = cv2.aruco.CharucoDetector(other, cv2.aruco.CharucoParameters(), self._searching)
+            corners = detector.detectBoard(picture)[1]
+            if corners is not None and len(corners) >= FEWEST:
+                return why
+        if len(seen) < FEWEST_MARKERS:
+            return ""
+        return "markers are seen, but not where the board's description has them: is it of this print?"
 
 
 def edge_width(grey: NDArray[np.uint8], corners: Array) -> float:
@@ -101,4 +136,5 @@ def read_picture(path: Path) -> NDArray[np.uint8] | None:
     import cv2
 
     data = np.frombuffer(read_bounded(path, PICTURE_MOST, "take a smaller picture"), np.uint8)
-    return cv2.imdecode(data, cv2.IMREAD_GRAYSCALE) if len(data) else None
+    # a phone that looks down turns its pictures by what it takes for upright, its lens does not turn
+    return cv2.imdecode(data, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION) if len(data) else None

@@ -66,6 +66,11 @@ class Calibration:
             object.__setattr__(self, name, value)
 
     @property
+    def missed(self) -> Array:
+        """(M,) [m] by how much this calibration misses each measured point that it has not seen."""
+        return self.left_out[:, 1] if len(self.left_out) else np.array([self.after])
+
+    @property
     def layout(self) -> DisplacementLayout:
         """Places of the parameters in the covariance."""
         return DisplacementLayout(joints=self.arm.joints)

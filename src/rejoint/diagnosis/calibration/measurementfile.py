@@ -2,8 +2,9 @@
 
 Columns: ``position.JOINT`` and, where it is known, ``approach.JOINT``; ``x``, ``y``, ``z`` and ``sigma`` of the tool;
 and ``posture``, the number of the posture. In Parquet they are in rad and m. In CSV every name ends with its unit
-(``position.joint1_deg``, ``x_mm``); an empty cell is a coordinate that was not measured, and ``approach``, ``sigma``
-and ``posture`` may be missing.
+(``position.joint1_deg``, ``x_mm``), see `rejoint.diagnosis.calibration.sheets`; an empty cell is a coordinate that was
+not measured, a line without any is left out, and ``approach``, ``sigma``, ``posture`` and two of the axes may be
+missing.
 """
 
 from __future__ import annotations
@@ -21,14 +22,12 @@ import pyarrow.parquet as pq
 from rejoint.arms import Arm, Array
 from rejoint.arms.size import in_metres
 from rejoint.diagnosis.calibration.measurements import NOISE, Measurements
+from rejoint.diagnosis.calibration.sheets import ANGLES, COUNT, LENGTHS, read_columns
 from rejoint.logs.runlog import AXES, read_parquet
 from rejoint.system.errors import FileError, InputError, first_line
-from rejoint.system.files import CHANGED, MEGABYTE, read_bounded, write_whole
+from rejoint.system.files import CHANGED, write_whole
 
 FORMAT = 1
-CSV_MOST = 4 * MEGABYTE
-"""Largest CSV file that is read (chosen: ten thousand measurements)"""
-
 _KEY = b"rejoint"
 _REMEDY = "measure again, or take another file"
 _DEG, _MM = np.pi / 180.0, 1e-3
@@ -98,10 +97,9 @@ def _assemble(columns: dict[str, Array], arm: Arm, frame: str, source: str) -> M
     def group(prefix: str) -> Array:
         return np.stack([columns[f"{prefix}.{name}"] for name in arm.joint_names], axis=-1)
 
-    told = f"approach.{arm.joint_names[0]}" in columns
     return Measurements(
         position=group("position"),
-        approach=group("approach") if told else np.full((rows, arm.joints), np.nan),
+        approach=group("approach"),
         point=np.stack([columns[axis] for axis in AXES], axis=-1),
         sigma=columns.get("sigma", np.full(rows, NOISE)),
         posture=np.asarray(columns.get("posture", np.arange(rows, dtype=float)), dtype=np.int64),
@@ -131,57 +129,41 @@ def _as_csv(columns: dict[str, Array]) -> str:
 
 
 def _from_csv(path: Path, arm: Arm, frame: str, source: str) -> Measurements:
-    text = read_bounded(path, CSV_MOST, "give fewer measurements").decode("utf-8-sig")
-    lines = [line for line in csv.reader(io.StringIO(text, newline="")) if any(map(str.strip, line))]
-    names = [cell.strip() for cell in lines[0]] if lines else []
     joints = [f"position.{name}" for name in arm.joint_names]
-    known = [*joints, *(f"approach.{name}" for name in arm.joint_names), *AXES, "sigma", "posture"]
-    wanted = {_units(name)[0]: name for name in known}
-    missing = [_units(name)[0] for name in (*joints, *AXES) if _units(name)[0] not in names]
-    strange = [name for name in names if name not in wanted]
-    if missing or strange or len(set(names)) != len(names):
-        found = f"columns {', '.join(names) or 'none'}"
-        raise FileError(path, f"{found}; missing: {', '.join(missing) or 'none'}", f"name them {', '.join(wanted)}")
-    if len(lines) == 1:
+    came = [f"approach.{name}" for name in arm.joint_names]
+    meanings = dict.fromkeys(joints + came, ANGLES) | dict.fromkeys((*AXES, "sigma"), LENGTHS) | {"posture": COUNT}
+    found = read_columns(path, meanings, joints)
+    if not any(axis in found.places for axis in AXES):
+        raise FileError(path, f"columns {found.sheet.shown}; missing: x_mm, y_mm, z_mm", "give at least one of them")
+    if not len(found):
         raise FileError(path, "no measurements below the header", "add one line for each")
-    table = np.array([_numbers(path, number, line, names) for number, line in enumerate(lines[1:], start=2)])
-    columns = {wanted[name]: table[:, i] * _units(wanted[name])[1] for i, name in enumerate(names)}
-    blank = np.isnan(columns.get("posture", np.zeros(1)))
-    if blank.any():
-        raise FileError(
-            path, f"line {int(np.argmax(blank)) + 2} has no posture", "number the postures, or leave that column out"
-        )
+    blank = np.full(len(found), np.nan)
+    columns = {name: found.numbers(name) if name in found.places else blank for name in (*AXES, *came)}
+    columns |= {name: found.filled(name) for name in (*joints, "sigma", "posture") if name in found.places}
+    seen = np.isfinite([columns[axis] for axis in AXES]).any(axis=0)  # as an empty answer at the prompt leaves one out
+    lines = [found.line(row) for row in np.flatnonzero(seen).tolist()]
+    if not lines:
+        raise FileError(path, "no line has a coordinate of the tool", "measure at least one")
     try:
-        measured = _assemble(columns, arm, frame, source)
+        measured = _assemble({name: values[seen] for name, values in columns.items()}, arm, frame, source)
     except InputError as error:
         raise FileError(path, str(error), _REMEDY) from error
-    _require_units(path, arm, measured)
+    _require_units(path, arm, measured, lines)
     return measured
 
 
-def _require_units(path: Path, arm: Arm, measured: Measurements) -> None:
+def _require_units(path: Path, arm: Arm, measured: Measurements, lines: list[int]) -> None:
     """Raise FileError where joint positions cannot be degrees of this arm, or points not millimetres."""
     beyond = (measured.position < arm.lower - BEYOND) | (measured.position > arm.upper + BEYOND)
     if beyond.any():
         row, joint = (int(index) for index in np.argwhere(beyond)[0])
         low, high = np.degrees(arm.lower[joint]), np.degrees(arm.upper[joint])
+        angle = np.degrees(measured.position[row, joint])
         raise FileError(
-            path, f"line {row + 2}: {arm.joint_names[joint]} at {np.degrees(measured.position[row, joint]):.1f} deg, "
+            path, f"line {lines[row]}: {arm.joint_names[joint]} at {angle:.1f} deg, "
             f"expected {low:.0f} to {high:.0f}", "give what this arm's encoders said, in degrees",
         )  # fmt: skip
     if len(measured) > 1 and (np.abs(np.degrees(measured.position)) <= np.pi).all():
         raise FileError(path, "every joint position lies between -3.14 and 3.14", "give degrees, not radians")
     if measured.frame == "base" and in_metres(measured.point):
         raise FileError(path, "every coordinate of the tool is below 5", "give millimetres, not metres")
-
-
-def _numbers(path: Path, number: int, line: list[str], names: list[str]) -> list[float]:
-    if len(line) != len(names):
-        raise FileError(path, f"line {number} has {len(line)} cells, expected {len(names)}", "correct that line")
-    try:
-        values = [float(cell) if cell.strip() else float("nan") for cell in line]
-    except ValueError as error:
-        raise FileError(path, f"line {number}: {first_line(error)}", "correct that line") from error
-    if np.isinf(values).any():
-        raise FileError(path, f"line {number} holds an infinite number", "correct that line")
-    return values

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -21,6 +22,8 @@ from rejoint.control.robot import Robot
 from rejoint.control.seeing import Eye, Seen
 from rejoint.runs.run import Run
 from rejoint.system.errors import InputError
+
+_LOGGER = logging.getLogger("rejoint")
 
 EyeLike: TypeAlias = "Eye | Callable[[Robot], Eye] | str"
 """An eye, what makes one for an open robot, the number of a camera, or ``emulated``"""
@@ -74,6 +77,13 @@ def with_sightings(done: Deployed, seen: Seen | None) -> Deployed:
     """Add what was seen at each target to what became of it."""
     if seen is None:
         return done
+    far = seen.shifted() if seen.displacement.play.any() else None  # without a calibration all of the sag is seen
+    if far is not None:
+        _LOGGER.warning(
+            "the camera sees the tool %.1f mm to one side of where the calibration has it, at all targets alike: were "
+            "camera or board moved? Then calibrate with the camera again, the arm went where it says",
+            1e3 * far,
+        )
     seen_at = [*seen.visits, *[(0, None)] * len(done.visits)]
     visits = [
         replace(visit, sightings=count, seen_error=error, true_error=_measured(visit, error))

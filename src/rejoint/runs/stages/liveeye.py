@@ -18,6 +18,8 @@ from rejoint.system.errors import InputError, RejointError
 
 LATE = 0.05
 """[s] from the middle of an exposure until the picture is here (chosen: one picture at 30 a second, and its way)"""
+FROZEN = 10
+"""Pictures without a single other bit from which a camera hangs (chosen: one or two are sent twice at low light)"""
 _LOGGER = logging.getLogger("rejoint")
 
 
@@ -69,12 +71,18 @@ class LiveEye:
         return Sighting(time=newest.time + (now - time.monotonic()), place=newest.place, sigma=newest.sigma)
 
     def _watch(self) -> None:
+        last, alike = np.zeros(0, np.uint8), 0
         while not self._end.is_set():
             try:
                 picture, came = self._camera.picture()
             except RejointError as error:
                 self.why, self._gone = str(error), True
                 return
+            last, alike = picture, alike + 1 if np.array_equal(picture, last) else 0
+            self._gone = alike >= FROZEN
+            if alike:  # no news: it would tell that the tool stays where it was, whatever the arm does
+                self.why = "gives the same picture for ever; plug it in again" if self._gone else self.why
+                continue
             seen = self._tracker.see(picture, came - LATE)
             self.why = self._tracker.why
             if seen is not None:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, Displacement
 from rejoint.arms.camera.board import Board, BoardView
@@ -17,7 +18,7 @@ from rejoint.arms.camera.sighting import CORNER, place
 from rejoint.arms.camera.views import Unusable
 from rejoint.diagnosis.calibration.camera.adjustment import Adjustment, Tip, looseness
 from rejoint.diagnosis.calibration.camera.starting import first_lens, first_rig, first_sights
-from rejoint.diagnosis.calibration.camera.suspects import Judged, judge
+from rejoint.diagnosis.calibration.camera.suspects import judge
 from rejoint.diagnosis.calibration.measurements import Measurements
 from rejoint.diagnosis.calibration.parameters import Belief, DisplacementLayout, PriorCase, belief, displacement_of
 from rejoint.system.errors import InputError
@@ -30,7 +31,7 @@ HUBER = 3.0
 USUAL = PriorCase(twist=0.5)
 """What is believed of the arm before: that it may be worn and stands on a table (see `PriorCase`)"""
 
-_ROUNDS = 4  # of the adjustment, at most; all but the first two only where a view was left out
+_ROUNDS = 5  # of the adjustment, at most; all but the first two only where a view was left out or taken back
 _STEPS = (15, 30)  # of the first round and of the others
 _INSIDE = 1e-6  # from a bound at which the solver may begin
 _KEEP = 0.6  # share of the views that must remain: otherwise the few may be the wrong ones (chosen)
@@ -169,26 +170,48 @@ def _check(arm: Arm, views: Sequence[BoardView], position: Array, carried: str, 
         raise InputError(f"{len(views)} views of the board, expected at least {FEWEST}; take more pictures")
 
 
-def _rounds(state: Adjustment, vector: Array) -> Bundle:
-    """Adjust, look at every view, mend or leave out what does not fit, and adjust again."""
-    left: list[Unusable] = []
-    count = len(state.views)
+def _rounds(whole: Adjustment, vector: Array) -> Bundle:
+    """Adjust, look at every view, mend or leave out what does not fit, and adjust again.
+
+    What the first round leaves out is looked at once more: its lens is not settled yet, and with a wrong lens a board
+    that is seen from its front seems turned by degrees.
+    """
+    count = len(whole.views)
+    good, bad = np.ones(count, bool), dict[str, Unusable]()
     for number in range(_ROUNDS):
-        x, slope = _solved(state, vector, _STEPS[min(number, 1)])
-        vector = x[state.body]
-        state = _settled(state, x)
-        judged = judge(state, vector)
-        if number > 0 and judged.fine:
+        whole, vector, slope = _adjusted(whole, good, vector, _STEPS[min(number, 1)])
+        judged = judge(whole, vector)
+        kept = judged.good if number < 2 else judged.good & good
+        bad |= {one.name: one for one in judged.bad}
+        if number > 0 and (kept == good).all() and not judged.mended[good].any():
             break
-        left += judged.bad
-        state = _kept(state, judged)
-        if len(state.views) < max(FEWEST, _KEEP * count):
-            names = ", ".join(one.name for one in left[:5])
+        whole, good = replace(whole, sights=judged.sights), kept
+        if good.sum() < max(FEWEST, _KEEP * count):
+            names = ", ".join(list(bad)[:5])
             raise InputError(
-                f"{len(left)} of {count} views do not fit the others (such as {names}); check that every picture is "
-                "paired with the joint positions at which it was taken"
+                f"{count - good.sum()} of {count} views do not fit the others (such as {names}); check that every "
+                "picture is paired with the joint positions at which it was taken"
             )
-    return _result(state, vector, slope, tuple(left))
+    left = tuple(bad[view.name] for view, fits in zip(whole.views, good, strict=True) if not fits)
+    return _result(_some(whole, good), vector, slope, left)
+
+
+def _adjusted(
+    whole: Adjustment, good: NDArray[np.bool_], vector: Array, steps: int
+) -> tuple[Adjustment, Array, Array]:  # fmt: skip
+    """Solve for the ``good`` (V,) views.
+
+    Returns all of them about that solution, the arm's parameters, and the derivative that `_solved` returns.
+    """
+    state = _some(whole, good)
+    x, slope = _solved(state, vector, steps)
+    sights = whole.sights.copy()
+    sights[good] = state.sights_of(x)
+    found = replace(
+        whole, rig=state.rig_of(x), sights=sights,
+        whitener=_whitener(state.arm, state.displacement_of(x), whole.position),
+    )  # fmt: skip
+    return found, x[state.body], slope
 
 
 def _solved(state: Adjustment, vector: Array, steps: int) -> tuple[Array, Array]:
@@ -208,24 +231,12 @@ def _solved(state: Adjustment, vector: Array, steps: int) -> tuple[Array, Array]
     return found.x, found.jac
 
 
-def _settled(state: Adjustment, x: Array) -> Adjustment:
-    """Take the solution as the estimate for the next round."""
-    displacement = state.displacement_of(x)
+def _some(whole: Adjustment, good: NDArray[np.bool_]) -> Adjustment:
+    """Return the adjustment of some views (V,)."""
+    rows = np.flatnonzero(good).tolist()
     return replace(
-        state,
-        rig=state.rig_of(x),
-        sights=state.sights_of(x),
-        whitener=_whitener(state.arm, displacement, state.position),
-    )
-
-
-def _kept(state: Adjustment, judged: Judged) -> Adjustment:
-    """Return the adjustment of the views that fit, where mended ones are seen as they fit."""
-    good = np.flatnonzero(judged.good).tolist()
-    return replace(
-        state, sights=judged.sights[good], views=tuple(state.views[i] for i in good), position=state.position[good],
-        approach=state.approach[good],
-        whitener=state.whitener[good],
+        whole, sights=whole.sights[rows], views=tuple(whole.views[i] for i in rows), position=whole.position[rows],
+        approach=whole.approach[rows], whitener=whole.whitener[rows],
     )  # fmt: skip
 
 

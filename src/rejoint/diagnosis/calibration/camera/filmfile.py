@@ -15,7 +15,6 @@ import csv
 import hashlib
 import io
 import json
-from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -29,18 +28,16 @@ from rejoint.arms import Arm
 from rejoint.arms.camera.board import Board, BoardView
 from rejoint.arms.camera.views import KINDS, Detector, Unusable, read_picture
 from rejoint.diagnosis.calibration.camera.film import Film, Shot
+from rejoint.diagnosis.calibration.sheets import ANGLES, COUNT, read_columns
 from rejoint.logs.runlog import read_parquet
 from rejoint.system.errors import FileError, InputError, first_line
-from rejoint.system.files import CHANGED, MEGABYTE, read_bounded, write_whole
+from rejoint.system.files import CHANGED, write_whole
 
 FORMAT = 1
 POSTURES = "postures.csv"
 """File beside pictures that says in which posture each was taken"""
-CSV_MOST = 4 * MEGABYTE
-"""Largest such file that is read (chosen: ten thousand pictures)"""
 _KEY = b"rejoint"
 _REMEDY = "take the pictures again, or another folder"
-_DEG = np.pi / 180.0
 
 
 def write_film(path: Path, arm: Arm, film: Film, *, ended: bool = False) -> None:
@@ -174,36 +171,29 @@ def _pictures(pattern: str) -> list[Path]:
 
 def _postures(path: Path, arm: Arm, pictures: set[str]) -> dict[str, dict[str, Any]]:
     """Read postures by the names of pictures, which are all to have one."""
-    joints = [f"position.{name}_deg" for name in arm.joint_names]
-    came = [f"approach.{name}_deg" for name in arm.joint_names]
-    remedy = f"one line for each picture, with the columns picture, {', '.join(joints)}"
+    joints = [f"position.{name}" for name in arm.joint_names]
+    came = [f"approach.{name}" for name in arm.joint_names]
+    remedy = "write one line for each picture"
+    meanings = {"picture": None, **dict.fromkeys(joints + came, ANGLES), **dict.fromkeys(("posture", "side"), COUNT)}
     try:
-        text = read_bounded(path, CSV_MOST, "give fewer pictures").decode("utf-8-sig")
+        found = read_columns(path, meanings, ["picture", *joints])
     except FileNotFoundError as error:
         raise FileError(path, "no such file: the joint positions of each picture are missing", remedy) from error
-    except (OSError, UnicodeDecodeError) as error:
+    except OSError as error:
         raise FileError(path, f"cannot be read ({first_line(error)})", remedy) from error
-    reader = csv.DictReader(io.StringIO(text, newline=""))
-    names = [name.strip() for name in reader.fieldnames or ()]
-    if missing := [name for name in ("picture", *joints) if name not in names]:
-        raise FileError(path, f"columns {', '.join(names) or 'none'}; missing: {', '.join(missing)}", remedy)
-    reader.fieldnames, rows = names, {}
-    for line, cells in enumerate(reader, start=2):
-        try:
-            rows[str(cells["picture"]).strip()] = {
-                "position": _angles(cells, joints), "approach": _angles(cells, came, empty=True),
-                **{name: int(cells[name]) for name in ("posture", "side") if cells.get(name)},
-            }  # fmt: skip
-        except (KeyError, TypeError, ValueError) as error:
-            raise FileError(path, f"line {line}: {first_line(error)}", "correct that line") from error
+    blank = np.full(len(found), np.nan)
+    position = np.array([found.filled(name) for name in joints]).T
+    if len(found) > 1 and (np.abs(np.degrees(position)) <= np.pi).all():
+        raise FileError(path, "every joint position lies between -3.14 and 3.14", "give degrees, not radians")
+    approach = np.array([found.numbers(name) if name in found.places else blank for name in came]).T
+    whole = {name: found.numbers(name) for name in ("posture", "side") if name in found.places}
+    rows: dict[str, dict[str, Any]] = {}
+    for row, name in enumerate(Path(word).name for word in found.words("picture")):
+        one = {"position": position[row], "approach": approach[row]}
+        one |= {kind: int(values[row]) for kind, values in whole.items() if np.isfinite(values[row])}
+        if name in rows and not np.array_equal(rows[name]["position"], position[row]):
+            raise FileError(path, f"line {found.line(row)}: other joint positions for {name}", "leave one line out")
+        rows[name] = one
     if without := sorted(pictures - set(rows)):
         raise FileError(path, f"no joint positions for {', '.join(without[:3])} ({len(without)} pictures)", remedy)
     return rows
-
-
-def _angles(cells: dict[str, Any], names: Sequence[str], *, empty: bool = False) -> np.ndarray:
-    """Angles (n,) [rad] of a line; NaN for cells that may be ``empty``, ValueError for others that are no angles."""
-    angles = np.array([np.nan if empty and not cells.get(name) else float(cells[name]) for name in names])
-    if not empty and not np.isfinite(angles).all():
-        raise ValueError("an angle is missing or infinite")
-    return _DEG * angles

@@ -17,6 +17,7 @@ from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.diagnosis.calibration.camera.adjustment import Tip
 from rejoint.diagnosis.calibration.camera.bundle import FEWEST, Bundle, Residual, bundle
 from rejoint.diagnosis.calibration.camera.film import Film, positions
+from rejoint.diagnosis.calibration.camera.flatness import require_flat
 from rejoint.diagnosis.calibration.camera.refit import TieProblem, leave_views_out, tool_spread, with_poses
 from rejoint.diagnosis.calibration.fit import beliefs_of, earlier
 from rejoint.diagnosis.calibration.measurements import Measurements
@@ -56,7 +57,7 @@ def fit_film(
     """Fit lens, camera, board and displacement to a film of ``arm``, and try the displacement on views left out.
 
     ``prior`` is an earlier calibration of the same arm, ``tip`` where the tool's tip is on the board that it carries.
-    InputError where the film does not suffice.
+    InputError where the film does not suffice, or the board is bent.
     """
     shots = film.usable
     if film.size is None or len(shots) < FEWEST:
@@ -67,6 +68,7 @@ def fit_film(
         arm, film.board, film.views, position, approach=approach, size=film.size, carried=film.carried, tip=tip,
         prior=None if prior is None else earlier(arm, layout, prior),
     )  # fmt: skip
+    require_flat(found)
     number = {shot.name: shot.posture for shot in shots}
     posture = np.array([number[view.name] for view in found.views], dtype=np.int64)
     solved = [

@@ -21,6 +21,8 @@ _LEVER = 0.1  # [m] that makes a length of a turn (chosen: the size of a board)
 _STRETCH = 0.2
 """Share by which lengths may differ before the board counts as another one (chosen: wear makes 0.05 of them, and boards
 of 20 and 30 mm differ by 0.5)"""
+_LEAST = 0.2
+"""Factor of lengths below which no board is that small: the motion does not belong to the pictures (chosen)"""
 _TURNED = np.radians(10.0)
 """[rad] by which the tool must have been turned between views, about two directions (chosen: ten times the play)"""
 
@@ -57,6 +59,11 @@ def first_rig(arm: Arm, lens: Lens, board: Board, carried: str, position: Array,
         off = np.linalg.norm(seen[:, :3, 3] - tool[:, :3, 3], axis=-1) + _LEVER * turn_between(seen, tool)
         used = off <= _FAR * np.median(off)
     scale = _scale(tool[used], between[used], standing)
+    if not _LEAST < scale < 1.0 / _LEAST:
+        raise InputError(
+            "the pictures do not fit the joint positions: check that each is paired with its own, in the right unit, "
+            "and that the board is where it is said to be, on the tool or on the table"
+        )
     if abs(scale - 1.0) > _STRETCH:
         raise InputError(
             f"by the joints' motion the squares of the board measure about {1e3 * board.square * scale:.0f} mm, by its "

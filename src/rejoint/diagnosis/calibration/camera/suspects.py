@@ -31,12 +31,8 @@ class Judged:
     sights: Array
     """(V, 4, 4) of the board in the frame of the camera, mended where needed"""
     bad: tuple[Unusable, ...]
-    mended: bool
-
-    @property
-    def fine(self) -> bool:
-        """Whether nothing changes with it."""
-        return not self.bad and not self.mended
+    mended: NDArray[np.bool_]
+    """(V,)"""
 
 
 def judge(state: Adjustment, vector: Array) -> Judged:
@@ -51,14 +47,14 @@ def judge(state: Adjustment, vector: Array) -> Judged:
     limit = max(CROOKED * float(np.median(rms)), LEAST_CROOKED)
     off = _distance(state, state.rig.tool(sights), told)
     usual = ELSEWHERE * max(1.0, float(np.median(off)))
-    good, mended, bad = np.ones(len(placed), bool), False, []
+    good, mended, bad = np.ones(len(placed), bool), np.zeros(len(placed), bool), []
     expected = state.rig.sight(told)
     for v in np.flatnonzero((rms > limit) | (off > usual)).tolist():
         view = state.views[v]
         other = place(lens, corners[view.number], view.pixel, expected[v])
         away = _distance(state, state.rig.tool(other.pose[None]), told[v : v + 1], v)[0]
         if other.rms <= limit and away <= usual:
-            sights[v], mended = other.pose, True
+            sights[v], mended[v] = other.pose, True
             continue
         good[v] = False
         why = _crooked(rms[v], rms) if rms[v] > limit else _elsewhere(state, told, sights[v], v, usual)

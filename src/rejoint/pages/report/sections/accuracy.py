@@ -41,7 +41,7 @@ def _summary(found: Calibration, measured: Measurements | None) -> Part:
         if found.used
         else "The correction does not clearly help, so nothing is corrected."
     )
-    if astray(found.arm, found.after):
+    if astray(found.arm, found.missed):
         verdict += " No arm is that far from a description of itself: units, columns or frame of the points are wrong."
     text = (
         f"At {plural(found.points, 'measurement')}, the tool was {before} from where the encoders saw it, and {after} "
