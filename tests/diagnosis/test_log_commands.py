@@ -4,15 +4,20 @@ import dataclasses
 import html
 import json
 from functools import partial
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from plant_logs import ARM, HEALTHY, record_motions, with_joint
 
+import rejoint
 from commandline import run_cli
+from rejoint.arms import write_arm_toml
 from rejoint.diagnosis.diagnosis import Diagnosis
 from rejoint.logs.runfolder.folder import LOGS, RunFolder, RunInfo
 from rejoint.logs.runlog import write_log
+from rejoint.runs.given import arm_of_twin
+from rejoint.system.errors import InputError
 from rejoint.system.files import read_json
 from rejoint.twin.fromlogs import REFITTED
 from rejoint.twin.judgement import NO_TWIN, Judgement
@@ -154,4 +159,22 @@ def test_a_run_of_other_logs_is_not_taken_over(run, logs, tmp_path):
     code, _, err = run("identify", "one")
     assert code == 2
     assert "rejoint identify --logs" in err
-    assert ARM.name in err
+
+
+def test_logs_of_an_arm_of_ones_own_name_its_file_once(run, motions, tmp_path):
+    arm, name = tmp_path / "mine.toml", "mine"
+    write_arm_toml(arm, dataclasses.replace(ARM, name=name))
+    for log in motions:
+        write_log(tmp_path / "recorded" / f"{log.label}.parquet", dataclasses.replace(log, arm=name))
+    code, out, err = run("diagnose", "--logs", "recorded", "--arm", arm, "--run", "one")
+    assert code == 0, err
+    assert "Next: rejoint identify --logs recorded --run one" in (out + err).splitlines()
+    arm.unlink()
+    again = run("diagnose", "--logs", "recorded", "--run", "one")
+    assert again[0] == 0, again[2]
+    assert rejoint.diagnose("recorded", run="one").diagnosis.arm == name
+    assert arm_of_twin("one/twin.toml").name == name
+    with pytest.raises(InputError, match="the logs are of an arm 'mine', which is described elsewhere; give its file"):
+        rejoint.diagnose("recorded")
+    with pytest.raises(InputError, match="the twin is of an arm 'mine', which is described elsewhere; give its file"):
+        arm_of_twin(SimpleNamespace(arm=name, parameters=None))

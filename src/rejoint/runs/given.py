@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Literal, Protocol, TypeAlias, cast
 
 import numpy as np
 
-from rejoint.arms import Arm, Array, load_arm
+from rejoint.arms import CATALOGUE, Arm, Array, load_arm
 from rejoint.control.comparison.targets import draw_targets, read_targets, require_reachable
 from rejoint.control.poses import Pose, placed
 from rejoint.control.robot import Robot
@@ -245,8 +245,27 @@ def run_of_logs(run: RunLike | None, logs: LogsLike, arm: ArmLike | None) -> tup
     """Return the run that a stage on logs writes into, without writing, and the arm, which the logs do not describe."""
     if isinstance(run, Run):
         return run, run.arm
-    chosen = load_arm(as_logs(logs)[0].arm) if arm is None else as_arm(arm)
+    if arm is None and isinstance(run, str | Path) and RunFolder(Path(run)).info.exists():
+        chosen = Run.open(run).arm  # described there
+    else:
+        chosen = arm_named(as_logs(logs)[0].arm, "the logs are") if arm is None else as_arm(arm)
     return run_about(run, source_of(logs), chosen, None), chosen
+
+
+def arm_named(name: str, whose: str) -> Arm:
+    """Return the arm of the catalogue that logs or a twin name; InputError asks for the file of any other."""
+    if name not in CATALOGUE:
+        raise InputError(f"{whose} of an arm {name!r}, which is described elsewhere; give its file as the arm")
+    return load_arm(name)
+
+
+def arm_of_twin(twin: TwinLike) -> Arm:
+    """Return the arm of a twin: that of the run whose file it is, else the one of the catalogue that it names."""
+    if isinstance(twin, Path | str):
+        folder = RunFolder(Path(twin).parent)
+        if folder.info.exists() and folder.twin.name == Path(twin).name:
+            return Run.open(folder.path).arm
+    return arm_named(as_twin(twin).arm, "the twin is")
 
 
 def as_targets(given: Targets | None, arm: Arm, *, sets: int, seed: int) -> tuple[Array, Orientation | None]:

@@ -50,7 +50,7 @@ def identify(
     logs
         run logs, a file of one, or a folder of them; without any, the excitation of ``run``
     arm
-        arm, name or file; by default the one of the catalogue that the logs name
+        arm, name or file; by default that of the run, or the one of the catalogue that the logs name
     run
         run, or its folder, into which ``twin.toml`` is written; without one nothing is written
     beside
@@ -148,7 +148,7 @@ def _excitation(run: Run) -> RunLog:
     path = run.folder.log("excitation")
     if not path.exists():
         logs = run.robot.removeprefix(LOGS)
-        given = f"identify --logs {logs} --arm {run.arm.name}" if run.robot.startswith(LOGS) else f"diagnose {logs}"
+        given = f"identify --logs {logs}" if run.robot.startswith(LOGS) else f"diagnose {logs}"
         raise FileError(path, "no such file", f"run: rejoint {given} --run {run.path}")
     return read_log(path)
 
