@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from numbers import Real
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -10,6 +11,7 @@ from numpy.typing import ArrayLike
 from rejoint.arms.arm import Arm, Array
 from rejoint.arms.inertia import SpatialInertia, combined
 from rejoint.system.errors import InputError
+from rejoint.system.numbers import as_floats
 
 LONGEST_TOOL = 0.5
 """[m] (chosen: longer is a number in millimetres)"""
@@ -43,7 +45,7 @@ def loaded(arm: Arm, payload: Payload | float | None = None, tool: ArrayLike | N
     The tool is given in the frame of the bare arm's TCP. Without either, ``arm`` itself. InputError for a mass or
     length that no such arm carries.
     """
-    carried = Payload(mass=float(payload)) if isinstance(payload, float | int) else payload
+    carried = Payload(mass=float(payload)) if isinstance(payload, Real) else payload
     if (carried is None or carried.mass == 0.0) and tool is None:
         return arm
     carried = carried or Payload(mass=0.0)
@@ -66,7 +68,7 @@ def loaded(arm: Arm, payload: Payload | float | None = None, tool: ArrayLike | N
 
 
 def _lengths(what: str, given: ArrayLike) -> Array:
-    lengths = np.asarray(given, dtype=float)
+    lengths = as_floats(what, given)
     if (
         lengths.shape != (3,)
         or not np.abs(lengths).max(initial=np.inf if lengths.shape != (3,) else 0.0) <= LONGEST_TOOL

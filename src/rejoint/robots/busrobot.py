@@ -89,7 +89,9 @@ class BusRobot:
         An arm that is not ``active`` (1,) is left alone, and its last state repeated.
         """
         if command.shape != (1, self._arm.joints) or not np.isfinite(command).all():
-            raise InputError(f"expected finite joint positions of shape (1, {self._arm.joints}), got {command!r}")
+            raise InputError(
+                f"expected finite joint positions of shape (1, {self._arm.joints}), got {np.shape(command)}"
+            )
         last = self._state if self._state is not None else self.read()
         if active is not None and not active[0]:
             return last

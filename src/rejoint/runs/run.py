@@ -17,6 +17,7 @@ from rejoint.logs.runfolder.folder import FORMAT, LOGS, RunFolder, RunInfo, lock
 from rejoint.logs.runlog import RunLog, read_log
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import TOML_MOST, UNFINISHED, digest, read_bounded, read_json, write_json
+from rejoint.system.numbers import as_seed
 from rejoint.system.version import __version__
 
 if TYPE_CHECKING:  # slow to import, and not needed to open a run
@@ -128,7 +129,7 @@ class Run:
 
     def seeded(self, seed: int | None) -> Run:
         """Return the run with another seed, if one is given."""
-        return self if seed is None else replace(self, info=replace(self.info, seed=seed))
+        return self if seed is None else replace(self, info=replace(self.info, seed=as_seed(seed)))
 
     @property
     def diagnosis(self) -> Diagnosis | None:

@@ -16,6 +16,7 @@ from rejoint.runs.given import ArmLike, LogsLike, RunLike, as_logs, as_run, run_
 from rejoint.runs.run import Run, exclusive, mark_quick
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import write_json
+from rejoint.system.numbers import as_seed
 from rejoint.system.progress import Progress, no_progress, paced
 from rejoint.twin.conditions import GAIN, TORQUE_OFF, declare
 
@@ -102,7 +103,7 @@ def identify(
         motions = declare(declare(as_logs(logs), GAIN, gain), TORQUE_OFF, torque_off)
         require_commands(motions, "identification")
         if about is None and all(is_excitation(log) for log in motions):
-            return _from_excitation(chosen, motions, seed or 0, on_progress, quick=quick)
+            return _from_excitation(chosen, motions, as_seed(seed), on_progress, quick=quick)
         drawn = seed if seed is not None else about.seed if about is not None else 0
         twin = _from_any_motion(chosen, motions, beside, hold_out, drawn, on_progress, quick=quick)
         if about is not None:
