@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from numbers import Real
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -45,7 +44,7 @@ def loaded(arm: Arm, payload: Payload | float | None = None, tool: ArrayLike | N
     The tool is given in the frame of the bare arm's TCP. Without either, ``arm`` itself. InputError for a mass or
     length that no such arm carries.
     """
-    carried = Payload(mass=float(payload)) if isinstance(payload, Real) else payload
+    carried = Payload(mass=float(payload)) if isinstance(payload, float | int | np.floating | np.integer) else payload
     if (carried is None or carried.mass == 0.0) and tool is None:
         return arm
     carried = carried or Payload(mass=0.0)
