@@ -99,6 +99,13 @@ def test_a_log_is_made_of_numbers(changed, said) -> None:
         rejoint.RunLog.of(**given, arm="mycobot280")
 
 
+@pytest.mark.parametrize(("factor", "said"), [(1e3, "30 s apart"), (1e9, r"3e\+07 s apart")])
+def test_times_of_another_unit_are_refused(factor: float, said: str) -> None:
+    log = rejoint.RunLog.of(factor * TIME, MOTION, MOTION, arm="mycobot280")
+    with pytest.raises(InputError, match=f"its rows are {said}; give times in seconds"):
+        rejoint.diagnose(log)
+
+
 def test_a_log_copies_what_it_is_given() -> None:
     position = MOTION.copy()
     log = rejoint.RunLog.of(TIME, MOTION.tolist(), position, arm="mycobot280")

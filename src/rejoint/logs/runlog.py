@@ -23,7 +23,7 @@ from rejoint.arms import Arm, load_arm
 from rejoint.logs.found import describe
 from rejoint.system.errors import FileError, InputError, first_line
 from rejoint.system.files import CHANGED, MEGABYTE, require_file, write_whole
-from rejoint.system.numbers import as_floats
+from rejoint.system.numbers import LONGEST_PERIOD, as_floats
 
 Array = NDArray[np.float64]
 
@@ -189,12 +189,15 @@ class RunLog:
         write_log(Path(path), self)
 
     def require(self, arm: str, joint_names: tuple[str, ...]) -> None:
-        """Raise InputError unless the log is of that arm, its joints in that order, its angles possible."""
+        """Raise InputError unless the log is of that arm, its joints in that order, its times and angles possible."""
         if self.arm != arm:
             raise InputError(f"run log {self.label} is of arm {self.arm}, expected {arm}; name its arm with --arm")
         if self.joint_names != joint_names:
             found, expected = ", ".join(self.joint_names), ", ".join(joint_names)
             raise InputError(f"run log {self.label} has joints {found}, expected {expected}; import it again")
+        apart = float(np.median(np.diff(self.time))) if len(self) > 1 else 0.0
+        if apart > LONGEST_PERIOD:
+            raise InputError(f"run log {self.label}: its rows are {apart:.4g} s apart; give times in seconds")
         for what, values in (("position", self.position), ("command", self.command)):
             farthest = float(np.abs(values).max(initial=0.0, where=np.isfinite(values)))
             if farthest > TWO_TURNS:
