@@ -12,11 +12,12 @@ from plant_logs import ARM, HEALTHY, record_motions, with_joint
 
 import rejoint
 from commandline import run_cli
-from rejoint.arms import write_arm_toml
+from rejoint.arms import load_arm, write_arm_toml
 from rejoint.diagnosis.diagnosis import Diagnosis
 from rejoint.logs.runfolder.folder import LOGS, RunFolder, RunInfo
 from rejoint.logs.runlog import write_log
-from rejoint.runs.given import arm_of_twin
+from rejoint.runs.given import arm_of_twin, run_of_logs
+from rejoint.runs.run import Run
 from rejoint.system.errors import InputError
 from rejoint.system.files import read_json
 from rejoint.twin.fromlogs import REFITTED
@@ -58,7 +59,8 @@ def test_logs_alone_become_diagnosis_twin_report_and_replay(run, logs, tmp_path)
     assert diagnosis.robot == f"{LOGS}{logs}" == read_json(folder.info, RunInfo).robot
 
     (tmp_path / "maker.toml").write_text(PUBLISHED)
-    words = ("identify", "--logs", logs, "--arm", "so101", "--run", "one", "--published", "the maker=maker.toml")
+    assert f"Next: rejoint identify --logs {logs} --run one" in err
+    words = ("identify", "--logs", logs, "--run", "one", "--published", "the maker=maker.toml")
     code, out, err = run(*words, "--json")
     assert code == 0, err
     judgement = read_json(folder.judgement, Judgement)
@@ -161,18 +163,15 @@ def test_a_run_of_other_logs_is_not_taken_over(run, logs, tmp_path):
     assert "rejoint identify --logs" in err
 
 
-def test_logs_of_an_arm_of_ones_own_name_its_file_once(run, motions, tmp_path):
+def test_logs_of_an_arm_of_ones_own_name_its_file_once(motions, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     arm, name = tmp_path / "mine.toml", "mine"
     write_arm_toml(arm, dataclasses.replace(ARM, name=name))
-    for log in motions:
+    for log in motions[:2]:
         write_log(tmp_path / "recorded" / f"{log.label}.parquet", dataclasses.replace(log, arm=name))
-    code, out, err = run("diagnose", "--logs", "recorded", "--arm", arm, "--run", "one")
-    assert code == 0, err
-    assert "Next: rejoint identify --logs recorded --run one" in (out + err).splitlines()
+    Run.create("one", f"{LOGS}recorded", load_arm(arm))
     arm.unlink()
-    again = run("diagnose", "--logs", "recorded", "--run", "one")
-    assert again[0] == 0, again[2]
-    assert rejoint.diagnose("recorded", run="one").diagnosis.arm == name
+    assert run_of_logs("one", "recorded", None)[1].name == name
     assert arm_of_twin("one/twin.toml").name == name
     with pytest.raises(InputError, match="the logs are of an arm 'mine', which is described elsewhere; give its file"):
         rejoint.diagnose("recorded")
