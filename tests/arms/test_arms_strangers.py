@@ -8,6 +8,7 @@ import pytest
 
 from rejoint.arms import Arm, load_arm, read_arm, tcp_position
 from rejoint.arms.chain import cut
+from rejoint.arms.inertia import SpatialInertia, plausible_links
 from rejoint.arms.modelfile import read_tree
 from rejoint.arms.room import is_safe, room, unsafe
 from rejoint.arms.workspace import rising_frames
@@ -276,6 +277,23 @@ def test_units_of_others_are_doubted(tmp_path: Path) -> None:
         InputError, match=r"its links add up to \d+ m, at most 30 m were expected; are they in millimet"
     ):
         read_arm(written(tmp_path, urdf(millimetres)))
+
+
+def test_speeds_that_nothing_has_are_not_believed(tmp_path: Path) -> None:
+    """A guard without a limit of speed would be the price of a placeholder, or of degrees."""
+    fast = urdf(SIX).replace('velocity="2"', 'velocity="180"', 1).replace('velocity="2"', 'velocity="40"', 1)
+    loaded = read_arm(written(tmp_path, fast))
+    np.testing.assert_allclose(loaded.arm.max_speed, [np.pi / 2, 40, 2, 2, 2, 2])
+    assert "speed: limits of j1 are beyond 10 turns a second, and not believed" in "\n".join(loaded.notes)
+    assert "speed: no limit for j1; 90 deg/s assumed" in loaded.notes
+
+
+@pytest.mark.parametrize(("kilograms", "told"), [("1", False), ("0.05", False), ("0.001", True)])
+def test_masses_of_next_to_nothing_are_doubted(tmp_path: Path, kilograms: str, told: bool) -> None:
+    ends = np.tile([0.0, 0.0, 0.1], (6, 1))
+    links = [SpatialInertia(mass=float(kilograms), com=ends[0] / 2, inertia=np.eye(3) * 1e-3)] * 6
+    _, notes = plausible_links("abcdef", links, ends)
+    assert any("kg in all, where solid links of that length have 1.7 kg" in note for note in notes) is told
 
 
 @pytest.mark.parametrize("encoding", ["utf-16", "iso-8859-1", "utf-8"])

@@ -4,15 +4,21 @@ import dataclasses
 import html
 import json
 from functools import partial
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from plant_logs import ARM, HEALTHY, record_motions, with_joint
 
+import rejoint
 from commandline import run_cli
+from rejoint.arms import load_arm, write_arm_toml
 from rejoint.diagnosis.diagnosis import Diagnosis
 from rejoint.logs.runfolder.folder import LOGS, RunFolder, RunInfo
 from rejoint.logs.runlog import write_log
+from rejoint.runs.given import arm_of_twin, run_of_logs
+from rejoint.runs.run import Run
+from rejoint.system.errors import InputError
 from rejoint.system.files import read_json
 from rejoint.twin.fromlogs import REFITTED
 from rejoint.twin.judgement import NO_TWIN, Judgement
@@ -53,7 +59,7 @@ def test_logs_alone_become_diagnosis_twin_report_and_replay(run, logs, tmp_path)
     assert diagnosis.robot == f"{LOGS}{logs}" == read_json(folder.info, RunInfo).robot
 
     (tmp_path / "maker.toml").write_text(PUBLISHED)
-    words = ("identify", "--logs", logs, "--arm", "so101", "--run", "one", "--published", "the maker=maker.toml")
+    words = ("identify", "--logs", logs, "--run", "one", "--published", "the maker=maker.toml")
     code, out, err = run(*words, "--json")
     assert code == 0, err
     judgement = read_json(folder.judgement, Judgement)
@@ -147,11 +153,28 @@ def test_what_does_not_go_together_is_said(run, logs, tmp_path, words, says):
 
 
 def test_a_run_of_other_logs_is_not_taken_over(run, logs, tmp_path):
-    assert run("diagnose", "--logs", logs, "--arm", "so101", "--run", "one")[0] == 0
+    code, out, err = run("diagnose", "--logs", logs, "--arm", "so101", "--run", "one")
+    assert code == 0, err
+    assert f"Next: rejoint identify --logs {logs} --run one" in " ".join((out + err).split())
     code, _, err = run("diagnose", "--logs", tmp_path, "--arm", "so101", "--run", "one")
     assert code == 2
     assert "is a run of logs:" in err
     code, _, err = run("identify", "one")
     assert code == 2
     assert "rejoint identify --logs" in err
-    assert ARM.name in err
+
+
+def test_logs_of_an_arm_of_ones_own_name_its_file_once(motions, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    arm, name = tmp_path / "mine.toml", "mine"
+    write_arm_toml(arm, dataclasses.replace(ARM, name=name))
+    for log in motions[:2]:
+        write_log(tmp_path / "recorded" / f"{log.label}.parquet", dataclasses.replace(log, arm=name))
+    Run.create("one", f"{LOGS}recorded", load_arm(arm))
+    arm.unlink()
+    assert run_of_logs("one", "recorded", None)[1].name == name
+    assert arm_of_twin("one/twin.toml").name == name
+    with pytest.raises(InputError, match="the logs are of an arm 'mine', which is described elsewhere; give its file"):
+        rejoint.diagnose("recorded")
+    with pytest.raises(InputError, match="the twin is of an arm 'mine', which is described elsewhere; give its file"):
+        arm_of_twin(SimpleNamespace(arm=name, parameters=None))

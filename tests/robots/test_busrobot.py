@@ -171,6 +171,53 @@ def test_positions_that_no_such_arm_has_are_asked_for_again_and_then_named(posit
         robot.read()
 
 
+@pytest.mark.parametrize("name", ["load", "temperature", "voltage", "fault"])
+def test_an_answer_of_another_number_of_servos_is_named(name):
+    robot, bus = opened()
+    bus.faults = [Reading(position=ARM.rest, **{name: np.zeros(5)})] * ATTEMPTS * 2
+    with pytest.raises(ImpossibleReplyError, match=f"expected 6 values of {name}"):
+        robot.read()
+
+
+def test_an_answer_may_be_lists_and_the_same_array_each_time():
+    """A bus that fills one buffer would else be compared with itself, and no jump be seen."""
+    robot, bus = opened()
+    buffer = np.zeros(6)
+
+    def read():
+        bus.tell("read")
+        buffer[:] = bus.position
+        return Reading(position=buffer, load=[0.5] * 6)
+
+    bus.read = read
+    first, _ = robot.read(), robot.read()
+    bus.position = ARM.rest + 0.5
+    bus.done = []
+    with pytest.raises(ImpossibleReplyError, match="cannot have jumped"):
+        robot.read()
+    assert "resynchronise" in bus.done
+    np.testing.assert_array_equal(first.position[0], ARM.rest)
+    np.testing.assert_array_equal(first.load, np.full((1, 6), 0.5))
+
+
+def test_a_bus_may_reckon_in_place_also_where_it_is_asked_again():
+    robot, bus = opened()
+    sent = []
+
+    def send(goal):
+        goal *= 2.0
+        sent.append(goal.copy())
+        bus.tell("send")
+
+    bus.send = send
+    robot.read()
+    bus.faults = [TimeoutError("late")]
+    command = ARM.rest[None].copy()
+    robot.step(command)
+    np.testing.assert_array_equal(sent, [2.0 * ARM.rest] * 2)
+    np.testing.assert_array_equal(command[0], ARM.rest)
+
+
 def test_a_jump_is_asked_for_again():
     robot, bus = opened()
     robot.read()

@@ -10,13 +10,15 @@ import numpy as np
 import pytest
 
 import rejoint
-from rejoint.arms import mycobot280
+from modelfiles import ur5e
+from rejoint.arms import load_arm, mycobot280, write_arm_toml
+from rejoint.arms.loaded import loaded
 from rejoint.cli import main
 from rejoint.logs.journal import Journal
 from rejoint.logs.runfolder.folder import FORMAT, LOGS, RunFolder, RunInfo, locked
 from rejoint.logs.runlog import RunLog, write_log
 from rejoint.robots.emulated import EmulatedRobot
-from rejoint.runs.run import Run, exclusive, finish, is_finished, mark_quick, require_same_pace
+from rejoint.runs.run import Run, exclusive, finish, is_finished, mark_quick, newest_or_new, require_same_pace
 from rejoint.system.errors import FileError, InputError, NotReadyError
 from rejoint.system.files import write_json
 
@@ -82,6 +84,25 @@ def test_a_run_that_was_killed_while_it_was_begun_is_begun_again(tmp_path: Path)
     (other / "thesis.tex").touch()
     with pytest.raises(InputError, match="not a run folder and not empty"):
         Run.create(other, "emulated:worn", arm, 0)
+
+
+def test_a_corrected_description_does_not_go_on_in_the_run_of_the_old_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    arm = replace(ur5e(), name="mine")
+    heavier = replace(arm, mass=1.2 * arm.mass)
+    first, _ = newest_or_new("emulated:worn", arm, 0)
+    run = Run.create(first, "emulated:worn", arm, 0)
+    write_arm_toml(tmp_path / "same.toml", arm)
+    for same in (arm, load_arm(tmp_path / "same.toml"), loaded(arm, payload=0.5)):  # written and read, and a full hand
+        assert Run.plan(first, "emulated:worn", same, 0).arm.name == "mine"
+        assert run.is_of("emulated:worn", same)
+    with pytest.raises(InputError, match=r"another description of mine \(it differs in mass\); give another"):
+        Run.plan(first, "emulated:worn", heavier, 0)
+    assert not run.is_of("emulated:worn", heavier)
+    assert newest_or_new("emulated:worn", arm, 0) == (first, True)
+    assert newest_or_new("emulated:worn", heavier, 0) == (first.with_name("002"), False)
 
 
 def test_what_killed_writers_left_is_removed_and_nothing_else(tmp_path: Path) -> None:

@@ -1,6 +1,6 @@
 """What an arm is: geometry, limits, masses; forward and inverse kinematics; the catalogue and arms from files."""
 
-from rejoint.arms.arm import Arm, Array, Box
+from rejoint.arms.arm import Arm, Array, Box, differing
 from rejoint.arms.collision import clearances, collides, segment_distance
 from rejoint.arms.displacement import Displacement
 from rejoint.arms.draft import Loaded
@@ -22,7 +22,7 @@ from rejoint.arms.tomlfile import write_arm_toml
 
 __all__ = [
     "CATALOGUE", "Arm", "Array", "Box", "Displacement", "Loaded", "Solution", "clearances", "clip_norm", "collides",
-    "dls", "frames", "gravity_torque", "heights", "jacobian", "link_inertia", "load_arm", "mycobot280",
+    "differing", "dls", "frames", "gravity_torque", "heights", "jacobian", "link_inertia", "load_arm", "mycobot280",
     "position_kinematics", "read_arm", "segment_distance", "so101", "solve_position", "tcp_pose", "tcp_position",
     "write_arm_toml",
 ]  # fmt: skip

@@ -107,6 +107,27 @@ class Arm:
         return f"Arm({self.name!r} with the joints {', '.join(self.joint_names)})"
 
 
+def differing(one: Arm, other: Arm) -> tuple[str, ...]:
+    """Name the fields in which two descriptions of an arm differ by more than being written and read again explains."""
+    found = []
+    for entry in fields(Arm):
+        first, second = (_plain(getattr(arm, entry.name)) for arm in (one, other))
+        if isinstance(first, np.ndarray) and isinstance(second, np.ndarray):
+            same = first.shape == second.shape and np.allclose(first, second, rtol=1e-6, atol=1e-12)
+        else:
+            same = first == second
+        if not same:
+            found.append(entry.name)
+    return tuple(found)
+
+
+def _plain(value: object) -> object:
+    """Return a field as what can be compared: an array, or text."""
+    if isinstance(value, Box):
+        return np.stack([value.lower, value.upper])
+    return value if isinstance(value, str | tuple) else np.asarray(value, dtype=float)
+
+
 @dataclass(frozen=True, kw_only=True)
 class DhRow:
     """One row of a standard Denavit-Hartenberg table: Rz(q + offset) Tz(d) Tx(a) Rx(alpha)."""

@@ -28,6 +28,10 @@ DEFAULT_ENCODER_STEP = 2 * np.pi / 4096
 MOST_TURN = 4 * 2 * np.pi
 """[rad] limits that are further are not believed (chosen: no arm's cables bear more turns)"""
 
+FASTEST = 10 * 2 * np.pi
+"""[rad/s] speeds beyond are not believed (chosen: the fastest joints of arms turn six times a second; files have 100,
+1000 and 10000 where nobody knew, and some have degrees, all of which would leave the guard without a limit)"""
+
 LONGEST = 30.0
 """[m] summed link lengths beyond which a file is not believed (chosen: the largest industrial arms have 5)"""
 
@@ -166,7 +170,13 @@ def _limits(draft: Draft, notes: list[str]) -> tuple[Array, Array]:
 
 
 def _speeds(draft: Draft, notes: list[str]) -> Array:
-    missing = ~(np.isfinite(draft.max_speed) & (draft.max_speed > 0))
+    wide = np.isfinite(draft.max_speed) & (draft.max_speed > FASTEST)
+    if wide.any():
+        notes.append(
+            f"speed: limits of {_chosen(draft.joint_names, wide)} are beyond {FASTEST / (2 * np.pi):.0f} turns "
+            "a second, and not believed; are they in degrees, where radians were expected?"
+        )
+    missing = ~(np.isfinite(draft.max_speed) & (draft.max_speed > 0)) | wide
     if missing.any():
         speed_deg = np.degrees(DEFAULT_SPEED)
         notes.append(f"speed: no limit for {_chosen(draft.joint_names, missing)}; {speed_deg:.0f} deg/s assumed")

@@ -131,6 +131,12 @@ def plausible_links(
             "(tip.position_m in a TOML file, --tip for a model)"
         )
     result, notes = [], []
+    mass, usual = sum(link.mass for link in links), sum(_estimate(_thick(end, reach), reach) for end in ends)
+    if 0.0 < mass < usual / IMPLAUSIBLE_MASS_RATIO:
+        notes.append(
+            f"masses: {mass:.3g} kg in all, where solid links of that length have {usual:.3g} kg; is it kilograms? "
+            "They decide what the twin's torques mean"
+        )
     for name, link, end in zip(names, links, ends, strict=True):
         repaired, problem = _plausible(link, _thick(end, reach), reach)
         result.append(repaired)
@@ -141,7 +147,7 @@ def plausible_links(
 
 def _plausible(link: SpatialInertia, end: Array, reach: float) -> tuple[SpatialInertia, str]:
     radius = reach * LINK_RADIUS_RATIO
-    estimate = LINK_DENSITY * np.pi * radius**2 * float(np.linalg.norm(end))
+    estimate = _estimate(end, reach)
     mass, com = link.mass, link.com
     if not estimate / IMPLAUSIBLE_MASS_RATIO**2 < mass < estimate * IMPLAUSIBLE_MASS_RATIO:
         whole = SpatialInertia(mass=estimate, com=end / 2, inertia=cylinder(estimate, end, radius))
@@ -157,6 +163,11 @@ def _plausible(link: SpatialInertia, end: Array, reach: float) -> tuple[SpatialI
         problems.append(f"{cause}; estimated from a solid cylinder along the link")
         inertia = cylinder(mass, end, radius)
     return SpatialInertia(mass=mass, com=com, inertia=_balanced(inertia)), ", ".join(problems)
+
+
+def _estimate(end: Array, reach: float) -> float:
+    """Mass [kg] of a solid cylinder along a link of an arm of that reach [m]."""
+    return float(LINK_DENSITY * np.pi * (reach * LINK_RADIUS_RATIO) ** 2 * np.linalg.norm(end))
 
 
 def _wrong_size(mass: float, inertia: Array, reach: float) -> str:

@@ -9,8 +9,8 @@ from numpy.typing import ArrayLike
 
 from rejoint.arms.arm import Arm, Array
 from rejoint.arms.inertia import SpatialInertia, combined
-from rejoint.arms.numbers import numbers
 from rejoint.system.errors import InputError
+from rejoint.system.numbers import as_floats
 
 LONGEST_TOOL = 0.5
 """[m] (chosen: longer is a number in millimetres)"""
@@ -67,14 +67,14 @@ def loaded(arm: Arm, payload: Payload | float | None = None, tool: ArrayLike | N
 
 
 def _mass(given: ArrayLike) -> float:
-    mass = numbers(given, "payload: expected a mass in kg, or a Payload")
+    mass = as_floats("payload", given, "a mass in kg, or a Payload")
     if mass.shape != ():
         raise InputError(f"payload: expected a mass in kg, or a Payload, got {given!r}")
     return float(mass)
 
 
 def _lengths(what: str, given: ArrayLike) -> Array:
-    lengths = numbers(given, f"{what}: expected x, y, z of at most {LONGEST_TOOL:g} m")
+    lengths = as_floats(what, given, f"x, y, z of at most {LONGEST_TOOL:g} m")
     if (
         lengths.shape != (3,)
         or not np.abs(lengths).max(initial=np.inf if lengths.shape != (3,) else 0.0) <= LONGEST_TOOL

@@ -18,7 +18,7 @@ from rejoint.cli.options import ArmOption, Base, Hold, Json, Tip, choose_arm
 from rejoint.logs.bare import states_alone
 from rejoint.logs.doubts import forced_remarks
 from rejoint.logs.runlog import RunLog
-from rejoint.runs.given import as_logs
+from rejoint.runs.given import arm_of_twin, as_logs
 from rejoint.runs.run import Run
 from rejoint.system.errors import InputError
 from rejoint.system.extras import require
@@ -62,7 +62,7 @@ def diagnose_from_logs(terminal: Terminal, job: Run, logs: Path, good: Path | No
     if states_alone(as_logs(logs), "diagnosis"):
         terminal.result(f"Next: record commands as well; this diagnosis is in {job.path}")
     else:
-        terminal.result(f"Next: {command('identify', '--logs', logs, '--arm', job.arm.name, '--run', job.path)}")
+        terminal.result(f"Next: {command('identify', '--logs', logs, '--run', job.path)}")
     terminal.finish({"run": str(job.path), "diagnosis": found})
 
 
@@ -109,9 +109,7 @@ def replay(
     """
     require("rejoint replay", "train", "report")
     terminal = Terminal(json=json)
-    found = rejoint.Twin.load(twin)
-    chosen = choose_arm(terminal, arm or found.arm, base, tip, hold=hold)
-    found.require(chosen)
+    chosen = arm_of_twin(twin) if arm is None else choose_arm(terminal, arm, base, tip, hold=hold)
     replayed = rejoint.replay(twin, logs, arm=chosen, beside=read_sets(published, chosen), out=out)
     say_forced(terminal, replayed.logs)
     if replayed.judgement is None:

@@ -15,7 +15,7 @@ from rejoint.arms.loaded import Payload as LoadedWith
 from rejoint.arms.loading import read_arm
 from rejoint.arms.tomlfile import write_unfinished
 from rejoint.cli.console import Terminal
-from rejoint.logs.runfolder.folder import LOGS
+from rejoint.logs.runfolder.folder import LOGS, RunFolder
 from rejoint.robots import DEFAULT_ARM, place_of
 from rejoint.runs.run import Run as OpenRun
 from rejoint.runs.run import newest_or_new
@@ -168,10 +168,19 @@ def held_positions(text: str | None) -> dict[str, float]:
     return found
 
 
-def run_of_logs(arm: Arm, logs: Path, path: Path | None, seed: int) -> OpenRun:
-    """Prepare the run of a folder of logs: the one at ``path``, or the newest one of these logs, or a new one."""
-    robot = f"{LOGS}{logs}"
-    return OpenRun.plan(path or newest_or_new(robot, arm, seed)[0], robot, arm, seed)
+def run_of_logs(
+    terminal: Terminal, logs: Path, path: Path | None, seed: int,
+    arm: str | None, base: str | None, tip: str | None, hold: str | None,
+) -> OpenRun:  # fmt: skip
+    """Prepare the run of a folder of logs: the one at ``path``, or the newest one of these logs, or a new one.
+
+    Without an arm it is that of the run at ``path``, if there is one.
+    """
+    robot, begun = f"{LOGS}{logs}", path is not None and RunFolder(path).info.exists()
+    if path is not None and begun and not (arm or base or tip or hold):
+        return OpenRun.plan(path, robot, OpenRun.open(path).arm, seed)
+    chosen = choose_arm(terminal, arm, base, tip, hold=hold)
+    return OpenRun.plan(path or newest_or_new(robot, chosen, seed)[0], robot, chosen, seed)
 
 
 def require_ray(on: str | None, address: str | None) -> None:

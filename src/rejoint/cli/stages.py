@@ -56,7 +56,7 @@ def diagnose(
     if logs is not None:
         if robot is not None or period is not None:
             raise InputError("diagnose takes either a robot or --logs FOLDER, and --logs no --period")
-        job = opt.run_of_logs(opt.choose_arm(terminal, arm, base, tip, hold=hold), logs, run, seed)
+        job = opt.run_of_logs(terminal, logs, run, seed, arm, base, tip, hold)
         offline.diagnose_from_logs(terminal, job, logs, healthy)
         return
     robot = robot or "emulated:worn"
@@ -101,7 +101,7 @@ def identify(
         raise InputError("identify takes either a run folder or --logs FOLDER")
     require("rejoint identify", "train", *(() if logs is None else ("report",)))  # logs end in a report at once
     if logs is not None:
-        job = opt.run_of_logs(opt.choose_arm(terminal, arm, base, tip, hold=hold), logs, folder, seed or 0)
+        job = opt.run_of_logs(terminal, logs, folder, seed or 0, arm, base, tip, hold)
         offline.identify_from_logs(terminal, job, logs, published, hold_out, gain, torque_off)
         return
     if folder is not None or published or hold_out or gain or torque_off:

@@ -16,11 +16,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from rejoint.arms import Arm, Array
-from rejoint.arms.numbers import numbers
 from rejoint.arms.orientation import WEIGHT, Orientation, tool_axis
 from rejoint.arms.rotations import quaternion_of, rotation_about, rotation_of
 from rejoint.arms.wire.values import to_coords, to_pose
 from rejoint.system.errors import InputError
+from rejoint.system.numbers import as_floats
 
 PLACE = ("x", "y", "z")
 KINDS = {"direction": ("dx", "dy", "dz"), "angles": ("rx", "ry", "rz"), "quaternion": ("qw", "qx", "qy", "qz")}
@@ -57,7 +57,7 @@ class Pose:
         if len(given) > 1:
             raise InputError(f"pose: {given[0][0]} and {given[1][0]} are given, expected one of them")
         for name, value, size in [("place_m", self.place_m, 3), *((n, v, len(KINDS[n])) for n, v in given)]:
-            found = numbers(value, f"pose: expected {size} finite numbers as {name}")
+            found = as_floats("pose", value, f"{size} finite numbers as {name}")
             if found.shape != (size,) or not np.isfinite(found).all():
                 raise InputError(f"pose: {name} {value!r} is not {size} finite numbers")
             if name in ("direction", "quaternion") and not np.linalg.norm(found) > 0.0:

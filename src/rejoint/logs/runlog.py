@@ -23,6 +23,7 @@ from rejoint.arms import Arm, load_arm
 from rejoint.logs.found import describe
 from rejoint.system.errors import FileError, InputError, first_line
 from rejoint.system.files import CHANGED, MEGABYTE, require_file, write_whole
+from rejoint.system.numbers import LONGEST_PERIOD, as_floats
 
 Array = NDArray[np.float64]
 
@@ -88,7 +89,7 @@ class RunLog:
         return f"RunLog({self.label!r} of {self.robot}, {self.arm}: {len(self.time)} rows, {last:.1f} s)"
 
     def __post_init__(self) -> None:
-        rows, n = self.time.shape[0], len(self.joint_names)
+        rows, n = np.size(self.time), len(self.joint_names)
         shapes = {
             "time": (rows,),
             "position": (rows, n),
@@ -168,13 +169,14 @@ class RunLog:
         >>> print(rejoint.diagnose(log).verdict)
         """
         known = arm if isinstance(arm, Arm) else load_arm(arm)
-        times = np.asarray(time, dtype=float)
+        times = as_floats(f"run log {label}: time", time)
         unknown = np.full((times.size, 3), np.nan)
         return cls(
             arm=known.name, joint_names=known.joint_names, robot="memory", label=label, time=times,
-            command=np.asarray(command, dtype=float), position=np.asarray(position, dtype=float),
-            target=unknown if target is None else np.asarray(target, dtype=float),
-            true_tcp=unknown if true_tcp is None else np.asarray(true_tcp, dtype=float),
+            command=as_floats(f"run log {label}: command", command),
+            position=as_floats(f"run log {label}: position", position),
+            target=unknown if target is None else as_floats(f"run log {label}: target", target),
+            true_tcp=unknown if true_tcp is None else as_floats(f"run log {label}: true_tcp", true_tcp),
         )  # fmt: skip
 
     @classmethod
@@ -187,12 +189,15 @@ class RunLog:
         write_log(Path(path), self)
 
     def require(self, arm: str, joint_names: tuple[str, ...]) -> None:
-        """Raise InputError unless the log is of that arm, its joints in that order, its angles possible."""
+        """Raise InputError unless the log is of that arm, its joints in that order, its times and angles possible."""
         if self.arm != arm:
             raise InputError(f"run log {self.label} is of arm {self.arm}, expected {arm}; name its arm with --arm")
         if self.joint_names != joint_names:
             found, expected = ", ".join(self.joint_names), ", ".join(joint_names)
             raise InputError(f"run log {self.label} has joints {found}, expected {expected}; import it again")
+        apart = float(np.median(np.diff(self.time))) if len(self) > 1 else 0.0
+        if apart > LONGEST_PERIOD:
+            raise InputError(f"run log {self.label}: its rows are {apart:.4g} s apart; give times in seconds")
         for what, values in (("position", self.position), ("command", self.command)):
             farthest = float(np.abs(values).max(initial=0.0, where=np.isfinite(values)))
             if farthest > TWO_TURNS:

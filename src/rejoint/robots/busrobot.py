@@ -6,7 +6,8 @@ One control cycle is: send the command, wait, read the joints so that the answer
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TypeVar
+from dataclasses import replace
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -18,7 +19,7 @@ from rejoint.robots.family import DEFAULT_ARM, Family, Opening, Place
 from rejoint.robots.health import Health, believed
 from rejoint.robots.link import Link
 from rejoint.robots.plausibility import Continuity, judge
-from rejoint.system.errors import InputError
+from rejoint.system.errors import ImpossibleReplyError, InputError
 
 _SMOOTHING = 0.2  # share of the newest cost of a reading in its running mean
 
@@ -75,11 +76,11 @@ class BusRobot:
         now, reading = self._link.ask(self._read_once)
         self._health.take(reading)
         self._state = JointState(
-            time=np.array([now]), position=np.array(reading.position, float)[None],
+            time=np.array([now]), position=reading.position[None],
             age=np.array([self._continuity.accept(now, reading.position, self._command)]),
             temperature=self._health.temperature, fault=self._health.fault, trouble=self._health.trouble,
-            load=None if reading.load is None else np.array(reading.load, float)[None],
-            voltage=None if reading.voltage is None else np.array(reading.voltage, float)[None],
+            load=None if reading.load is None else reading.load[None],
+            voltage=None if reading.voltage is None else reading.voltage[None],
         )  # fmt: skip
         return self._state
 
@@ -89,14 +90,16 @@ class BusRobot:
         An arm that is not ``active`` (1,) is left alone, and its last state repeated.
         """
         if command.shape != (1, self._arm.joints) or not np.isfinite(command).all():
-            raise InputError(f"expected finite joint positions of shape (1, {self._arm.joints}), got {command!r}")
+            raise InputError(
+                f"expected finite joint positions of shape (1, {self._arm.joints}), got {np.shape(command)}"
+            )
         last = self._state if self._state is not None else self.read()
         if active is not None and not active[0]:
             return last
         period = self._rng.uniform(*self._period)
         due = max(float(last.time[0]), self._clock.now() - period / 2) + period  # even a late command gets half of it
         goal = self._command = command[0].copy()
-        self._link.ask(lambda: self._bus.send(goal))
+        self._link.ask(lambda: self._bus.send(goal.copy()))  # a bus may reckon in place, and may be asked again
         ask_at = due - (self._read_cost or 0.0)
         self._health.poll(ask_at - self._clock.now())
         self._clock.wait(ask_at - self._clock.now())
@@ -138,13 +141,26 @@ class BusRobot:
     def _read_once(self) -> tuple[float, Reading]:
         """Read, and judge what was read; returns when it arrived [s] as well."""
         began = self._clock.now()
-        reading = believed(self._bus.read)
+        reading = _own(believed(self._bus.read), self._arm.joints)
         now = self._clock.now()
         judge(reading.position, self._arm)
         self._continuity.check(now, reading.position)
         cost = min(now - began, self._period[0])
         self._read_cost = cost if self._read_cost is None else (1 - _SMOOTHING) * self._read_cost + _SMOOTHING * cost
         return now, reading
+
+
+def _own(reading: Reading, joints: int) -> Reading:
+    """Return an answer with arrays of its own, since a bus may fill the same ones each time.
+
+    ImpossibleReplyError where it has another number of them than the arm has ``joints``.
+    """
+    told = {name: getattr(reading, name) for name in ("load", "temperature", "fault", "voltage")}
+    arrays: dict[str, Any] = {name: np.array(value, float) for name, value in told.items() if value is not None}
+    for name, array in arrays.items():
+        if array.shape != (joints,):
+            raise ImpossibleReplyError(f"expected {joints} values of {name}, got {array!r}")
+    return replace(reading, position=np.array(reading.position, float), **arrays)
 
 
 def bus_family(

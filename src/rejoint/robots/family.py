@@ -10,6 +10,7 @@ from rejoint.arms import Arm, load_arm
 from rejoint.control.robot import Robot
 from rejoint.system.errors import InputError
 from rejoint.system.extras import require
+from rejoint.system.numbers import as_period, as_seed
 
 T = TypeVar("T")
 
@@ -116,7 +117,9 @@ class Place(Generic[T]):
         if count != 1 and not self.virtual:
             raise InputError(f"{self.text} is one arm; only emulated robots come in batches, got count {count}")
         require(self.text, *self.family.needs)
-        opening = Opening(arm=arm, seed=seed, count=count, period=period or self.default_period, threads=threads)
+        opening = Opening(
+            arm=arm, seed=as_seed(seed), count=count, period=as_period(period) or self.default_period, threads=threads
+        )
         return self.family.connect(self, opening)
 
     def __str__(self) -> str:

@@ -11,10 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, Protocol, TypeAlias, cast
 
-import numpy as np
-
-from rejoint.arms import Arm, Array, load_arm
-from rejoint.arms.numbers import numbers
+from rejoint.arms import CATALOGUE, Arm, Array, load_arm
 from rejoint.control.comparison.targets import draw_targets, read_targets, require_reachable
 from rejoint.control.poses import Pose, placed
 from rejoint.control.robot import Robot
@@ -24,6 +21,7 @@ from rejoint.logs.runlog import RunLog, read_log
 from rejoint.robots import open_robot, place_of
 from rejoint.runs.run import Run
 from rejoint.system.errors import FileError, InputError
+from rejoint.system.numbers import as_floats, as_period, as_seed
 
 if TYPE_CHECKING:
     from rejoint.arms.orientation import Orientation
@@ -153,9 +151,7 @@ def is_batchable(robot: RobotLike) -> bool:
 
 def period_of(robot: RobotLike, period: Period | None) -> Period | None:
     """[s] interval of the control periods that a robot will have; None where only the open robot knows."""
-    if period is not None and np.shape(period) != (2,):
-        raise InputError(f"period {period}: expected the shortest and the longest in seconds, such as (0.02, 0.03)")
-    return period or (place_of(robot).default_period if isinstance(robot, str) else None)
+    return as_period(period) or (place_of(robot).default_period if isinstance(robot, str) else None)
 
 
 def as_logs(given: LogsLike) -> list[RunLog]:
@@ -236,7 +232,7 @@ def run_about(run: RunLike | None, robot: str, arm: Arm, seed: int | None) -> Ru
     if run is None:
         return None
     if isinstance(run, str | Path) and not RunFolder(Path(run)).info.exists():
-        return Run.plan(run, robot, arm, seed or 0)
+        return Run.plan(run, robot, arm, as_seed(seed))
     run = as_run(run)
     run.require(robot=robot, arm=arm, seed=run.seed if seed is None else seed)
     return run
@@ -246,8 +242,27 @@ def run_of_logs(run: RunLike | None, logs: LogsLike, arm: ArmLike | None) -> tup
     """Return the run that a stage on logs writes into, without writing, and the arm, which the logs do not describe."""
     if isinstance(run, Run):
         return run, run.arm
-    chosen = load_arm(as_logs(logs)[0].arm) if arm is None else as_arm(arm)
+    if arm is None and isinstance(run, str | Path) and RunFolder(Path(run)).info.exists():
+        chosen = Run.open(run).arm  # described there
+    else:
+        chosen = arm_named(as_logs(logs)[0].arm, "the logs are") if arm is None else as_arm(arm)
     return run_about(run, source_of(logs), chosen, None), chosen
+
+
+def arm_named(name: str, whose: str) -> Arm:
+    """Return the arm of the catalogue that logs or a twin name; InputError asks for the file of any other."""
+    if name not in CATALOGUE:
+        raise InputError(f"{whose} of an arm {name!r}, which is described elsewhere; give its file as the arm")
+    return load_arm(name)
+
+
+def arm_of_twin(twin: TwinLike) -> Arm:
+    """Return the arm of a twin: that of the run whose file it is, else the one of the catalogue that it names."""
+    if isinstance(twin, Path | str):
+        folder = RunFolder(Path(twin).parent)
+        if folder.info.exists() and folder.twin.name == Path(twin).name:
+            return Run.open(folder.path).arm
+    return arm_named(as_twin(twin).arm, "the twin is")
 
 
 def as_targets(given: Targets | None, arm: Arm, *, sets: int, seed: int) -> tuple[Array, Orientation | None]:
@@ -261,12 +276,15 @@ def as_targets(given: Targets | None, arm: Arm, *, sets: int, seed: int) -> tupl
     if isinstance(given, Path | str):
         points, turns = read_targets(Path(given), arm)
         return points[None], turns and turns[None]
-    if len(given) and all(isinstance(one, Pose) for one in given):
+    kinds = {isinstance(one, Pose) for one in given}
+    if len(kinds) > 1:
+        raise InputError("targets: some are poses and some are points; give a rejoint.Pose for each, or for none")
+    if kinds == {True}:
         points, turns = placed(arm, cast("Sequence[Pose]", given))
         turns = turns and turns[None]
         require_reachable(arm, points[None], turns)
         return points[None], turns
-    points = numbers(given, "targets: expected (targets, 3) or (sets, targets, 3) in metres")
+    points = as_floats("targets", given, "(targets, 3) or (sets, targets, 3) in metres")
     if points.ndim not in (2, 3) or points.shape[-1] != 3:
         raise InputError(f"targets have shape {points.shape}, expected (targets, 3) or (sets, targets, 3) in metres")
     points = points[None] if points.ndim == 2 else points

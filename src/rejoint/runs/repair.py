@@ -36,13 +36,14 @@ from rejoint.runs.stages.calibrate import calibrate
 from rejoint.runs.stages.compare import comparison_job
 from rejoint.runs.stages.comparing import Compared, ComparisonJob
 from rejoint.runs.stages.diagnose import diagnose
-from rejoint.runs.stages.driving import Controllers
+from rejoint.runs.stages.driving import Controllers, listed
 from rejoint.runs.stages.early import EarlyTrials
 from rejoint.runs.stages.gains import gains
 from rejoint.runs.stages.identify import identify
 from rejoint.runs.stages.report import report
 from rejoint.runs.stages.train import train
 from rejoint.system.extras import require
+from rejoint.system.numbers import as_seed
 from rejoint.system.progress import Progress, no_progress, paced
 
 if TYPE_CHECKING:
@@ -185,7 +186,8 @@ def repair(
     if only is None:
         require("rejoint repair", "train", "report")
     chosen = run.arm if isinstance(run, Run) else arm_of(robot, arm)
-    folder = newest_or_new(address_of(robot), chosen, seed or 0)[0] if run is None else run
+    controllers = listed(controllers)
+    folder = newest_or_new(address_of(robot), chosen, as_seed(seed))[0] if run is None else run
     about = run_about(folder, address_of(robot), chosen, seed)
     assert about is not None  # noqa: S101 - for the type checker; a folder was given
     require_same_pace(about, quick=quick)
@@ -210,8 +212,9 @@ def repair(
     if quick and targets is None:
         targets = draw_targets(found.arm, sets=1, count=QUICK_TARGETS, seed=found.seed)
     job = partial(
-        comparison_job, robot, controllers, targets, run=found, arm=found.arm, seed=found.seed, sets=sets or few[0],
-        repetitions=repetitions or few[1], full=full, paper=False, period=period,
+        comparison_job, robot, controllers, targets, run=found, arm=found.arm, seed=found.seed,
+        sets=few[0] if sets is None else sets, repetitions=few[1] if repetitions is None else repetitions,
+        full=full, paper=False, period=period,
         calibration=NO_GAUGE if gauge == NO_GAUGE else None, directions=emulated and not quick, live=live,
     )  # fmt: skip
     both = only is None and not (files["train"].exists() or files["compare"].exists())

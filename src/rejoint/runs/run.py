@@ -10,12 +10,14 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rejoint.arms import CATALOGUE, Arm, load_arm, write_arm_toml
+from rejoint.arms import CATALOGUE, Arm, differing, load_arm, write_arm_toml
+from rejoint.arms.loaded import bare
 from rejoint.control.comparison.result import Comparison
 from rejoint.logs.runfolder.folder import FORMAT, LOGS, RunFolder, RunInfo, locked, read_info
 from rejoint.logs.runlog import RunLog, read_log
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import TOML_MOST, UNFINISHED, digest, read_bounded, read_json, write_json
+from rejoint.system.numbers import as_seed
 from rejoint.system.version import __version__
 
 if TYPE_CHECKING:  # slow to import, and not needed to open a run
@@ -94,12 +96,21 @@ class Run:
         return run
 
     def require(self, *, robot: str, arm: Arm, seed: int) -> None:
-        """Raise InputError unless the run is of this robot, arm and seed."""
+        """Raise InputError unless the run is of this robot, arm and seed, and the arm described as it was then."""
         if (self.robot, self.arm.name, self.seed) != (robot, arm.name, seed):
             raise InputError(
                 f"{self.path} is a run of {self.robot} ({self.arm.name}, seed {self.seed}), "
                 f"expected {robot} ({arm.name}, seed {seed}); give another --run"
             )
+        if changed := differing(bare(self.arm), bare(arm)):
+            raise InputError(
+                f"{self.path} was begun with another description of {arm.name} (it differs in {', '.join(changed)}); "
+                f"give another --run, or {self.folder.arm(self.info.arm)} as the arm to go on with that one"
+            )
+
+    def is_of(self, robot: str, arm: Arm) -> bool:
+        """Tell whether the run is of this robot and arm, and the arm described as it was then."""
+        return self.robot == robot and not differing(bare(self.arm), bare(arm))
 
     @property
     def path(self) -> Path:
@@ -118,7 +129,7 @@ class Run:
 
     def seeded(self, seed: int | None) -> Run:
         """Return the run with another seed, if one is given."""
-        return self if seed is None else replace(self, info=replace(self.info, seed=seed))
+        return self if seed is None else replace(self, info=replace(self.info, seed=as_seed(seed)))
 
     @property
     def diagnosis(self) -> Diagnosis | None:
@@ -157,9 +168,14 @@ class Run:
 def newest_or_new(robot: str, arm: Arm, seed: int) -> tuple[Path, bool]:
     """Default run folder of a robot: the newest one if it was interrupted, else a new one.
 
-    Returns the path and whether it is to be resumed.
+    A new one as well where the description of the arm has changed since. Returns the path and whether it is to be
+    resumed.
     """
-    return newest_or_new_in(RUNS / re.sub(r"[^\w.-]+", "-", f"{arm.name}-{robot}-seed{seed}").strip("-"))
+    home = RUNS / re.sub(r"[^\w.-]+", "-", f"{arm.name}-{robot}-seed{seed}").strip("-")
+    path, resumed = newest_or_new_in(home)
+    if resumed and RunFolder(path).info.exists() and not Run.open(path).is_of(robot, arm):
+        return home / f"{int(path.name) + 1:03}", False
+    return path, resumed
 
 
 def newest_or_new_in(home: Path) -> tuple[Path, bool]:

@@ -11,7 +11,6 @@ from pathlib import Path as FilePath
 import numpy as np
 
 from rejoint.arms import Arm, Array
-from rejoint.arms.numbers import numbers
 from rejoint.arms.orientation import WEIGHT, Orientation, tool_axis
 from rejoint.arms.posing import NEAR, TURNED, missed_pose
 from rejoint.arms.rotations import quaternion_of, same_side
@@ -20,6 +19,7 @@ from rejoint.control.moving.posture import PathPostures
 from rejoint.control.poses import PLACE, Pose, columns, in_words, turned_as, unknown_header
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import read_bounded
+from rejoint.system.numbers import as_floats
 
 _HEADER = ("time", *PLACE)
 _MOST = 4_000_000
@@ -59,8 +59,8 @@ class Path:
     _turning: Array | None = field(init=False, repr=False, default=None)  # their slopes [1/s]
 
     def __post_init__(self) -> None:
-        time = numbers(self.time, "path: expected times (T,) in seconds").copy()
-        place = numbers(self.place, "path: expected places (T, 3) in metres").copy()
+        time = as_floats("path", self.time, "times (T,) in seconds").copy()
+        place = as_floats("path", self.place, "places (T, 3) in metres").copy()
         if time.ndim != 1 or place.shape != (len(time), 3) or len(time) < 2:
             raise InputError(f"path: times {time.shape} and places {place.shape}, expected (T,) and (T, 3), T > 1")
         if not (np.isfinite(time).all() and np.isfinite(place).all()):
@@ -84,7 +84,7 @@ class Path:
         given, size = (self.quaternion, 4) if self.direction is None else (self.direction, 3)
         if given is None:
             return None
-        turn = numbers(given, f"path: expected orientations ({len(self.time)}, {size})")
+        turn = as_floats("path", given, f"orientations ({len(self.time)}, {size})")
         if turn.shape != (len(self.time), size) or not (np.linalg.norm(turn, axis=-1) > 0.0).all():
             raise InputError(
                 f"path: orientations of shape {turn.shape}, expected ({len(self.time)}, {size}), none zero"

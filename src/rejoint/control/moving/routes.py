@@ -11,7 +11,6 @@ from typing import Protocol
 import numpy as np
 
 from rejoint.arms import Array
-from rejoint.arms.numbers import numbers
 from rejoint.arms.orientation import Orientation, stacked
 from rejoint.arms.rotations import same_side
 from rejoint.control.moving.errors import interpolated
@@ -19,6 +18,7 @@ from rejoint.control.moving.path import Path
 from rejoint.control.poses import Pose, turn_knot, turned_as
 from rejoint.control.robot import Mask
 from rejoint.system.errors import InputError
+from rejoint.system.numbers import as_floats
 
 LEAD_IN = 2.0
 """[s] in which an arm stands at the start of a path before it moves off (chosen: in it the observer finds what pushes
@@ -107,7 +107,7 @@ class Stream:
         """
         time = self._now if time is None else time
         pose = target if isinstance(target, Pose) else None
-        place = numbers(target if pose is None else pose.place_m, "stream: expected three finite numbers in metres")
+        place = as_floats("stream", target if pose is None else pose.place_m, "three finite numbers in metres")
         if place.shape != (3,) or not np.isfinite(place).all() or not np.isfinite(time):
             raise InputError(f"stream: a target is three finite numbers in metres, got {target} at {time} s")
         knot = None if pose is None or not pose.turned else turn_knot(pose)

@@ -57,7 +57,7 @@ def last_repair(run: Run) -> Run | None:
         if folder.path == run.path or folder.quick.exists() or not all(file.exists() for file in files):
             continue
         other = Run.open(folder.path)
-        if (other.robot, other.arm.name) == (run.robot, run.arm.name) and is_finished(folder):
+        if other.is_of(run.robot, run.arm) and is_finished(folder):
             found.append(other)
     return max(found, key=lambda other: other.info.created, default=None)
 

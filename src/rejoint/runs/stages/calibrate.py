@@ -43,6 +43,7 @@ from rejoint.runs.stages.driving import guard_limits, stance_of
 from rejoint.runs.stages.filming import film_of, write_filmed
 from rejoint.system.errors import InputError
 from rejoint.system.files import require_space, saving, set_aside
+from rejoint.system.numbers import as_seed
 from rejoint.system.progress import Progress, no_progress, part
 
 if TYPE_CHECKING:
@@ -162,7 +163,7 @@ def calibrate(
     if about is None and robot is None and arm is None:
         raise InputError("calibration: points alone do not tell of which arm they are; name the arm or the run")
     chosen = about.arm if about is not None else arm_of(robot or "", arm)
-    seed = seed or 0 if about is None else about.seed
+    seed = as_seed(seed) if about is None else about.seed
     with exclusive(about):
         believed = as_calibration(prior, about, chosen)
         known = as_twin(twin) if twin is not None else None if about is None else about.twin

@@ -38,9 +38,11 @@ from rejoint.runs.stages.driving import (
     all_named,
     calibration_of,
     correction_of,
+    listed,
     make_factories,
 )
 from rejoint.runs.stages.loads import PayloadLike, Say, say_heavy, silent, with_load
+from rejoint.system.numbers import as_seed
 from rejoint.system.progress import Progress, no_progress, paced
 
 SETS, REPETITIONS = 10, 6
@@ -164,7 +166,7 @@ def compare(
         return comparison_job(
             robot, controllers, targets, run=about, arm=chosen, twin=twin, calibration=calibration, payload=payload,
             tool=tool, sets=sets, repetitions=repetitions, protocol=protocol, period=period, directions=directions,
-            seed=seed or 0 if about is None else about.seed, full=full, say=say, live=live,
+            seed=as_seed(seed) if about is None else about.seed, full=full, say=say, live=live,
         ).drive(on_progress)  # fmt: skip
 
 
@@ -179,10 +181,12 @@ def comparison_job(
 
     Without ``paper`` the paper's PIDs (`ON_REQUEST`) take part only where they are named.
     """
-    chosen = with_load(arm, robot, payload, tool)
+    chosen, controllers = with_load(arm, robot, payload, tool), listed(controllers)
     real = not is_batchable(robot)
     race = Race() if real and not full else None
-    points, turns = as_targets(targets, chosen, sets=sets or (SETS if race is None else RACE_SETS), seed=seed)
+    points, turns = as_targets(
+        targets, chosen, sets=(SETS if race is None else RACE_SETS) if sets is None else sets, seed=seed
+    )
     known = as_twin(twin) if twin is not None else None if run is None else run.twin
     say_heavy(chosen, known, points, say, turns)
     factories = make_factories(
@@ -191,7 +195,8 @@ def comparison_job(
     if not (controllers or paper):
         factories = {name: make for name, make in factories.items() if name not in ON_REQUEST}
     settings = Settings(
-        repetitions=repetitions or (REPETITIONS if race is None else 1), seed=seed, batched=not real,
+        repetitions=(REPETITIONS if race is None else 1) if repetitions is None else repetitions,
+        seed=seed, batched=not real,
         protocol=protocol or (Protocol() if race is None else RACE_PROTOCOL), leave_out=not controllers, race=race,
     )  # fmt: skip
     model = calibration_of(calibration, run, chosen, address_of(robot))

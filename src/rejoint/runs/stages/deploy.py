@@ -48,6 +48,7 @@ from rejoint.runs.stages.eyes import EyeLike, opened_eye, watched, with_sighting
 from rejoint.runs.stages.loads import PayloadLike, Say, say_heavy, say_noticed, silent, with_load
 from rejoint.system.errors import InputError
 from rejoint.system.files import require_space, saving
+from rejoint.system.numbers import as_seed
 from rejoint.system.progress import Progress, no_progress, paced
 from rejoint.system.stopping import noted
 
@@ -155,7 +156,7 @@ def deploy(
     """
     about = None if run is None else as_run(run).seeded(seed)
     chosen = with_load(arm_of(robot, arm) if about is None else about.arm, robot, payload, tool)
-    seed = seed or 0 if about is None else about.seed
+    seed = as_seed(seed) if about is None else about.seed
     with exclusive(about):
         points, turns = as_targets(targets, chosen, sets=1, seed=seed)
         if len(points) != 1:

@@ -35,6 +35,7 @@ from rejoint.runs.run import Run, exclusive, mark_quick, remove_if_empty
 from rejoint.runs.stages.driving import start_journal
 from rejoint.system.errors import InputError
 from rejoint.system.files import read_json, require_space, saving, set_aside, write_json
+from rejoint.system.numbers import as_seed
 from rejoint.system.progress import Progress, no_progress, paced
 from rejoint.system.stopping import noted
 
@@ -137,7 +138,7 @@ def diagnose(
     chosen = run.arm if isinstance(run, Run) else arm_of(robot, arm)
     about = run_about(run, address_of(robot), chosen, seed)
     about = None if about is None else about.begin()
-    seed = seed or 0 if about is None else about.seed
+    seed = as_seed(seed) if about is None else about.seed
     with exclusive(about):
         try:
             reference = _reference(chosen, healthy)

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from rejoint.arms import Arm, Array, tcp_position
-from rejoint.arms.numbers import numbers
 from rejoint.control.comparison.targets import require_reachable
 from rejoint.control.controller import heeds_turn
 from rejoint.control.moving.drive import Followed
@@ -38,14 +37,15 @@ from rejoint.runs.stages.motions import AlongPath, MotionThread, MoveTo
 from rejoint.runs.stages.pathdrive import TRACKER, WITHIN, PathLike, followable, follower, require_repeatable
 from rejoint.system.errors import InputError, NotReachedError, NotReadyError
 from rejoint.system.files import require_space
+from rejoint.system.numbers import as_floats
 from rejoint.system.stopping import noted, pause
 
 WITHIN_TURN = float(np.radians(1.0))
 """[rad] within which an orientation counts as reached where an arm is sent to a pose (chosen: as the vendor's)"""
 FARTHEST = 0.1
 """[m] within which a point counts as reached at most (chosen: more is a number in millimetres)"""
-_BOUNDS = "move_to: within_m, within_rad and timeout_s are positive numbers"
-_POINT = "move_to: expected a point (3,) in metres"
+_BOUNDS = "positive numbers as within_m, within_rad and timeout_s"
+_POINT = "a point (3,) in metres"
 _LOOK = 0.01  # [s] between two looks at whether a motion has ended (chosen)
 
 
@@ -153,13 +153,13 @@ class DrivenArm:
         had to be ended. In any case the arm then holds.
         """
         pose = target_m if isinstance(target_m, Pose) else None
-        target = numbers(target_m if pose is None else pose.place_m, _POINT)
+        target = as_floats("move_to", target_m if pose is None else pose.place_m, _POINT)
         if target.shape != (3,) or not np.isfinite(target).all():
-            raise InputError(f"{_POINT}, got {target_m!r}")
+            raise InputError(f"move_to: expected {_POINT}, got {target_m!r}")
         given = (within_m, within_rad, timeout_s)
-        bounds = numbers(given, _BOUNDS)
+        bounds = as_floats("move_to", given, _BOUNDS)
         if bounds.shape != (3,) or not (bounds > 0.0).all():
-            raise InputError(f"{_BOUNDS}, got {given}")
+            raise InputError(f"move_to: expected {_BOUNDS}, got {given}")
         within_m, within_rad, timeout_s = bounds.tolist()
         if within_m > FARTHEST:
             raise InputError(f"move_to: within_m is in metres and at most {FARTHEST:g}, got {within_m:g}")

@@ -261,6 +261,11 @@ def _on_shelf(arm: Arm, period: float) -> bool:
     return True
 
 
+def listed(given: Controllers | ControllerLike) -> Controllers:
+    """Return controllers as given; one name or file alone as the only one, since a text is a sequence as well."""
+    return (given,) if isinstance(given, str | Path) else cast("Controllers", given)
+
+
 def any_geared(given: Controllers) -> bool:
     """Tell whether any of the controllers needs a search for gains."""
     return any(name in RIVALS for name in given if isinstance(name, str))

@@ -56,6 +56,7 @@ from rejoint.runs.stages.pathdrive import (
     require_repeatable,
 )
 from rejoint.system.files import require_space, saving
+from rejoint.system.numbers import as_seed
 from rejoint.system.progress import Progress, no_progress, paced
 from rejoint.system.stopping import noted
 
@@ -154,7 +155,7 @@ def follow(
     """
     about = None if run is None else as_run(run).seeded(seed)
     chosen = with_load(arm_of(robot, arm) if about is None else about.arm, robot, payload, tool)
-    seed = seed or 0 if about is None else about.seed
+    seed = as_seed(seed) if about is None else about.seed
     require_repeatable(path, repeat, rate, within)
     with exclusive(about):
         given = followable(path, chosen, seed, duration)

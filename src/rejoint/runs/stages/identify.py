@@ -16,6 +16,7 @@ from rejoint.runs.given import ArmLike, LogsLike, RunLike, as_logs, as_run, run_
 from rejoint.runs.run import Run, exclusive, mark_quick
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import write_json
+from rejoint.system.numbers import as_seed
 from rejoint.system.progress import Progress, no_progress, paced
 from rejoint.twin.conditions import GAIN, TORQUE_OFF, declare
 
@@ -50,7 +51,7 @@ def identify(
     logs
         run logs, a file of one, or a folder of them; without any, the excitation of ``run``
     arm
-        arm, name or file; by default the one of the catalogue that the logs name
+        arm, name or file; by default that of the run, or the one of the catalogue that the logs name
     run
         run, or its folder, into which ``twin.toml`` is written; without one nothing is written
     beside
@@ -102,7 +103,7 @@ def identify(
         motions = declare(declare(as_logs(logs), GAIN, gain), TORQUE_OFF, torque_off)
         require_commands(motions, "identification")
         if about is None and all(is_excitation(log) for log in motions):
-            return _from_excitation(chosen, motions, seed or 0, on_progress, quick=quick)
+            return _from_excitation(chosen, motions, as_seed(seed), on_progress, quick=quick)
         drawn = seed if seed is not None else about.seed if about is not None else 0
         twin = _from_any_motion(chosen, motions, beside, hold_out, drawn, on_progress, quick=quick)
         if about is not None:
@@ -148,7 +149,7 @@ def _excitation(run: Run) -> RunLog:
     path = run.folder.log("excitation")
     if not path.exists():
         logs = run.robot.removeprefix(LOGS)
-        given = f"identify --logs {logs} --arm {run.arm.name}" if run.robot.startswith(LOGS) else f"diagnose {logs}"
+        given = f"identify --logs {logs}" if run.robot.startswith(LOGS) else f"diagnose {logs}"
         raise FileError(path, "no such file", f"run: rejoint {given} --run {run.path}")
     return read_log(path)
 

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Protocol, TypeAlias
 import numpy as np
 
 from rejoint.arms import Arm, Array
-from rejoint.arms.numbers import numbers
 from rejoint.arms.orientation import tool_axis
 from rejoint.control.accuracy import ToolModel
 from rejoint.control.controller import Controller
@@ -32,6 +31,7 @@ from rejoint.runs.given import Period
 from rejoint.runs.run import Run
 from rejoint.runs.stages.driving import ControllerLike, make_factories
 from rejoint.system.errors import InputError
+from rejoint.system.numbers import as_floats
 
 if TYPE_CHECKING:
     from rejoint.arms.orientation import Orientation
@@ -142,7 +142,7 @@ def as_path(given: PathLike, arm: Arm, seed: int) -> Path:
         return standard_path(given, arm, seed)
     if isinstance(given, str | FilePath):
         return read_path(FilePath(given))
-    points = numbers(given, "path: expected a Path, a file, or points (K, 4) of time [s] and x, y, z [m]")
+    points = as_floats("path", given, "a Path, a file, or points (K, 4) of time [s] and x, y, z [m]")
     if points.ndim != 2 or points.shape[-1] != 4:
         raise InputError(f"path: an array of shape {points.shape}, expected (points, 4): time [s] and x, y, z [m]")
     return Path(time=points[:, 0], place=points[:, 1:])

@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rejoint.arms import Array, load_arm
+from rejoint.arms import Array
 from rejoint.logs.bare import states_alone
 from rejoint.logs.runfolder.folder import RunFolder, locked
 from rejoint.logs.runlog import RunLog
-from rejoint.runs.given import ArmLike, LogsLike, TwinLike, as_arm, as_logs, as_twin
+from rejoint.runs.given import ArmLike, LogsLike, TwinLike, arm_of_twin, as_arm, as_logs, as_twin
 
 if TYPE_CHECKING:
     from rejoint.twin.judge import Candidate
@@ -59,7 +59,7 @@ def replay(
     logs
         run logs of any motion, a file of one, or a folder of them
     arm
-        arm, name or file; by default the one of the catalogue that the twin names
+        arm, name or file; by default that of the run that the twin lies in, or the one of the catalogue that it names
     beside
         other twins, such as published ones, to judge on the same motions
     out
@@ -86,7 +86,7 @@ def replay(
     from rejoint.twin.judge import Candidate, judge_paths, predict_logs
 
     known = as_twin(twin)
-    chosen = load_arm(known.arm) if arm is None else as_arm(arm)
+    chosen = arm_of_twin(twin) if arm is None else as_arm(arm)
     known.require(chosen)
     motions = as_logs(logs)
     if states_alone(motions, "replay"):

@@ -13,6 +13,7 @@ from rejoint.runs.given import ArmLike, RunLike, TwinLike, as_arm, as_run, as_tw
 from rejoint.runs.run import exclusive, mark_quick
 from rejoint.runs.stages.driving import tuned_gains, twin_under
 from rejoint.system.errors import InputError
+from rejoint.system.numbers import as_seed
 from rejoint.system.progress import Progress, no_progress, paced
 
 if TYPE_CHECKING:
@@ -117,7 +118,7 @@ def train(
     if known is not None:
         known.require(chosen)
     with tempfile.TemporaryDirectory(prefix="rejoint-training-") as folder:
-        task = _Task(chosen, known, preset, seed or 0, threads, False, quick, device)
+        task = _Task(chosen, known, preset, as_seed(seed), threads, False, quick, device)
         return task.train(Path(folder), trainer, on_progress)
 
 

@@ -296,8 +296,9 @@ class Plant:
     def _checked(self, position: Array) -> Array:
         position = np.asarray(position, dtype=float)
         if position.shape != (self.count, self.arm.joints) or not np.isfinite(position).all():
+            found = "some that are not" if np.shape(position) == (self.count, self.arm.joints) else np.shape(position)
             raise InputError(
-                f"expected finite joint positions of shape {(self.count, self.arm.joints)} [rad], got {position!r}"
+                f"expected finite joint positions of shape {(self.count, self.arm.joints)} [rad], got {found}"
             )
         return position
 

@@ -1,0 +1,57 @@
+"""Numbers that people give: what cannot be meant is refused with its name, before anything is done with it."""
+
+from __future__ import annotations
+
+import operator
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rejoint.system.errors import InputError
+
+SHORTEST_PERIOD, LONGEST_PERIOD = 0.001, 1.0
+"""[s] control periods (chosen: a servo bus answers at most a thousand times a second, and what is controlled less than
+once a second was given in milliseconds)"""
+
+
+def as_seed(seed: int | None) -> int:
+    """Return a seed, 0 where none is given; InputError unless it is a whole number from 0 on."""
+    try:
+        found = 0 if seed is None else operator.index(seed)
+    except TypeError:
+        found = -1
+    if found < 0:
+        raise InputError(f"seed {seed!r}: expected a whole number from 0 on")
+    return found
+
+
+def as_period(period: ArrayLike | None) -> tuple[float, float] | None:
+    """Return the shortest and the longest control period [s]; InputError where no arm is controlled like that."""
+    if period is None:
+        return None
+    if np.shape(period) == (2,):
+        low, high = as_floats("period", period)
+        if SHORTEST_PERIOD <= low <= high <= LONGEST_PERIOD:
+            return float(low), float(high)
+    raise InputError(
+        f"period {period}: expected the shortest and the longest in seconds, such as (0.02, 0.03), between "
+        f"{SHORTEST_PERIOD:g} and {LONGEST_PERIOD:g}"
+    )
+
+
+def as_floats(what: str, given: object, expected: str = "numbers") -> NDArray[np.float64]:
+    """Return numbers as an array of floats; InputError for text, dates, and rows of different length.
+
+    The error names ``what`` they are and what was ``expected``. A date would become a number of a unit that nobody
+    named.
+    """
+    try:
+        array = np.asarray(given)
+        if array.dtype.kind in "biuf":
+            return array.astype(float, copy=False)
+        if array.dtype.kind == "O":  # numbers of other kinds, such as Decimal
+            return array.astype(float)
+        found = {"M": "dates", "m": "spans of time", "c": "complex numbers"}.get(array.dtype.kind, "text")
+    except (TypeError, ValueError):
+        found = "rows of different length, or no numbers"
+    raise InputError(f"{what}: expected {expected}, found {found}")
