@@ -258,6 +258,23 @@ def test_the_better_one_is_recommended_and_a_tie_goes_to_the_simpler():
     assert found.value == pytest.approx(0.0007, rel=0.3)
 
 
+def test_of_those_that_tie_at_the_narrowest_distance_who_is_near_much_sooner_is_recommended():
+    found = alike({"integrator": 0.001, "policy": 0.001})
+
+    def sooner_by(seconds):
+        rows = []
+        for row in found.rows:
+            narrow, near = int(np.argmin(row.outcomes.within)), 1.0 - (seconds if row.controller == "policy" else 0.0)
+            stay = [[3.0] * 6 if i == narrow else [near] * 6 for i in range(len(row.outcomes.within))]
+            outcomes = replace(row.outcomes, settled=(0.001,) * 6, stay=tuple(map(tuple, stay)))
+            rows.append(replace(row, outcomes=outcomes))
+        return recommend(replace(found, rows=tuple(rows)))
+
+    assert sooner_by(0.3).controller == "policy"
+    assert any(line.startswith("integrator: 1.00 s to stay within 5 mm, against 0.70 s") for line in sooner_by(0.3).why)
+    assert sooner_by(0.1).controller == "integrator", "nobody sees a tenth of a second"
+
+
 def test_a_controller_under_other_gains_of_the_servos_is_hardly_less_simple_than_without():
     def equals(*names):
         found = alike(dict.fromkeys(names, 0.001))

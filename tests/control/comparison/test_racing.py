@@ -217,10 +217,12 @@ def undecided():
     """Return a race of three alike, made as if nobody had been stopped: settled errors and times are filled in."""
     found, _ = race(dict.fromkeys(("integrator", "policy", "predictive"), IntegratorController), TARGETS[:1])
 
-    def filled(stays):
+    def filled(stays, wider=None):
         rows = []
-        for row, stay in zip(found.rows, stays, strict=True):
-            same = {"crossed": (1.0,) * 10, "settled": (1e-3,) * 10, "stay": (tuple(stay),) * len(row.outcomes.within)}
+        for row, *both in zip(found.rows, stays, wider or stays, strict=True):
+            narrow = int(np.argmin(row.outcomes.within))
+            stay = tuple(tuple(both[i != narrow]) for i in range(len(row.outcomes.within)))
+            same = {"crossed": (1.0,) * 10, "settled": (1e-3,) * 10, "stay": stay}
             rows.append(replace(row, out="", outcomes=replace(row.outcomes, **same)))
         return replace(found, rows=tuple(rows))
 
@@ -241,6 +243,19 @@ def test_of_those_left_undecided_the_simplest_is_recommended_that_nobody_leads_b
     assert (advice.controller, advice.tied) == ("policy", ("predictive",)), "which nobody leads by as much"
     round_ = undecided([[1, 2, 3] * 3 + [2], [2, 3, 1] * 3 + [2], [3, 1, 2] * 3 + [2]])
     assert recommend(round_).controller == "integrator", "each leads another: a tie, by intervals"
+
+
+def test_where_the_narrowest_distance_leaves_a_tie_the_wider_ones_decide(undecided):
+    """An arm that trembles by two millimetres comes to stay there by chance, and may yet be near much sooner."""
+    early, late = [3.0, 4.0] * 5, [4.0, 3.0] * 5
+    advice = recommend(undecided([early, late, early], wider=[[1.0] * 10, [0.4] * 10, [0.4] * 10]))
+    assert (advice.controller, advice.tied) == ("policy", ("predictive",))
+    said = "integrator: likely not as good as policy by the time to stay within 5 mm (worse at 10 of 10 targets"
+    assert any(line.startswith(said) for line in advice.why)
+    near = recommend(undecided([early, late, early], wider=[[0.55] * 10, [0.4] * 10, [0.4] * 10]))
+    assert near.controller == "integrator", "nobody sees a difference of 0.15 s"
+    first = recommend(undecided([[1.0] * 10, [2.0] * 10, [2.0] * 10], wider=[[1.0] * 10, [0.4] * 10, [0.4] * 10]))
+    assert first.controller == "integrator", "the narrowest counts first"
 
 
 def test_a_race_reads_from_its_holds_when_targets_are_crossed():

@@ -1,12 +1,13 @@
 """Which controller the owner should use, and why: the simplest of those that nothing measurably beats.
 
-Controllers are compared result by result on the same targets. The criteria count in this order:
-targets reached, settled encoder error, time to come and stay within the narrowest distance. A
-difference whose 95 % interval contains zero is a tie, and a tie goes to the simpler controller. Where there are too
-few results for an interval, only what an owner would see counts: a target missed, or more than the narrowest
-distance. Those that a race leaves undecided count by its leads instead: intervals of ten targets leave ties that
-matter. A controller that was driven no further is out, unless all are, and one that a race found hardly better than the
-one chosen ties with it. A tie is called one, with what the others did better and how many trials would decide.
+Controllers are compared result by result on the same targets. The criteria count in this order: targets reached,
+settled encoder error, time to come and stay within the narrowest distance, and then within the wider ones, where a
+difference is to be one that matters. A difference whose 95 % interval contains zero is a tie, and a tie goes to the
+simpler controller. Where there are too few results for an interval, only what an owner would see counts: a target
+missed, or more than the narrowest distance. Those that a race leaves undecided count by its leads instead: intervals of
+ten targets leave ties that matter. A controller that was driven no further is out, unless all are, and one that a race
+found hardly better than the one chosen ties with it. A tie is called one, with what the others did better and how many
+trials would decide.
 """
 
 from __future__ import annotations
@@ -19,8 +20,8 @@ import numpy as np
 from rejoint.arms import Array
 from rejoint.control.catalogue import CONTROLLERS
 from rejoint.control.comparison.failure import failure
-from rejoint.control.comparison.racing import NO_BETTER, Results, leads
-from rejoint.control.comparison.result import Comparison, ControllerRow
+from rejoint.control.comparison.racing import NO_BETTER, Race, Results, leads
+from rejoint.control.comparison.result import Comparison, ControllerRow, Protocol
 from rejoint.control.geared import inner_name
 from rejoint.system.statistics import FEWEST_CLUSTERS, Estimate, above_zero, cluster, paired_difference
 
@@ -49,6 +50,8 @@ class _Criterion:
     show: Callable[[float], str]
     plain: float
     """difference above which one is worse where there is no interval"""
+    matters: float = 0.0
+    """smallest difference in the mean that counts"""
 
 
 def recommend(comparison: Comparison) -> Recommendation:
@@ -79,22 +82,41 @@ def recommend(comparison: Comparison) -> Recommendation:
 def _led(left: list[ControllerRow], comparison: Comparison) -> tuple[list[ControllerRow], list[str]] | None:
     """Return who stays of those a race left undecided, and what is said of the others; None where that is no question.
 
-    The simplest one stays whom nobody leads, with the less simple ones that it does not lead.
+    The times to the wider distances decide between those whom the narrower ones leave: where an arm never rests within
+    the narrowest, its times say nothing.
     """
     if comparison.race is None or len(left) < 2:
         return None
-    narrow = int(np.argmin(comparison.protocol.within))
+    found: tuple[list[ControllerRow], list[str]] | None = None
+    for within in np.argsort(comparison.protocol.within):
+        stays = _unled(left, comparison, comparison.race, int(within))
+        if stays is None:
+            break
+        left, said = stays
+        found = left, (said if found is None else found[1] + said)
+    return found
+
+
+def _unled(
+    left: list[ControllerRow], comparison: Comparison, race: Race, within: int
+) -> tuple[list[ControllerRow], list[str]] | None:
+    """Keep the simplest one whom nobody leads, with the less simple ones that it does not lead; None if all are led.
+
+    Times to stay are those within the distance of number ``within``.
+    """
     results = {}
     for row in left:
         crossed, settled, stay = (row.outcomes.array(name) for name in ("crossed", "settled", "stay"))
-        results[row.controller] = Results(crossed=crossed.ravel(), settled=settled.ravel(), stay=stay[narrow].ravel())
-    found = leads(results, comparison.race)
+        results[row.controller] = Results(crossed=crossed.ravel(), settled=settled.ravel(), stay=stay[within].ravel())
+    found = leads(results, race)
     ranked = sorted(left, key=_by_complexity)
     free = [row for row in ranked if all(row.controller != other for _, other in found)]
     if not free:
         return None
     chosen = free[0]
     tied = [row for row in ranked[ranked.index(chosen) :] if (chosen.controller, row.controller) not in found]
+    narrowest = within == int(np.argmin(comparison.protocol.within))
+    what = "" if narrowest else f" by the time to stay within {1e3 * comparison.protocol.within[within]:g} mm"
     said = []
     for row in (row for row in ranked if row not in tied):
         (by, _), (better, even, worse) = max(
@@ -102,8 +124,8 @@ def _led(left: list[ControllerRow], comparison: Comparison) -> tuple[list[Contro
             key=lambda item: (item[0][0] == chosen.controller, item[1][0] - item[1][2]),
         )
         said.append(
-            f"{row.controller}: likely not as good as {by} (worse at {better} of {better + even + worse} targets, "
-            f"better at {worse})."
+            f"{row.controller}: likely not as good as {by}{what} (worse at {better} of "
+            f"{better + even + worse} targets, better at {worse})."
         )
     return tied, said
 
@@ -119,7 +141,7 @@ def difference(comparison: Comparison, first: str, second: str, name: str = "set
 
 def _criteria(comparison: Comparison) -> tuple[_Criterion, ...]:
     protocol = comparison.protocol
-    narrow = int(np.argmin(protocol.within))
+    narrow, *wider = map(int, np.argsort(protocol.within))
     return (
         _Criterion(
             name="of the targets missed", results=lambda row: 1.0 - row.outcomes.array("crossed").ravel(), missing=1.0,
@@ -130,11 +152,16 @@ def _criteria(comparison: Comparison) -> tuple[_Criterion, ...]:
             show=lambda metres: f"{1e3 * metres:.2f} mm", plain=protocol.within[narrow],
         ),
         *_turned(comparison),
-        _Criterion(
-            name=f"to stay within {1e3 * protocol.within[narrow]:g} mm",
-            results=lambda row: row.outcomes.array("stay")[narrow].ravel(), missing=protocol.hold,
-            show=lambda seconds: f"{seconds:.2f} s", plain=np.inf,
-        ),
+        _stays(protocol, narrow, matters=0.0),
+        *(_stays(protocol, within, matters=Race.sooner) for within in wider),
+    )  # fmt: skip
+
+
+def _stays(protocol: Protocol, within: int, matters: float) -> _Criterion:
+    return _Criterion(
+        name=f"to stay within {1e3 * protocol.within[within]:g} mm",
+        results=lambda row: row.outcomes.array("stay")[within].ravel(), missing=protocol.hold,
+        show=lambda seconds: f"{seconds:.2f} s", plain=np.inf, matters=matters,
     )  # fmt: skip
 
 
@@ -174,7 +201,7 @@ def _tie(criterion: _Criterion, best: ControllerRow, row: ControllerRow) -> bool
     estimate = paired_difference(theirs, ours, cluster(row.outcomes.shape)[1])
     if estimate is not None and estimate.low is None:
         return estimate.value <= criterion.plain
-    return estimate is None or not above_zero(estimate)
+    return estimate is None or not above_zero(estimate) or estimate.value <= criterion.matters
 
 
 def _beaten(criterion: _Criterion, best: ControllerRow, row: ControllerRow) -> str:
