@@ -104,7 +104,7 @@ def as_set(
     Each joint is taken from the reference of the nearest P. A servo gives torque in proportion to P and to its supply,
     the variant for 7.4 V as well as that for 12 V; so does an arm sag. ``reference`` itself where nothing is told.
     """
-    if arm.name not in NEW or reference is None or gains is None or "p" not in gains:
+    if _new(arm) is None or reference is None or gains is None or "p" not in gains:
         return reference
     p = np.array(gains["p"], dtype=float)
     share = np.ones(arm.joints) if voltage is None else np.asarray(voltage, float) / SUPPLY
@@ -119,6 +119,11 @@ def as_set(
         whole, joints=tuple(rows), error_mm=_times(whole.error_mm, of / typical / float(share.mean())),
         source=f"{whole.source}, for P = {'/'.join(map(str, dict.fromkeys(gains['p'])))}{volts}",
     )  # fmt: skip
+
+
+def _new(arm: Arm) -> str | None:
+    """Return the wear profile of a new arm of this kind, None where `healthy` does; so with servos of another make."""
+    return NEW.get(arm.name) if arm.servos else None
 
 
 def _nearest(arm: Arm, p: float) -> tuple[int, HealthyReference]:
@@ -144,16 +149,17 @@ def _times(found: Estimate, factor: float) -> Estimate:
 def measure_healthy(arm: Arm, *, count: int = ARMS, p: int = AS_SOLD) -> HealthyReference:
     """Diagnose ``count`` emulated healthy arms, each with noise and excitation of its own.
 
-    ``p`` is that of the servos of an arm in `NEW`; others have none.
+    ``p`` is that of the servos of an arm in `NEW`; others are told none.
     """
     logs: list[DiagnosisLogs] = []
-    profile = NEW.get(arm.name, "healthy")
-    address = f"emulated:{profile}" if arm.name not in NEW else f"emulated:{profile}?p={p}"
+    new = _new(arm)
+    profile = new or "healthy"
+    address = f"emulated:{profile}?p={p}" if new else f"emulated:{profile}"
     for offset in range(2):  # two excitations, each on half of the arms
         robot = open_robot(address, arm=arm, seed=SEED + offset, count=count // 2)
         logs += record(robot, seed=SEED + offset)
     source = f"{len(logs)} emulated arms with wear profile '{profile}'"
-    return reference_from(arm, logs, source=source, motors=arm.name not in NEW)
+    return reference_from(arm, logs, source=source, motors=new is None)
 
 
 def reference_from(arm: Arm, logs: Sequence[DiagnosisLogs], *, source: str, motors: bool = True) -> HealthyReference:
