@@ -15,7 +15,7 @@ from rejoint.control.comparison.iso import RISING_LEFT, iso_poses
 from rejoint.diagnosis.monitoring.measures import measure_check
 from rejoint.diagnosis.monitoring.record import record_check
 from rejoint.diagnosis.monitoring.routine import CYCLES, POSES, plan_check
-from rejoint.diagnosis.segments import attach_segments
+from rejoint.diagnosis.segments import ExcitationLog, attach_segments
 from rejoint.logs.history.index import find_rows
 from rejoint.logs.history.rows import SUMMARY, read_rows, write_rows
 from rejoint.logs.runlog import RunLog
@@ -100,6 +100,27 @@ def test_a_check_leaves_its_log_and_its_rows(checked: tuple[rejoint.Checked, Pat
     again = measure_check(ARM, log, None)
     assert again.error_mm == found.measures.error_mm
     assert 100.0 < log.time[-1] - log.time[0] < 180.0
+
+
+def test_an_approach_in_a_pause_of_the_link_counts_as_the_others_to_its_pose(
+    checked: tuple[rejoint.Checked, Path],
+) -> None:
+    log = RunLog.load(checked[0].folder / "check.parquet")
+    whole, poses = measure_check(ARM, log, None), ExcitationLog.of(ARM, log).of_kind("pose")
+
+    def lacking(*names: str) -> RunLog:
+        """Return the log without what was read during these approaches."""
+        spans = [(one.start, one.stop) for one in poses if one.name in names]
+        kept = np.all([(log.time < start) | (log.time > stop) for start, stop in spans], axis=0)
+        return replace(log, **{name: getattr(log, name)[kept] for name in log.arrays})
+
+    one = measure_check(ARM, lacking("pose/1/above/2"), None)
+    assert one.error_mm == pytest.approx(whole.error_mm, rel=0.03)
+    assert [joint.deviation_mm for joint in one.joints] == pytest.approx(
+        [joint.deviation_mm for joint in whole.joints], abs=0.05
+    )
+    with pytest.raises(rejoint.InputError, match="not of a whole check"):
+        measure_check(ARM, lacking(*(f"pose/1/above/{cycle}" for cycle in range(3))), None)
 
 
 def test_guarded_and_in_batches_bit_for_bit(checked: tuple[rejoint.Checked, Path]) -> None:

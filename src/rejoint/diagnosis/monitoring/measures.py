@@ -28,6 +28,9 @@ _LEAST_RANGE = 0.1
 """[N m] range of a joint's load over the poses from which its sag shows (chosen: a healthy joint of a myCobot 280 then
 moves by more than an encoder count; goes with the load of the arm)"""
 
+LEAST_APPROACHES = 3
+"""of `CYCLES` to a pose from one side, without which a check does not count (chosen: the fewest that scatter)"""
+
 _SWEEP_MIDDLE = 0.6  # share of a sweep, about its middle, in which a joint moves steadily (chosen)
 
 
@@ -126,7 +129,10 @@ def require_followed(arm: Arm, log: RunLog) -> None:
 
 
 def _settled(data: ExcitationLog) -> tuple[Array, Array, Array]:
-    """Means of command, position (poses, sides, cycles, n) [rad] and tool (poses, sides, cycles, 3) [m] at rest."""
+    """Means of command, position (poses, sides, cycles, n) [rad] and tool (poses, sides, cycles, 3) [m] at rest.
+
+    An approach that fell into a pause of the link is the mean of the others to its pose from its side.
+    """
     log, shape = data.log, (POSES, len(SIDES), CYCLES)
     found = [np.full((*shape, width), np.nan) for width in (data.arm.joints, data.arm.joints, 3)]
     for segment in data.of_kind("pose"):
@@ -136,12 +142,14 @@ def _settled(data: ExcitationLog) -> tuple[Array, Array, Array]:
         if len(rows):
             for array, values in zip(found, (log.command, log.position, log.true_tcp), strict=True):
                 array[place] = values[rows].mean(axis=0)
-    if not np.isfinite(found[1]).all():
+    seen = np.isfinite(found[1]).all(axis=-1, keepdims=True)
+    if seen.sum(axis=2).min() < LEAST_APPROACHES:
         raise InputError(
-            f"run log {log.label} is not of a whole check: it lacks poses of {POSES} x {CYCLES} approaches from two "
-            "sides; check the arm again"
+            f"run log {log.label} is not of a whole check: of {POSES} x {CYCLES} approaches from two sides it has "
+            f"fewer than {LEAST_APPROACHES} to some pose; check the arm again"
         )
-    return found[0], found[1], found[2]
+    whole = [np.where(seen, part, part.mean(axis=2, where=seen, keepdims=True)) for part in found]
+    return whole[0], whole[1], whole[2]
 
 
 def _levers(arm: Arm, posture: Array) -> Array:
