@@ -48,7 +48,8 @@ def evaluate(
     iterations: Annotated[int | None, typer.Option(help="Updates of those trainings instead of the preset's.")] = None,
     policy: Annotated[list[Path] | None, typer.Option(help="Policy file; repeatable, such as one per seed.")] = None,
     controllers: Annotated[
-        str, typer.Option(help="Comma-separated baselines and rivals, 'all' or 'none'.")
+        str,
+        typer.Option(help="Comma-separated baselines and rivals, 'all' or 'none'; with --calibrate one, else 'shelf'."),
     ] = "integrator,feedforward,tuned-integrator,tuned-feedforward,adaptive",
     variants: Annotated[str, typer.Option(help="Comma-separated conditions, or 'all'.")] = "all",
     arms: Annotated[int, typer.Option(help="Number of arms.", min=1)] = 100,

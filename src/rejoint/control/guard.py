@@ -127,10 +127,7 @@ def _check(limits: GuardLimits, command: Array, sent: Array, speed: Array, state
         + _flag(~(state.age <= limits.max_age)[:, None], Reason.STALE)  # NaN counts as stale
         + _flag(((state.position < lowest) | (state.position > highest)) & ~unknown, Reason.OUT_OF_RANGE)
     )
-    if state.temperature is not None:
-        trips = trips + _flag(state.temperature > limits.max_temperature, Reason.TEMPERATURE)
-    if state.fault is not None:
-        trips = trips + _flag(state.fault, Reason.SERVO_FAULT)
+    trips = trips + _servo_trips(limits, state)
     if not not_finite.any():
         return sent, trips
     known = np.where(unknown, limits.arm.rest, np.clip(state.position, limits.lower, limits.upper))
@@ -139,12 +136,17 @@ def _check(limits: GuardLimits, command: Array, sent: Array, speed: Array, state
 
 def suffers(limits: GuardLimits, state: JointState) -> NDArray[np.bool_]:
     """Arms (B,) that trip for what their servos tell, whatever is to be sent: too hot, or a fault."""
-    found = np.zeros(len(state.position), dtype=bool)
+    return _servo_trips(limits, state) != 0
+
+
+def _servo_trips(limits: GuardLimits, state: JointState) -> Reasons:
+    """Return the trips (B,) for what servos tell of themselves."""
+    trips = np.zeros(len(state.position), dtype=np.uint16)
     if state.temperature is not None:
-        found |= (state.temperature > limits.max_temperature).any(axis=-1)
+        trips = trips + _flag(state.temperature > limits.max_temperature, Reason.TEMPERATURE)
     if state.fault is not None:
-        found |= state.fault.any(axis=-1)
-    return found
+        trips = trips + _flag(state.fault, Reason.SERVO_FAULT)
+    return trips
 
 
 def _nothing_wrong(limits: GuardLimits, command: Array, sent: Array, speed: Array, state: JointState) -> bool:

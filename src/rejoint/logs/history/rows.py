@@ -114,7 +114,8 @@ class HistoryRow:
     @property
     def over(self) -> bool:
         """Whether that error has reached the tolerance."""
-        return None not in (self.tolerance_mm, self.counts_mm) and (self.counts_mm or 0.0) >= (self.tolerance_mm or 0.0)
+        limit, counts = self.tolerance_mm, self.counts_mm
+        return limit is not None and counts is not None and counts >= limit
 
 
 def _column(kind: Any) -> pa.DataType:  # noqa: ANN401
