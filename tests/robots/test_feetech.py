@@ -1,6 +1,7 @@
 """The driver of an SO-101 on the maker's client, against the emulated bus; rows of docs/robots.md among them."""
 
 import json
+import re
 from contextlib import closing, contextmanager
 from pathlib import Path
 
@@ -476,16 +477,16 @@ def test_a_servo_that_stays_silent_is_named_and_the_arm_holds(monkeypatch):
 @pytest.mark.parametrize(
     ("fault", "says"),
     [
-        ("overload=3@1", "elbow_flex reports a servo fault (overload)"),
-        ("voltage@1", "the supply sags to 7.0 V from 12.0 V"),
-        ("sag=24", "the supply sags to"),
+        ("overload=3@1", r"elbow_flex reports a servo fault \(overload\)"),
+        ("voltage@1", r"the supply sags to 7\.0 V from 12\.0 V"),
+        ("sag=24", r"the supply sags to|servo fault \(voltage\)"),  # the second after a dip between two cycles
         ("overheat=2@0", "shoulder_lift is at"),
     ],
 )
 def test_what_servos_suffer_from_is_named_and_holds_the_arm(fault, says):
     _, error, arm = drive(fault)
     assert isinstance(error, GuardTripError)
-    assert says in str(error)
+    assert re.search(says, str(error))
     assert never_dropped(arm)
 
 
