@@ -196,6 +196,8 @@ def _gauge(
 
 def _ask(terminal: Terminal, stop: Stop) -> str:
     x, y, z = 1e3 * stop.believed
+    if stop.again:
+        terminal.say(f"{stop.again}; it is measured once more.")
     terminal.say(
         f"{stop.number}/{stop.total}  The arm stands still; its encoders see the tool at {x:.1f}, {y:.1f}, {z:.1f} mm."
     )
