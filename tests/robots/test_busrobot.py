@@ -163,18 +163,21 @@ def test_an_arm_that_stands_elsewhere_after_a_pause_is_told_until_its_next_comma
     assert not robot.read().elsewhere
 
 
-def test_an_arm_that_was_moved_while_its_link_was_gone_is_told():
+@pytest.mark.parametrize(("gone", "sent"), [(0.2, True), (2.0, False)])
+def test_a_command_that_was_kept_up_by_a_new_connection_is_not_sent_to_an_arm_that_was_moved(gone, sent):
     robot, bus = opened()
     robot.step(ARM.rest[None])
 
     def open_anew():
         bus.tell("open")
-        bus.clock.wait(2.0)
-        bus.send = lambda _: None
+        bus.clock.wait(gone)
         bus.position = ARM.rest + 0.2
 
     bus.open, bus.faults = open_anew, [OSError("gone")]
-    assert robot.step(ARM.rest[None]).elsewhere
+    state = robot.step(ARM.rest[None])
+    assert bus.done.count("send") == 1 + 1 + sent
+    assert state.elsewhere != sent
+    assert np.allclose(state.position, ARM.rest) == sent
 
 
 def test_an_arm_that_refuses_is_not_asked_again():

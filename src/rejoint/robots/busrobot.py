@@ -91,7 +91,8 @@ class BusRobot:
     def step(self, command: Array, active: Mask | None = None) -> JointState:
         """Send ``command`` (1, n) [rad], let the period pass, read.
 
-        An arm that is not ``active`` (1,) is left alone, and its last state repeated.
+        A command that could not be sent in time is not sent any more. An arm that is not ``active`` (1,) is left alone,
+        and its last state repeated.
         """
         if command.shape != (1, self._arm.joints) or not np.isfinite(command).all():
             raise InputError(
@@ -104,7 +105,13 @@ class BusRobot:
         due = max(float(last.time[0]), self._clock.now() - period / 2) + period  # even a late command gets half of it
         goal = self._command = command[0].copy()
         self._left = float(last.time[0]), last.position, command.copy()
-        self._link.ask(lambda: self._bus.send(goal.copy()))  # a bus may reckon in place, and may be asked again
+        began = self._clock.now()
+
+        def send() -> None:
+            if self._clock.now() - began <= GAP:  # after a pause the arm is looked at first: it may stand elsewhere
+                self._bus.send(goal.copy())  # a bus may reckon in place, and may be asked again
+
+        self._link.ask(send)
         ask_at = due - (self._read_cost or 0.0)
         self._health.poll(ask_at - self._clock.now())
         self._clock.wait(ask_at - self._clock.now())
