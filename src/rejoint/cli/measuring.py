@@ -204,5 +204,5 @@ def _ask(terminal: Terminal, stop: Stop) -> str:
     terminal.notes.print("Where is it? x y z in mm, - for one not measured, empty to leave it out: ", end="")
     line = sys.stdin.readline()
     if not line:
-        raise InputError("the answers ended; what was measured is kept")
+        raise InputError("the answers ended before the last posture was measured")
     return line
