@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -369,6 +370,41 @@ def test_an_arm_that_was_moved_during_a_gap_is_not_sent_back_at_once():
     elsewhere = ARM.rest + 0.6
     rec = run(PausingRobot(at=5, pause=3.0, moved=elsewhere), Straight(), NOWHERE, Schedule(dwell=6.0))
     assert np.abs(rec.command[5:, 0] - elsewhere).max() < 0.2
+
+
+def test_an_arm_that_was_moved_a_little_in_a_gap_is_not_thrown_back():
+    """By less than a command may lead: switched off and on, it stands where it sank to."""
+    way = np.radians([12.0, -12.0, 12.0, -12.0, 12.0, -12.0])
+    rec = run(PausingRobot(at=5, pause=3.0, moved=ARM.rest + way), Straight(), NOWHERE, Schedule(dwell=6.0))
+    assert np.abs(rec.command[5:, 0] - ARM.rest - way).max() < np.radians(2.0)
+
+
+class MovedRobot(LaggingRobot):
+    """An arm that stands elsewhere than its last command left it, and says so until it gets another one."""
+
+    def read(self):
+        return replace(super().read(), elsewhere=np.array([not self.steps[0]]))
+
+
+@pytest.mark.parametrize("far", [0.2, 0.6])
+def test_an_arm_that_was_moved_before_a_motion_goes_on_slowly_from_where_it_is(far):
+    motions = {
+        "run": lambda robot: run(robot, Back(), NOWHERE, Schedule(dwell=4.0, sent=ARM.rest[None])),
+        "move": lambda robot: move(robot, ARM.rest, sent=ARM.rest[None], settle=3.0),
+    }
+    for motion in motions.values():
+        rec = motion(MovedRobot([0.05], start=ARM.rest + far))
+        assert np.abs(rec.command[0, 0] - ARM.rest - far).max() < np.radians(1.0)
+        speed = np.abs(np.diff(rec.command[:, 0], axis=0)).max() / 0.05
+        assert speed <= 0.2 * ARM.max_speed.max() + 1e-9
+        assert rec.command[-1, 0] == pytest.approx(ARM.rest), "and it still arrives"
+
+
+class Back(Eager):
+    """Wants to be at rest at once."""
+
+    def command(self, inputs):
+        return np.tile(ARM.rest, (len(inputs.sent), 1))
 
 
 def test_a_cycle_that_is_merely_late_allows_no_longer_step_than_usual():

@@ -145,6 +145,41 @@ def test_an_arm_that_lost_its_power_is_not_waited_for():
         robot.read()
 
 
+@pytest.mark.parametrize(
+    ("waited", "moved", "told"),
+    [(60.0, 0.0, False), (60.0, 0.3, True), (60.0, -0.05, False), (60.0, -0.2, True), (0.1, 0.05, False)],
+)
+def test_an_arm_that_stands_elsewhere_after_a_pause_is_told_until_its_next_command(waited, moved, told):
+    robot, bus = opened()
+    goal = ARM.rest[None] + 0.1
+    robot.step(ARM.rest[None])
+    robot.step(goal)
+    assert not robot.read().elsewhere
+    bus.clock.wait(waited)
+    bus.position = goal[0] + moved
+    assert robot.read().elsewhere == told
+    assert robot.read().elsewhere == told
+    robot.step(bus.position[None])
+    assert not robot.read().elsewhere
+
+
+@pytest.mark.parametrize(("gone", "sent"), [(0.2, True), (2.0, False)])
+def test_a_command_that_was_kept_up_by_a_new_connection_is_not_sent_to_an_arm_that_was_moved(gone, sent):
+    robot, bus = opened()
+    robot.step(ARM.rest[None])
+
+    def open_anew():
+        bus.tell("open")
+        bus.clock.wait(gone)
+        bus.position = ARM.rest + 0.2
+
+    bus.open, bus.faults = open_anew, [OSError("gone")]
+    state = robot.step(ARM.rest[None])
+    assert bus.done.count("send") == 1 + 1 + sent
+    assert state.elsewhere != sent
+    assert np.allclose(state.position, ARM.rest) == sent
+
+
 def test_an_arm_that_refuses_is_not_asked_again():
     robot, bus = opened()
     robot.read()

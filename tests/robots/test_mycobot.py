@@ -434,3 +434,28 @@ def test_silence_is_borne_for_the_patience_and_one_last_attempt():
     with shielded(), pytest.raises(ConnectionLostError):
         link.ask(bus.stop)
     assert link_module.LAST_TIMEOUT <= bus.clock.now() - began <= link_module.LAST_TIMEOUT + 0.9 + attempt
+
+
+class DeafFirst(SilentBus):
+    """The first new connection is let in and never answered, as by a server that is not ready yet; the next one is."""
+
+    opened = 0
+
+    def open(self):
+        super().open()
+        self.opened += 1
+        self.silent = self.opened == 2
+
+
+def test_a_new_connection_that_nobody_serves_is_given_up_for_another_one():
+    bus = DeafFirst()
+    link = link_module.Link(bus, "tcp://nowhere:9000")
+    link.open()
+    answers = iter([OSError("gone")])
+
+    def question():
+        for error in answers:
+            raise error
+        return bus.opened
+
+    assert link.ask(question) == 3

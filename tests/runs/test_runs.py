@@ -3,6 +3,7 @@
 import errno
 import os
 import re
+import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -22,7 +23,7 @@ from rejoint.logs.runlog import RunLog, read_log, write_log
 from rejoint.robots import open_robot
 from rejoint.runs.run import Run
 from rejoint.runs.stages import driving
-from rejoint.system.errors import FileError, InputError
+from rejoint.system.errors import FileError, InputError, UnsavedError
 from rejoint.system.files import read_json, set_aside, write_json, write_whole
 
 
@@ -166,3 +167,26 @@ def test_under_a_clock_that_stands_still_no_log_takes_the_place_of_another(tmp_p
     whole.close()  # as `kill -9` leaves it
     (found,) = recover(run.path / "logs")
     assert found.stem == f"deploy-20260101-120005-3-{CUT_SHORT}"
+
+
+@pytest.mark.parametrize("what", ["removed", "exchanged"])
+def test_a_diagnosis_whose_folder_goes_meanwhile_is_one_of_its_own_or_told(tmp_path: Path, what: str) -> None:
+    run = Run.create(tmp_path / "run", "emulated:worn", mycobot280(), 0)
+    other = replace(run, folder=RunFolder(tmp_path / "other"), info=replace(run.info, created="2020-02-02T02:02:02"))
+    other.begin()
+    left = [other.path] if what == "exchanged" else []
+
+    def meddle(share: float, _: str) -> None:
+        if share > 0.2 and (run.path / "logs").exists():
+            shutil.rmtree(run.path)
+            for path in left:
+                path.rename(run.path)
+
+    if what == "removed":
+        rejoint.diagnose("emulated:worn", run=run, quick=True, on_progress=meddle)
+        assert Run.open(run.path).diagnosis is not None
+        return
+    with pytest.raises(UnsavedError, match="another run's folder") as lost:
+        rejoint.diagnose("emulated:worn", run=run, quick=True, on_progress=meddle)
+    assert lost.value.result.verdict
+    assert Run.open(run.path).diagnosis is None

@@ -1,23 +1,24 @@
-"""The slow motions before the first target: what an arm did there is kept as well where they end early."""
+"""Motions that no journal keeps: what an arm did there is kept as well where they end early."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 import rejoint
 from rejoint.arms import mycobot280
+from rejoint.control.robot import Robot
 from rejoint.robots import open_robot
 from rejoint.runs.run import Run
 from runs.test_connect import a_twin
+from servorobot import ServoRobot
 
 ARM = mycobot280()
 
 
-def test_what_an_arm_did_before_its_path_is_kept(tmp_path: Path) -> None:
-    run = Run.create(tmp_path / "run", "emulated:worn", ARM, 0)
-    a_twin().save(run.folder.twin)
-    robot, left = open_robot("emulated:worn", arm=ARM), iter(range(20))
-    step = robot.step
+def failing(robot: Robot, steps: int) -> Robot:
+    """Return the robot as one that fails after some steps."""
+    step, left = robot.step, iter(range(steps))
 
     def fail_later(*given: object) -> object:
         if next(left, None) is None:
@@ -25,8 +26,36 @@ def test_what_an_arm_did_before_its_path_is_kept(tmp_path: Path) -> None:
         return step(*given)  # type: ignore[arg-type]
 
     robot.step = fail_later  # type: ignore[method-assign, assignment]
+    return robot
+
+
+@pytest.mark.parametrize(
+    ("steps", "label", "stage"),
+    [
+        (20, "follow/begin/stopped", lambda robot, run: rejoint.follow(robot, "circle-8s", run=run)),
+        (20, "serve/begin/stopped", lambda robot, run: rejoint.serve(robot, run, listen="127.0.0.1:0")),
+        (20, "calibrate/begin/stopped", lambda robot, run: rejoint.calibrate(robot, run=run, count=2)),
+        (20, "compare/begin/stopped", lambda robot, run: rejoint.compare(robot, ["default"], run=run, sets=1)),
+        (150, "compare/default/stopped", lambda robot, run: rejoint.compare(robot, ["default"], run=run, sets=1)),
+    ],
+)
+def test_what_an_arm_did_is_kept_where_a_stage_ends_early(
+    tmp_path: Path, steps: int, label: str, stage: Callable[[Robot, Run], object]
+) -> None:
+    run = Run.create(tmp_path / "run", "emulated:worn", ARM, 0)
+    a_twin().save(run.folder.twin)
     with pytest.raises(rejoint.RobotError, match="made for this test") as failed:
-        rejoint.follow(robot, "circle-8s", run=run)
+        stage(failing(open_robot("emulated:worn", arm=ARM), steps), run)
     (log,) = run.logs.values()
-    assert (len(log), log.label) == (21, "follow/begin/stopped")
+    assert log.label == label
+    assert 1 < len(log) <= steps + 1
     assert any("What was recorded until then" in note for note in failed.value.__notes__)
+
+
+def test_what_an_arm_did_is_kept_where_a_search_for_gains_ends_early(tmp_path: Path) -> None:
+    robot = ServoRobot()
+    run = Run.create(tmp_path / "run", "emulated:so101", robot.arm)
+    with pytest.raises(rejoint.RobotError, match="made for this test"):
+        rejoint.gains(failing(robot, 150), run)
+    (log,) = run.logs.values()
+    assert log.label == "gains/default/stopped"

@@ -1,5 +1,8 @@
 """Compiled loops that cannot be compiled, or kept anywhere, are told in a line; they are no bug of ours."""
 
+import errno
+from pathlib import Path
+
 import numba
 import pytest
 from numba.core import caching
@@ -24,3 +27,81 @@ def test_compiled_loops_without_a_place_are_told_with_what_to_do(monkeypatch) ->
     assert line is not None
     assert "set NUMBA_CACHE_DIR to a folder that can" in line
     assert explain(RuntimeError("something else")) is None
+
+
+@pytest.fixture
+def kept(tmp_path):
+    """A module with a compiled loop, and the folder that keeps it."""
+    source = tmp_path / "doubling.py"
+    source.write_text("import numba\n\n@numba.njit('f8(f8)', cache=True)\ndef double(x):\n    return 2.0 * x\n")
+
+    def load():
+        found = {"__name__": "doubling"}
+        exec(compile(source.read_text(), source, "exec"), found)
+        return found["double"]
+
+    return load, Path(load().stats.cache_path)
+
+
+@pytest.mark.parametrize("ending", ["*.nbi", "*.nbc"])
+@pytest.mark.parametrize("left", [b"", b"\x00\xff nothing that was ever kept"])
+def test_damaged_compiled_loops_are_removed_and_told(kept, ending, left):
+    load, folder = kept
+    for file in folder.glob(ending):
+        file.write_bytes(left)
+    with pytest.raises(Exception) as failed:  # noqa: PT011 - whatever Numba makes of it
+        load()
+    line = explain(failed.value)
+    assert line is not None
+    assert str(folder) in line
+    assert "compiles them anew" in line
+    assert load()(2.0) == 4.0
+
+
+def test_the_end_of_a_file_that_the_framework_takes_for_an_abort_is_told(kept):
+    load, folder = kept
+    for file in folder.glob("*.nbi"):
+        file.write_bytes(b"")
+    try:
+        try:
+            load()
+        except EOFError as error:
+            raise RuntimeError from error
+    except RuntimeError as abort:
+        line = explain(abort)
+    assert line is not None
+    assert "compiles them anew" in line
+
+
+def test_a_full_disk_for_compiled_loops_is_told_with_its_place(kept, monkeypatch):
+    load, folder = kept
+    for file in folder.glob("*.nb*"):
+        file.unlink()
+
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(caching.os, "replace", full)
+    with pytest.raises(OSError, match="No space") as failed:
+        load()
+    line = explain(failed.value)
+    assert (
+        line == f"{folder}: compiled loops cannot be kept there (No space left on device); free some space, or set "
+        "NUMBA_CACHE_DIR"
+    )
+
+
+class Late:
+    """Imports something when anything of it is asked for."""
+
+    def __getattr__(self, name):
+        raise EOFError(name)
+
+    def fail(self):
+        raise ValueError("of its own")
+
+
+def test_looking_for_the_cause_of_another_error_imports_nothing():
+    with pytest.raises(ValueError, match="of its own") as failed:
+        Late().fail()
+    assert explain(failed.value) is None

@@ -116,12 +116,8 @@ def main() -> None:
         code = 0  # whoever read our output has seen enough
     except OSError as error:
         where = f"{error.filename}: " if error.filename else ""
-        code = _fail(
-            f"{where}{error.strerror or error}; check the path, its permissions and the space left",
-            "OSError",
-            2,
-            json=json,
-        )
+        told = f"{where}{error.strerror or error}; check the path, its permissions and the space left"
+        code = _fail(compiling.explain(error) or told, "OSError", 2, json=json)
     except MemoryError as error:
         told = "not enough memory for this; close other programs, allow more, or ask for less"
         code = _fail(told, "MemoryError", 2, json=json)

@@ -196,11 +196,13 @@ def _gauge(
 
 def _ask(terminal: Terminal, stop: Stop) -> str:
     x, y, z = 1e3 * stop.believed
+    if stop.again:
+        terminal.say(f"{stop.again}; it is measured once more.")
     terminal.say(
         f"{stop.number}/{stop.total}  The arm stands still; its encoders see the tool at {x:.1f}, {y:.1f}, {z:.1f} mm."
     )
     terminal.notes.print("Where is it? x y z in mm, - for one not measured, empty to leave it out: ", end="")
     line = sys.stdin.readline()
     if not line:
-        raise InputError("the answers ended; what was measured is kept")
+        raise InputError("the answers ended before the last posture was measured")
     return line

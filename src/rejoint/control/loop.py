@@ -22,7 +22,7 @@ from rejoint.control.guard import TRIPS, Guarded, GuardLimits, Reason, Reasons, 
 from rejoint.control.recording import Cycle, Look, OnCycle, Recorder, Recording, attach, look_of
 from rejoint.control.robot import JointState, Mask, Robot
 from rejoint.control.route import Route
-from rejoint.control.runstate import RunState, own, reported_load
+from rejoint.control.runstate import RunState, in_force, own, reported_load
 from rejoint.control.trips import trip_error
 from rejoint.system.errors import InputError, PowerLostError, RejointError, first_line
 from rejoint.system.stopping import check, noted, shielded
@@ -44,7 +44,7 @@ class Schedule:
     """whether the other arms of a batch go on when the guard stops one; else GuardTripError is raised"""
     sent: Array | None = None
     """(B, n) [rad] command in force before the run; None: the measured position. An arm that sags drops by
-    its sag where this is forgotten."""
+    its sag where this is forgotten. One that stands elsewhere since begins where it stands, slowly."""
     give_up: Callable[[ControlInput], Mask] | None = None
     """asked once per cycle with what was read: arms (B,) that are done, whatever is left of their targets. They stay
     where they are, at the last command. Servos that suffer are left to the guard"""
@@ -195,10 +195,12 @@ def move(
 ) -> Recording:
     """Bring every arm to ``posture`` (n,) [rad] at ``speed`` [rad/s] of its farthest joint and wait ``settle`` [s].
 
-    The way starts at the last command ``sent`` (B, n) [rad], by default at the measured position.
+    The way starts at the last command ``sent`` (B, n) [rad], by default at the measured position, as it does for an
+    arm that is no longer where that command left it.
     The default speed is chosen: a fifth of what the joints can do. ``give_up`` is that of a `Schedule`.
     """
-    start = np.array(robot.read().position if sent is None else sent, dtype=float)
+    state = robot.read()
+    start = np.array(state.position if sent is None else in_force(state, sent), dtype=float)
     way = posture - start
     duration = max(float(np.abs(way).max()) / speed, 1e-3)
 

@@ -39,6 +39,9 @@ class JointState:
     where the robot does not report it"""
     voltage: Array | None = None
     """(B, n) [V] supply that each servo measures, None where the robot does not report it"""
+    elsewhere: Mask | None = None
+    """(B,) whether an arm stands, after a pause, where its last command did not bring it: moved by hand, switched off
+    and on, or another one; None where nobody tells"""
 
 
 @runtime_checkable

@@ -29,10 +29,31 @@ LATE_PERIODS = 2.0
 """Times the usual period from which a cycle is late: the arm may move as far as in a usual one, not farther (chosen)"""
 _SMOOTHING = 0.1  # share of the newest period in that mean (chosen)
 
+ELSEWHERE = np.radians(5.0)
+"""[rad] by which a joint may have left the way to its last command in a pause (chosen: what its sag changes there, and
+as much as a joint may hunt at the start)"""
 EASE = 1.0
 """[s] after a gap during which an arm may move at `EASE_SHARE` of its speed only (chosen: long enough to be seen)"""
 EASE_SHARE = 0.2
 """(chosen: the share that `move` takes by default)"""
+
+
+def elsewhere(before: Array, command: Array, position: Array) -> Mask:
+    """Tell which arms (B,) are at a ``position`` (B, n) [rad] to which the last ``command`` (B, n) did not bring them.
+
+    ``before`` (B, n) is where they were when it was sent. Whoever holds, lags or sags stays on the way between the two.
+    """
+    low, high = np.minimum(before, command) - ELSEWHERE, np.maximum(before, command) + ELSEWHERE
+    return np.logical_or.reduce((position < low) | (position > high), axis=-1)
+
+
+def in_force(state: JointState, sent: Array) -> Array:
+    """Return the command (B, n) [rad] from which arms go on that were last ``sent`` (B, n) one.
+
+    That is where they stand for arms that no longer know it: to send it once more would throw them there.
+    """
+    known = np.array(sent, dtype=float)
+    return known if state.elsewhere is None else np.where(state.elsewhere[:, None], state.position, known)
 
 
 @dataclass(kw_only=True, eq=False)
@@ -50,6 +71,8 @@ class RunState:
     tripped: Reasons
     period: Array
     following: Following
+    slow: Array
+    """(n,) [rad/s] at which an arm may move after a gap"""
     correction: Correction | None = None
     route: Route | None = None
     """where the only target of each arm goes, None where targets stand still"""
@@ -88,14 +111,18 @@ class RunState:
         count = len(targets)
         if sent is not None and np.shape(sent) != state.position.shape:
             raise InputError(f"schedule: sent has shape {np.shape(sent)}, expected {state.position.shape}")
-        sent = np.array(state.position if sent is None else sent, dtype=float)
-        return cls(
+        told = np.array(state.position if sent is None else sent, dtype=float)
+        sent = in_force(state, told)
+        begun = cls(
             state=state, targets=targets, sent=sent, speed=np.zeros_like(sent), index=np.zeros(count, dtype=np.intp),
             set_at=state.time.copy(), active=np.ones(count, dtype=bool), tripped=np.zeros(count, dtype=np.uint16),
             period=np.full(count, FIRST_PERIOD),
             following=Following(limits.arm, state, sent, limits.servos, bands=limits.bands), correction=correction,
-            route=route, turns=turns,
+            slow=EASE_SHARE * limits.max_speed, route=route, turns=turns,
         )  # fmt: skip
+        if state.elsewhere is not None:
+            begun._ease(state.elsewhere, told)
+        return begun
 
     @property
     def target(self) -> Array:
@@ -158,14 +185,16 @@ class RunState:
         # A repeated answer has no news of the clock: the last period stands.
         self.period = np.where(elapsed > 0.0, np.where(late, self.usual, elapsed), self.period)
         known = np.where(np.isnan(self.usual), elapsed, self.usual)
+        moved = np.zeros(len(elapsed), dtype=bool)
         if np.count_nonzero(self.gap):
             self._wait(self.gap, elapsed)
+            moved = self.gap & elsewhere(self.state.position, self.sent, state.position)
         self.usual = np.where(elapsed > 0.0, known + _SMOOTHING * (np.minimum(elapsed, GAP) - known), self.usual)
         self.state, self.last_time = state, state.time
         if self.route is not None:
             self._take_aim(self.active)
         if np.count_nonzero(self.gap):
-            self._begin_again(self.gap)
+            self._begin_again(self.gap, moved)
 
     def _wait(self, where: Mask, elapsed: Array) -> None:
         """Leave a gap of ``elapsed`` (B,) [s] out of the time that targets, trajectories and paths take.
@@ -178,14 +207,20 @@ class RunState:
         usual = np.where(np.isnan(self.usual), FIRST_PERIOD, self.usual)
         self.set_at = np.where(where, self.set_at + (elapsed - usual), self.set_at)
 
-    def _begin_again(self, where: Mask) -> None:
+    def _begin_again(self, where: Mask, moved: Mask) -> None:
         """After a gap, nothing is known of what happened: go on as from a start."""
         self.period = np.where(where, FIRST_PERIOD, self.period)
         self.eased_until = np.where(where, self.state.time + EASE, self.eased_until)
         # An arm that sags keeps its command; one that stands elsewhere no longer knows it.
-        elsewhere = where[:, None] & (np.abs(self.sent - self.state.position) > GuardLimits.max_lead)
-        self.sent = np.where(elsewhere, self.state.position, self.sent)
+        far = where[:, None] & (np.abs(self.sent - self.state.position) > GuardLimits.max_lead)
+        told, self.sent = self.sent, np.where(far | moved[:, None], self.state.position, self.sent)
+        self._ease(moved, told)
         self.speed = np.where(where[:, None], 0.0, self.speed)
+
+    def _ease(self, where: Mask, told: Array) -> None:
+        """Let arms that stand elsewhere move slowly until they had the time to be where they were ``told`` to be."""
+        way = np.max(np.abs(told - self.state.position) / self.slow, axis=-1)
+        self.eased_until = np.where(where, self.state.time + EASE + way, self.eased_until)
 
     @property
     def ease(self) -> Array:

@@ -13,6 +13,7 @@ import numpy as np
 
 from rejoint.arms import Arm, Array
 from rejoint.control.robot import JointState, Mask, Robot
+from rejoint.control.runstate import GAP, elsewhere
 from rejoint.control.servogains import Rung, ServoGains
 from rejoint.robots.bus import Bus, Reading
 from rejoint.robots.family import DEFAULT_ARM, Family, Opening, Place
@@ -45,6 +46,8 @@ class BusRobot:
         self._health = Health(self._link, bus)
         self._command: Array | None = None
         self._state: JointState | None = None
+        self._left: tuple[float, Array, Array] | None = None
+        """when [s] and where (1, n) the arm was last seen before a command, and the command (1, n)"""
         self._read_cost: float | None = None
 
     @property
@@ -81,13 +84,15 @@ class BusRobot:
             temperature=self._health.temperature, fault=self._health.fault, trouble=self._health.trouble,
             load=None if reading.load is None else reading.load[None],
             voltage=None if reading.voltage is None else reading.voltage[None],
+            elsewhere=self._elsewhere(now, reading.position[None]),
         )  # fmt: skip
         return self._state
 
     def step(self, command: Array, active: Mask | None = None) -> JointState:
         """Send ``command`` (1, n) [rad], let the period pass, read.
 
-        An arm that is not ``active`` (1,) is left alone, and its last state repeated.
+        A command that could not be sent in time is not sent any more. An arm that is not ``active`` (1,) is left alone,
+        and its last state repeated.
         """
         if command.shape != (1, self._arm.joints) or not np.isfinite(command).all():
             raise InputError(
@@ -99,7 +104,14 @@ class BusRobot:
         period = self._rng.uniform(*self._period)
         due = max(float(last.time[0]), self._clock.now() - period / 2) + period  # even a late command gets half of it
         goal = self._command = command[0].copy()
-        self._link.ask(lambda: self._bus.send(goal.copy()))  # a bus may reckon in place, and may be asked again
+        self._left = float(last.time[0]), last.position, command.copy()
+        began = self._clock.now()
+
+        def send() -> None:
+            if self._clock.now() - began <= GAP:  # after a pause the arm is looked at first: it may stand elsewhere
+                self._bus.send(goal.copy())  # a bus may reckon in place, and may be asked again
+
+        self._link.ask(send)
         ask_at = due - (self._read_cost or 0.0)
         self._health.poll(ask_at - self._clock.now())
         self._clock.wait(ask_at - self._clock.now())
@@ -124,10 +136,12 @@ class BusRobot:
 
     def tune(self, gains: ServoGains) -> None:
         """Bring these gains in small steps to what is given, see `Bus.tune`."""
+        self._left = None  # under other gains it sags elsewhere
         self._link.ask(lambda: self._bus.tune(gains))
 
     def keep(self, gains: ServoGains) -> None:
         """Bring these gains to what is given and keep them without power, see `Bus.keep`."""
+        self._left = None
         self._link.ask(lambda: self._bus.keep(gains))
 
     def relay(self, command: int, payload: bytes) -> bytes | None:
@@ -137,6 +151,12 @@ class BusRobot:
     def close(self) -> None:
         """Drop the connection; the arm keeps holding."""
         self._link.close()
+
+    def _elsewhere(self, now: float, position: Array) -> Mask:
+        """Tell (1,) whether the arm left the way to its last command in a pause; told until the next command."""
+        if self._left is None or now - self._left[0] <= GAP:
+            return np.zeros(1, dtype=bool)
+        return elsewhere(*self._left[1:], position)
 
     def _read_once(self) -> tuple[float, Reading]:
         """Read, and judge what was read; returns when it arrived [s] as well."""

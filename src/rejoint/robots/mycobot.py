@@ -25,7 +25,7 @@ import numpy as np
 from rejoint.arms import Arm, Array
 from rejoint.robots.address import SerialAddress, TcpAddress
 from rejoint.robots.bus import Bus, Reading, Vitals
-from rejoint.robots.link import ATTEMPTS, BROKEN, persist
+from rejoint.robots.link import ATTEMPTS, BROKEN, SILENCE, persist
 from rejoint.robots.vendor import HIGHEST_DEG, LOWEST_DEG, make_client, silenced
 from rejoint.system.errors import (
     ConnectionLostError,
@@ -212,12 +212,15 @@ class MyCobotBus(Bus):
         return found
 
     def _confirm(self, method: str, until: float | None = None) -> object:
-        """Ask during the preparation of a connection, which must not be made anew by itself."""
+        """Ask during the preparation of a connection, which must not be made anew by itself.
+
+        One that was let in and gets no answer is given up in time for another one: nobody may ever serve it.
+        """
 
         def recover(error: RobotError, deadline: float) -> None:
             if isinstance(error, ConnectionLostError):
                 raise error
-            self.resynchronise(deadline)
+            self.resynchronise(deadline if until is None else min(deadline, self.clock.now() + SILENCE))
 
         return persist(lambda: self._call(method), recover, self.clock, until)
 

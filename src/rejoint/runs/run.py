@@ -85,8 +85,15 @@ class Run:
         return cls.plan(path, robot, arm, seed).begin()
 
     def begin(self) -> Run:
-        """Write what the run is about, if that is not done yet."""
+        """Write what the run is about, if that is not done yet, or was removed meanwhile.
+
+        FileError where the folder has become that of another run: what is written there would be taken for that one's.
+        """
         if self.folder.info.exists():
+            there = read_info(self.folder.info)
+            if (there.robot, there.arm, there.created) != (self.info.robot, self.info.arm, self.info.created):
+                taken = f"another run's folder ({there.robot}, begun {there.created}) has taken the place of this one's"
+                raise FileError(self.path, taken, "bring back the folder, or begin another run")
             return self
         run = self
         if self.arm.name not in CATALOGUE:

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import os
+from contextlib import suppress
+from pathlib import Path
 
-from rejoint.system.errors import InputError
+from rejoint.system.errors import InputError, first_line
 
 _OFF, _PLACE = "NUMBA_DISABLE_JIT", "NUMBA_CACHE_DIR"
 _NO_PLACE = "no locator available"  # so Numba says it, in a RuntimeError
+_KEEPER = ("numba", "core", "caching.py")  # of Numba, which reads and writes what is kept
 
 
 def require_compiler() -> None:
@@ -17,10 +20,43 @@ def require_compiler() -> None:
 
 
 def explain(error: Exception) -> str | None:
-    """Say in a line what to do where compiled loops can be kept nowhere; None for any other error."""
-    if not isinstance(error, RuntimeError) or _NO_PLACE not in str(error):
+    """Say in a line what to do where compiled loops can be kept nowhere, or were not kept whole; else return None.
+
+    Numba does not check what it reads, nor does it wait until the disk has it, so that a loss of power leaves empty
+    files. Those are found where they are first used; the index of their folder is removed here, and so they are
+    compiled anew.
+    """
+    if isinstance(error, RuntimeError) and _NO_PLACE in str(error):
+        return (
+            "compiled loops are kept beside the installed package or in the home folder, and neither can be written; "
+            f"set {_PLACE} to a folder that can"
+        )
+    folder = _kept_in(error)
+    if folder is None:
         return None
-    return (
-        "compiled loops are kept beside the installed package or in the home folder, and neither can be written; "
-        f"set {_PLACE} to a folder that can"
-    )
+    if isinstance(error, OSError):
+        told = error.strerror or first_line(error)
+        return f"{folder}: compiled loops cannot be kept there ({told}); free some space, or set {_PLACE}"
+    with suppress(OSError):
+        for index in folder.glob("*.nbi"):
+            index.unlink()
+        return (
+            f"{folder}: compiled loops that were kept there were damaged, as by a loss of power, and are removed; "
+            "the same command compiles them anew"
+        )
+    return f"{folder}: compiled loops that are kept there are damaged; delete the files *.nbi there"
+
+
+def _kept_in(error: BaseException | None) -> Path | None:
+    """Return the folder of compiled loops that could not be read or written; None where that is not what failed."""
+    while error is not None:
+        trace = error.__traceback__
+        while trace is not None:
+            frame, trace = trace.tb_frame, trace.tb_next
+            if Path(frame.f_code.co_filename).parts[-3:] != _KEEPER:
+                continue  # what lies there may be a module that is imported when it is looked at
+            place = getattr(frame.f_locals.get("self"), "cache_path", None)
+            if place:
+                return Path(place)
+        error = error.__cause__ or error.__context__
+    return None

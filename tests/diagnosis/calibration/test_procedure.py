@@ -11,7 +11,7 @@ from rejoint.diagnosis.calibration.measurements import Measurements
 from rejoint.diagnosis.calibration.postures import BEFORE, suggest
 from rejoint.diagnosis.calibration.procedure import SPEED, measure, reversals
 from rejoint.runs.run import Run
-from rejoint.system.errors import ContractError, InputError
+from rejoint.system.errors import ContractError, InputError, NotReadyError
 
 ARM = mycobot280()
 PLAN = suggest(ARM, 4, visits=2)
@@ -65,6 +65,34 @@ def test_what_was_left_out_is_left_out_and_nothing_at_all_is_an_error():
     assert [len(one) for one in kept] == [1, 2]
     with pytest.raises(InputError, match="nothing was measured"):
         measure(robot, Mute(), PLAN)
+
+
+class Pushing(EmulatedGauge):
+    """Pushes the arm while it measures its first ``pushes`` times, and notes what it is told."""
+
+    def __init__(self, pushes):
+        super().__init__(seed=1)
+        self.pushes, self.told = pushes, []
+
+    def measure(self, robot, stop):
+        self.told.append(stop.again)
+        point = super().measure(robot, stop)
+        if len(self.told) <= self.pushes:
+            robot.step(robot.read().position + np.radians([0.0, 0.0, 0.0, 0.0, 12.0, 0.0]))
+            for _ in range(20):
+                robot.step(robot.read().position)
+        return point
+
+
+def test_a_posture_that_was_not_kept_while_it_was_measured_is_measured_again():
+    gauge = Pushing(1)
+    found = measure(rejoint.connect("emulated:healthy"), gauge, PLAN)
+    assert list(found.posture) == list(PLAN.posture)
+    first, second, *others = gauge.told
+    assert "while the arm was measured" in second
+    assert not any([first, *others])
+    with pytest.raises(NotReadyError, match=r"went .* 3 times"):
+        measure(rejoint.connect("emulated:healthy"), Pushing(99), PLAN)
 
 
 def test_reversal_is_the_difference_of_two_sides_that_the_encoders_do_not_see():

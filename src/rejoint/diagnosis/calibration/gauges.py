@@ -41,6 +41,8 @@ class Stop:
     total: int
     believed: Array
     """(3,) [m] where its encoders see the tool, in the frame of the base"""
+    again: str = ""
+    """why it is measured once more; empty the first time"""
 
 
 class Gauge(Protocol):

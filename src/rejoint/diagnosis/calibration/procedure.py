@@ -17,7 +17,7 @@ from rejoint.control.start import Stance, begin
 from rejoint.diagnosis.calibration.gauges import Gauge, Stop
 from rejoint.diagnosis.calibration.measurements import Measurements
 from rejoint.diagnosis.calibration.postures import Suggestion
-from rejoint.system.errors import InputError
+from rejoint.system.errors import InputError, NotReadyError
 from rejoint.system.progress import Progress, no_progress
 from rejoint.system.stopping import check, noted
 
@@ -27,6 +27,11 @@ SETTLE = 1.5
 """[s] in which an arm comes to rest (chosen: worn arms ring for less than one)"""
 WINDOW = 0.4
 """[s] at its end whose readings are averaged (chosen: 16 at 25 ms)"""
+MOVED = np.radians(2.0)
+"""[rad] that a joint may have gone while its arm was measured (chosen: what hunts in its play stays within, and more is
+a centimetre at the tool)"""
+TRIES = 3
+"""Times that a posture is measured in which the arm did not stand still (chosen)"""
 OnMeasured = Callable[[Measurements], object]
 """Called after each measurement with all of them, so that they can be kept"""
 
@@ -52,16 +57,25 @@ def measure(
 ) -> Measurements:  # fmt: skip
     """Bring one arm to the postures of ``plan``, each from where it says, and measure the tool there.
 
-    InputError where nothing was measured; what `run` raises where the motion had to be ended.
+    A posture that was not kept while it was measured is measured again. InputError where nothing was measured,
+    NotReadyError where the arm does not stand still; what `run` raises where the motion had to be ended.
     """
     drive = StandingDrive(robot, limits, stance)
     rows, total = _Rows(), len(plan.posture)
     for number, (posture, before) in enumerate(zip(plan.postures, plan.approach, strict=True)):
         on_progress(number / total, f"measurement {number + 1} of {total}")
-        position, approach = drive.stand(posture, before)
-        point = gauge.measure(robot, Stop(number + 1, total, tcp_position(robot.arm, position)))
-        check()
-        if not np.isfinite(point).any():
+        again = ""
+        for _ in range(TRIES):
+            position, approach = drive.stand(posture, before)
+            point = gauge.measure(robot, Stop(number + 1, total, tcp_position(robot.arm, position), again))
+            check()
+            left_out = not np.isfinite(point).any()
+            again = "" if left_out else _gone(robot, position)
+            if not again:
+                break
+        else:
+            raise NotReadyError(f"{again}, {TRIES} times; what moves it?")
+        if left_out:
             continue
         rows.position.append(position)
         rows.approach.append(approach)
@@ -99,6 +113,16 @@ class StandingDrive:
             gone = move(self._robot, posture, sent=self._sent, speed=SPEED, settle=settle, limits=self._limits)
         self._sent = gone.command[-1]
         return gone
+
+
+def _gone(robot: Robot, position: Array) -> str:
+    """Say which joint went how far from ``position`` (n,) [rad] while the arm was measured; nothing where none did."""
+    with noted():
+        away = np.abs(robot.read().position[0] - position)
+    j = int(np.argmax(away))
+    if away[j] <= MOVED:
+        return ""
+    return f"{robot.arm.joint_names[j]} went {np.degrees(away[j]):.0f} deg while the arm was measured"
 
 
 def _reading(recording: Recording) -> Array:

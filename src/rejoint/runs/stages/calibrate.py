@@ -39,7 +39,7 @@ from rejoint.runs.given import (
 )
 from rejoint.runs.metering import metered
 from rejoint.runs.run import Run, exclusive
-from rejoint.runs.stages.driving import guard_limits, stance_of
+from rejoint.runs.stages.driving import guard_limits, kept_if_stopped, stance_of
 from rejoint.runs.stages.filming import film_of, write_filmed
 from rejoint.system.errors import InputError
 from rejoint.system.files import require_space, saving, set_aside
@@ -175,9 +175,9 @@ def calibrate(
                 require_space(about.path)
             assert robot is not None  # noqa: S101 - for the type checker; one of the two is given
             with (
-                metered(about.folder if about else None, "calibrate") as meter,
+                metered(about.folder if about else None, "calibrate") as meter, kept_if_stopped(about, "calibrate"),
                 opened(robot, chosen, seed, period) as opening,
-            ):
+            ):  # fmt: skip
                 connection = shown(live, meter.watch(opening), twin=known)
                 about = about and about.begin()
                 share = part(on_progress, 0.0, 0.95)

@@ -34,6 +34,7 @@ from rejoint.runs.run import Run
 from rejoint.runs.stages.driving import (
     Factory,
     guard_limits,
+    kept_if_stopped,
     stance_of,
 )
 from rejoint.runs.stages.early import EarlyTrials
@@ -133,7 +134,10 @@ class ComparisonJob:
                 if self.run is not None:
                     write_log(self.run.folder.log(trial.label), logs[trial.label])
 
-        with noted(), metered(self.run.folder if self.run else None, "compare") as meter, self._helped(ahead) as helper:
+        with (
+            noted(), metered(self.run.folder if self.run else None, "compare") as meter, self._helped(ahead) as helper,
+            kept_if_stopped(None if self.settings.batched else self.run, "compare"),
+        ):  # fmt: skip
 
             def watched(count: int, seed: int) -> Robot:
                 return meter.watch(self._open(count, seed))

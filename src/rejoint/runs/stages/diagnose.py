@@ -183,6 +183,7 @@ def _drive(
     if run is not None and journal is not None:
         journal.close()
         with saving(result):
+            run.begin()
             mark_quick(run, quick=quick)
             _write(run.folder, found, logs)
             summarise(run)

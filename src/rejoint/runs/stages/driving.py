@@ -25,13 +25,14 @@ from rejoint.control.gainsearch import GainsFound
 from rejoint.control.geared import GEARED, GEARED_POLICY, GEARED_PREDICTIVE, GEARED_PUSH, RIVALS, Geared, inner_name
 from rejoint.control.guard import GuardLimits
 from rejoint.control.lines import servo_lines
+from rejoint.control.loop import Playback
 from rejoint.control.recording import recording_of
 from rejoint.control.robot import Robot
 from rejoint.control.servogains import ServoGains, differing, gains_in_force, in_words, stiffness_under
 from rejoint.control.shelf import SHELF, shelf_controller, shelf_policy
 from rejoint.control.start import Stance
 from rejoint.logs.journal import Journal
-from rejoint.logs.runlog import read_log
+from rejoint.logs.runlog import read_log, write_log
 from rejoint.robots import place_of
 from rejoint.robots.own import unloaded
 from rejoint.runs.given import CalibrationLike, Period, as_calibration, as_policy, unfit
@@ -62,19 +63,21 @@ def start_journal(run: Run, name: str, robot: Robot, label: str, rows: int = 0) 
 
 
 @contextmanager
-def kept_if_stopped(run: Run | None, name: str, robot: Robot) -> Iterator[None]:
-    """Keep what an arm did in a slow motion that ends early, as a run log that the error then names."""
+def kept_if_stopped(run: Run | None, name: str) -> Iterator[None]:
+    """Keep what an arm did in a motion that ends early, and that no journal keeps, as a log that the error names."""
     try:
         yield
     except BaseException as error:
         partial = recording_of(error)
         if run is not None and partial is not None and len(partial.time):
+            part = "begin" if partial.controller == Playback.name else partial.controller
+            path = unused(run.folder.log(f"{name}-{datetime.now():%Y%m%d-%H%M%S}"))
             try:
-                journal = start_journal(run, name, robot, f"{name}/begin")
+                write_log(path, partial.log(0, f"{name}/{part}/stopped"))
             except FileError as full:  # the first error is the one to report
                 error.add_note(f"What was recorded until then is lost: {full}")
             else:
-                error.add_note(journal.keep(partial.log(0, f"{name}/begin/stopped")))
+                error.add_note(f"What was recorded until then: {path}")
         raise
 
 

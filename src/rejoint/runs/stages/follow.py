@@ -174,7 +174,7 @@ def follow(
             known = twin_in_force(about, connection) if about is not None and twin is None else known
             connection = shown(live, connection, twin=known, within=within)
             name, make = follower(controller, chosen, usual, about, known)
-            with kept_if_stopped(about, "follow", connection):
+            with kept_if_stopped(about, "follow"):
                 start = begin(connection, limits, stance_of(known, about))
             carrier = _Logged(
                 robot=connection, run=about, limits=limits,
@@ -204,7 +204,7 @@ class _Logged:
     period: float
 
     def approach(self, start: Array, sent: Array, turn: Orientation | None = None) -> Recording:
-        with kept_if_stopped(self.run, "follow", self.robot):
+        with kept_if_stopped(self.run, "follow"):
             return approach(self.robot, start, sent, self.limits, turn=turn)
 
     def carry(self, guide: Ahead | Stream, controller: Controller, sent: Array, piece: Piece) -> Recording:

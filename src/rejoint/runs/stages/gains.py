@@ -20,7 +20,7 @@ from rejoint.runs.given import (
 )
 from rejoint.runs.metering import metered
 from rejoint.runs.run import Run, exclusive
-from rejoint.runs.stages.driving import guard_limits, recommended
+from rejoint.runs.stages.driving import guard_limits, kept_if_stopped, recommended
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import read_json, require_space, saving, set_aside, write_json
 from rejoint.system.progress import Progress, no_progress, paced
@@ -83,9 +83,10 @@ def gains(
         require_space(about.path)
         points = draw_targets(about.arm, sets=1, count=TARGETS, seed=about.seed)[0]
         limits = guard_limits(about, about.arm, address_of(robot))
-        found = search(
-            cast(Tunable, shown(live, meter.watch(connection))), points, limits=limits, on_progress=on_progress
-        )
+        with kept_if_stopped(about, "gains"):
+            found = search(
+                cast(Tunable, shown(live, meter.watch(connection))), points, limits=limits, on_progress=on_progress
+            )
         with saving(found):
             set_aside(about.folder.gains)
             write_json(about.folder.gains, found)

@@ -39,7 +39,7 @@ from rejoint.runs.given import (
     shown,
 )
 from rejoint.runs.run import exclusive
-from rejoint.runs.stages.driving import correction_of, guard_limits, stance_of
+from rejoint.runs.stages.driving import correction_of, guard_limits, kept_if_stopped, stance_of
 from rejoint.runs.stages.loads import PayloadLike, with_load
 from rejoint.runs.stages.longlog import LongLog
 from rejoint.system.errors import FileError, InputError
@@ -164,7 +164,8 @@ def serve(
         limits = guard_limits(about, arm, connection.address)
         motion = LongLog(about, connection, "serve", LABEL, say)
         stack.callback(motion.end, None)
-        start = begin(connection, limits, stance_of(known, about))
+        with kept_if_stopped(about, "serve"):
+            start = begin(connection, limits, stance_of(known, about))
         shift = None if make is None else make(arm).shift
         drive, server = _put_together(connection, arm, known, shift, limits, log, listener, over, say)
         log.write("begin", address=server.address, robot=connection.address)
