@@ -19,7 +19,7 @@ from commandline import run_cli
 from rejoint.arms import mycobot280
 from rejoint.cli import main
 from rejoint.cli.console import Terminal
-from rejoint.cli.options import controller_names, period_seconds
+from rejoint.cli.options import controller_names, period_seconds, with_home
 from rejoint.control.comparison.result import Comparison
 from rejoint.control.robot import JointState
 from rejoint.logs.runfolder.folder import RunFolder, RunInfo
@@ -456,6 +456,56 @@ def test_what_is_told_on_a_full_disk_ends_nothing():
     with Path("/dev/full").open("w") as full:
         done = subprocess.run([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=full, text=True, check=True)
     assert done.stdout == "c\n"
+
+
+def test_a_tilde_that_the_shell_left_is_the_home_folder(monkeypatch):
+    monkeypatch.setenv("HOME", "/home/me")
+    words = ["deploy", "~", "~/a b", "--run=~/mine", "--x=a~", "~me/x", "--sql=select ~1", "a/~/b"]
+    found = ["deploy", "/home/me", "/home/me/a b", "--run=/home/me/mine", "--x=a~", "~me/x", "--sql=select ~1", "a/~/b"]
+    assert with_home(words) == found
+
+
+def test_no_folder_is_called_tilde(tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    monkeypatch.chdir(tmp_path)
+    code, _, err = run_cli("report", "--json", "~/mine", capsys=capsys, monkeypatch=monkeypatch)
+    assert code == 2
+    assert str(tmp_path / "home" / "mine") in err
+
+
+def without_report(monkeypatch):
+    monkeypatch.setattr(
+        "rejoint.system.extras.find_spec", lambda name: None if name in ("jinja2", "matplotlib", "PIL") else object()
+    )
+
+
+def test_the_history_is_shown_without_what_draws_its_page(tmp_path, capsys, monkeypatch):
+    without_report(monkeypatch)
+    code, out, err = run_cli("history", tmp_path, "--json", capsys=capsys, monkeypatch=monkeypatch)
+    assert code == 0
+    assert "pip install 'rejoint[report]'" in err
+    assert out.startswith("There are no checks and no runs below")
+    assert json.loads(out.splitlines()[-1])["page"] is None
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_page_of_the_history_that_is_asked_for_needs_what_draws_it(tmp_path, capsys, monkeypatch):
+    without_report(monkeypatch)
+    words = ("history", tmp_path, "--page", tmp_path / "page.html")
+    code, _, err = run_cli(*words, capsys=capsys, monkeypatch=monkeypatch)
+    assert code == 2
+    assert "pip install 'rejoint[report]'" in err
+
+
+def test_the_paper_s_page_is_written_into_its_run(tmp_path, capsys, monkeypatch):
+    """A page of one experiment must not take the place of docs/reproduction.md in a checkout."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("rejoint.research.reproduction.campaign.run_experiments", lambda *_, **__: ())
+    monkeypatch.setattr("rejoint.research.reproduction.registry.choose", lambda _: ())
+    code, out, err = run_cli("reproduce", "--json", "--run", "here", capsys=capsys, monkeypatch=monkeypatch)
+    assert code == 0, err
+    assert json.loads(out.splitlines()[-1])["page"] == "here/reproduction.md"
+    assert [path.name for path in tmp_path.iterdir()] == ["here"]
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full on this system")

@@ -124,6 +124,17 @@ def other_titles(path: Path) -> Path:
     return path
 
 
+@pytest.mark.parametrize("sign", ["[°]", "(°)", "[deg]"])
+def test_a_title_may_have_the_sign_of_degrees(tmp_path: Path, sign: str):
+    titled = [f"{title} {sign}" for title in TITLES[1:]]
+    rows = [",".join(repr(float(v)) for v in [row[0], *np.rad2deg(row[1:])]) for row in TABLE]
+    (tmp_path / "a.csv").write_text(text(",".join(["time_s", *titled]), *rows), encoding="utf-8")
+    mapped = {ours: f"{theirs} {sign}" for ours, theirs in MAP.items() if ours != "time"}
+    log = import_logs(tmp_path / "a.csv", ARM, out=tmp_path / "logs", options=ImportOptions(columns=mapped)).logs[0]
+    np.testing.assert_allclose(log.position, FOUND.position, rtol=1e-12, atol=1e-15)
+    np.testing.assert_allclose(log.command, FOUND.command, rtol=1e-12)
+
+
 @pytest.mark.parametrize("turned", [False, True])
 def test_other_titles_are_mapped_from_either_side(tmp_path: Path, turned: bool):
     pairs = {theirs: ours for ours, theirs in MAP.items()} if turned else MAP

@@ -25,6 +25,13 @@ def test_a_seed_is_a_whole_number_from_zero_on(stage, seed) -> None:
         stage(WORN, seed=seed)
 
 
+@pytest.mark.parametrize("seed", [-1, "3"])
+def test_the_seed_of_an_identification_from_any_motion_is_one_too(seed) -> None:
+    log = rejoint.RunLog.of(TIME, MOTION, MOTION, arm="mycobot280", label="mine")
+    with pytest.raises(InputError, match="expected a whole number from 0 on"):
+        rejoint.identify(log, seed=seed, quick=True)
+
+
 def test_no_seed_is_seed_zero_and_any_kind_of_integer_will_do() -> None:
     assert [as_seed(given) for given in (None, 7, np.int32(7), 2**70)] == [0, 7, 7, 2**70]
     states = []

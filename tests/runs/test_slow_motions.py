@@ -59,3 +59,26 @@ def test_what_an_arm_did_is_kept_where_a_search_for_gains_ends_early(tmp_path: P
         rejoint.gains(failing(robot, 150), run)
     (log,) = run.logs.values()
     assert log.label == "gains/default/stopped"
+
+
+class Fails:
+    """A gauge that measures once."""
+
+    sigma, frame, source, left = 5e-4, "base", "touch", 1
+
+    def measure(self, robot, stop):  # noqa: ARG002 - as every gauge
+        if not self.left:
+            raise rejoint.RobotError("made for this test")
+        self.left -= 1
+        return stop.believed
+
+
+def test_the_line_that_fits_what_was_measured_is_given_whole(tmp_path: Path) -> None:
+    folder = tmp_path / "my run"
+    Run.create(folder, "emulated:worn", ARM, 0)
+    with pytest.raises(rejoint.RobotError, match="made for this test") as failed:
+        rejoint.calibrate("emulated:worn", run=folder, gauge=Fails(), count=1)
+    points = folder / "measurements.parquet"
+    assert points.exists()
+    line = f"rejoint calibrate emulated:worn '{folder}' --points '{points}'"
+    assert any(note.endswith(line) for note in failed.value.__notes__)

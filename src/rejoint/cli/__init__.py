@@ -37,6 +37,7 @@ from rejoint.cli import (
 )  # fmt: skip
 from rejoint.cli.console import into_nothing, notes
 from rejoint.cli.live import with_place
+from rejoint.cli.options import with_home
 from rejoint.system import compiling
 from rejoint.system.errors import RejointError, first_line
 from rejoint.system.extras import explain
@@ -92,7 +93,7 @@ def main() -> None:
     try:
         compiling.require_compiler()
         result = app(
-            args=with_place(sys.argv[1:]), standalone_mode=False
+            args=with_place(with_home(sys.argv[1:])), standalone_mode=False
         )  # makes an exit code of every interruption, whichever signal it was
         code = result if isinstance(result, int) else 0
         if code == 128 + signal.SIGINT:

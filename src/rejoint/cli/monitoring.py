@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -13,7 +14,11 @@ from rejoint.cli import options as opt
 from rejoint.cli.console import Terminal
 from rejoint.cli.live import live_view, shared
 from rejoint.runs.run import RUNS
-from rejoint.system.errors import FileError
+from rejoint.system.errors import FileError, MissingExtraError
+from rejoint.system.extras import require
+
+if TYPE_CHECKING:
+    from rejoint.runs.history.table import ArmHistory
 
 DRIFTS, ALARM = 6, 7
 """Exit codes of a check after which the arm is to be watched, and is to be repaired"""
@@ -101,6 +106,8 @@ def history(
     from rejoint.runs.history.table import HEADERS, arms_of, cells
 
     terminal = Terminal(json=json)
+    if page is not None:
+        require("rejoint history --page", "report")
     if not folder.is_dir():
         raise FileError(folder, "no such folder", "check an arm first: rejoint check ROBOT")
     if sql is not None:
@@ -116,10 +123,24 @@ def history(
     for problem in unread:
         terminal.say(f"left out: {problem}")
     arms = arms_of(rows)
-    terminal.table("All arms, the worst first", HEADERS, [cells(one) for one in arms])
+    if arms:
+        terminal.table("All arms, the worst first", HEADERS, [cells(one) for one in arms])
+    else:
+        terminal.result(f"There are no checks and no runs below {folder}; begin with: rejoint check ROBOT")
+    path = page or folder / "history.html"
+    written = _write_page(terminal, path, arms)
+    terminal.finish({"arms": [one.newest for one in arms], "page": path if written else None, "left_out": unread})
+
+
+def _write_page(terminal: Terminal, path: Path, arms: Sequence[ArmHistory]) -> bool:
+    """Write the page; where its extra is not installed, as beside the arm, the table is all, and a line says why."""
+    try:
+        require("the page of the history", "report")
+    except MissingExtraError as error:
+        terminal.say(f"No page: {error}")
+        return False
     from rejoint.runs.history.page import write_history
 
-    path = page or folder / "history.html"
     write_history(path, arms)
     terminal.result(f"Page: {path}")
-    terminal.finish({"arms": [one.newest for one in arms], "page": path, "left_out": unread})
+    return True

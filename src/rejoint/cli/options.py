@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import os.path
 import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -123,6 +125,19 @@ Full = Annotated[
 Period = Annotated[
     str | None, typer.Option(help="Control period in ms, such as 50 or 20-30; by default what the robot suits.")
 ]
+
+
+_HOME = re.compile(r"(?P<option>--[a-z-]+=)?(?P<path>~(/.*)?)", re.DOTALL)
+
+
+def with_home(words: Sequence[str]) -> list[str]:
+    """Put the home folder for ``~`` where the shell left it: quoted, or right after an option, as in ``--run=~/mine``.
+
+    Else a folder called ``~`` would be made, and the command that removes it by that name removes the home folder.
+    """
+    found = [(word, _HOME.fullmatch(word)) for word in words]
+    home = os.path.expanduser  # that of Path fails where there is no home folder
+    return [f"{at['option'] or ''}{home(at['path'])}" if at else word for word, at in found]
 
 
 def choose_arm(

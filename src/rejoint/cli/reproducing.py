@@ -16,7 +16,7 @@ from rejoint.system.extras import require
 if TYPE_CHECKING:
     from rejoint.research.reproduction.experiment import Experiment, Finished
 
-PAGE = Path("docs/reproduction.md")
+PAGE = "reproduction.md"
 
 
 def reproduce(
@@ -27,7 +27,10 @@ def reproduce(
         Path | None, typer.Option("--run", help="Folder for everything that is kept; by default below runs/.")
     ] = None,
     out: Annotated[
-        Path | None, typer.Option(help="Page to write (.md), its figures beside it; docs/reproduction.md by default.")
+        Path | None,
+        typer.Option(
+            help="Page to write (.md), its figures beside it; by default reproduction.md in the folder of --run."
+        ),
     ] = None,
     list_: Annotated[bool, typer.Option("--list", help="List the experiments and end.")] = False,
     quick: Annotated[bool, typer.Option("--quick", help="Try every step with very little; no result.")] = False,
@@ -59,7 +62,7 @@ def reproduce(
         return
     chosen = choose(experiments or ())
     folder = run or Path("runs") / f"reproduction{'-quick' if quick else ''}-seed{seed}"
-    page = out or (folder / "reproduction.md" if quick else PAGE)
+    page = out or folder / PAGE
     with terminal.progress("reproducing") as update, ExitStack() as stack:
         elsewhere = None
         if on is not None:

@@ -19,8 +19,8 @@ UNITS = {
     "target": tuple(LENGTHS), "true_tcp": tuple(LENGTHS),
 }  # fmt: skip
 _OPTION = {"time": "time_unit", "position": "angle_unit", "command": "angle_unit"}
-_BRACKETS = re.compile(r"^(.*?)\s*[\[(]\s*(\w+)\s*[\])]$")
-"""A title with its unit in brackets, such as ``elbow [deg]``"""
+_BRACKETS = re.compile(r"^(.*?)\s*[\[(]\s*(\w+|°)\s*[\])]$")
+"""A title with its unit in brackets, such as ``elbow [deg]`` or ``elbow [°]``"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,8 +61,11 @@ def understood(sheet: Sheet, arm: Arm, options: ImportOptions) -> tuple[list[Col
 def _plain(title: str) -> str:
     """Write ``elbow [deg]`` as ``elbow_deg``."""
     found = _BRACKETS.match(title)
+    if found is None:
+        return title
+    unit = "deg" if found[2] == "°" else found[2]
     known = {unit for units in UNITS.values() for unit in units}
-    return f"{found[1]}_{found[2]}" if found and found[2] in known else title
+    return f"{found[1]}_{unit}" if unit in known else title
 
 
 def _group(meaning: str) -> str | None:

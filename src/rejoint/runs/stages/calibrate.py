@@ -45,6 +45,7 @@ from rejoint.system.errors import InputError
 from rejoint.system.files import require_space, saving, set_aside
 from rejoint.system.numbers import as_seed
 from rejoint.system.progress import Progress, no_progress, part
+from rejoint.system.shell import command
 
 if TYPE_CHECKING:
     from rejoint.arms import Arm
@@ -258,5 +259,6 @@ class _MeasuringDrive:
         except BaseException as error:
             if run is not None and run.folder.measurements.exists():
                 file = run.folder.measurements
-                error.add_note(f"What was measured until then: {file}; `rejoint calibrate --points` fits it")
+                line = command("calibrate", self.robot.address, run.path, "--points", file)
+                error.add_note(f"What was measured until then: {file}; what fits it: {line}")
             raise

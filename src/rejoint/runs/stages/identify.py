@@ -104,7 +104,7 @@ def identify(
         require_commands(motions, "identification")
         if about is None and all(is_excitation(log) for log in motions):
             return _from_excitation(chosen, motions, as_seed(seed), on_progress, quick=quick)
-        drawn = seed if seed is not None else about.seed if about is not None else 0
+        drawn = about.seed if seed is None and about is not None else as_seed(seed)
         twin = _from_any_motion(chosen, motions, beside, hold_out, drawn, on_progress, quick=quick)
         if about is not None:
             _write(about.begin(), twin)
