@@ -129,10 +129,7 @@ def try_arm(number: int, policy: Path | None, sets: int, *, shelf: bool) -> Outc
 
 def _short(trial: Trial, targets: np.ndarray) -> Driven:
     """Measure a trial as a race does."""
-    whole, b = trial.recording, slice(trial.arm_index, trial.arm_index + 1)
-    arrays = {item.name: getattr(whole, item.name) for item in fields(whole)}
-    one = replace(whole, **{name: values[b] if name == "tripped" else values[:, b]
-                            for name, values in arrays.items() if isinstance(values, np.ndarray)})  # fmt: skip
+    one = trial.recording.of(slice(trial.arm_index, trial.arm_index + 1))
     if trial.kind == "hold":
         one = replace(one, active=one.active & (one.since_target < RACE_PROTOCOL.hold + PERIOD[1]))
     return measure(
@@ -155,7 +152,7 @@ def _once(twice: Comparison, repetition: int) -> Comparison:
             values = getattr(row.outcomes, item.name)
             if item.name in ("stay", "stayed"):
                 found[item.name] = tuple(map(pick, values))
-            elif item.name not in ("shape", "within", "modelled"):
+            elif item.name not in ("shape", "within", "modelled", "turned"):
                 found[item.name] = pick(values)
         rows.append(replace(row, outcomes=replace(row.outcomes, shape=(sets, 1, count), **found)))
     return replace(twice, rows=tuple(rows), repetitions=1)

@@ -351,7 +351,7 @@ def test_learning_rate_falls_linearly_to_its_last_value():
     learner = small_learner(learning_rate=1e-3, final_learning_rate=1e-4)
     rates = []
     for _ in range(6):
-        assert learner.iterate().learning_rate == learner.ppo.optimizer.param_groups[0]["lr"]
+        assert learner.iterate().learning_rate == learner.ppo.optimizer.learning_rate
         rates.append(learner.curve[-1].learning_rate)
     np.testing.assert_allclose(rates, 1e-3 - 0.9e-3 * np.arange(6) / 5, rtol=1e-9)
 

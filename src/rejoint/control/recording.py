@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -107,6 +107,16 @@ class Recording:
             value = getattr(self, item.name)
             if isinstance(value, np.ndarray):
                 value.setflags(write=False)
+
+    def of(self, arms: slice) -> Recording:
+        """Return what was recorded of some arms."""
+        arrays = {item.name: getattr(self, item.name) for item in fields(self)}
+        parts: dict[str, Any] = {
+            name: value[arms] if name == "tripped" else value[:, arms]
+            for name, value in arrays.items()
+            if isinstance(value, np.ndarray)
+        }
+        return replace(self, **parts)
 
     def usual_period(self, b: int = 0) -> float:
         """Middle of the control periods [s] of arm ``b``; NaN where there are none."""

@@ -18,6 +18,7 @@ from rejoint.runs.stages.comparing import Compared
 from rejoint.runs.stages.diagnose import Diagnosed
 from rejoint.runs.stages.driving import Controllers, any_geared
 from rejoint.system.errors import FileError
+from rejoint.system.memory import give_back
 from rejoint.system.progress import Progress, part
 
 if TYPE_CHECKING:
@@ -114,6 +115,7 @@ class Chain:
             result = work(part(self._on_progress, *share))
         finally:
             add(self.run.folder, StageCost(name=name, wall=time.monotonic() - begun))
+            give_back()
         self._say(Stage(name=name, state="done", file=file, number=number + 1, total=total, result=result))
 
     def _kept(self, name: StageName) -> object:

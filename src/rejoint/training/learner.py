@@ -19,6 +19,7 @@ import torch
 
 from rejoint.system.errors import FileError, first_line
 from rejoint.system.files import MEGABYTE, digest, read_bounded, write_whole
+from rejoint.training.adam import Adam
 from rejoint.training.arithmetic import PRECISION, on_threads, products
 from rejoint.training.networks import Actor, Critic
 from rejoint.training.ppo import Losses, Ppo, Rollout, join
@@ -148,7 +149,7 @@ class Learner:
             raise FileError(path, f"damaged checkpoint ({first_line(error)})", _RESTART) from error
         return True
 
-    def _modules(self) -> dict[str, torch.nn.Module | torch.optim.Optimizer]:
+    def _modules(self) -> dict[str, torch.nn.Module | Adam]:
         return {"actor": self.actor, "critic": self.critic, "optimizer": self.ppo.optimizer}
 
     def _point(self, rollout: Rollout, losses: Losses, rate: float, wall_s: float) -> CurvePoint:

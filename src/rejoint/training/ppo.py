@@ -17,6 +17,7 @@ from skrl.agents.torch.ppo import PPO, PPO_CFG
 from skrl.memories.torch import RandomMemory
 from torch import Tensor
 
+from rejoint.training.adam import Adam
 from rejoint.training.networks import Actor, Critic
 from rejoint.training.presets import PpoSettings
 
@@ -77,7 +78,7 @@ class Ppo(PPO):  # type: ignore[misc]
     def __init__(self, actor: Actor, critic: Critic, settings: PpoSettings, *, agents: int) -> None:
         self.settings = settings
         super().__init__(
-            models={"policy": actor, "value": critic},
+            models={},  # for which it would make an optimiser
             memory=Memory(memory_size=settings.rollout, num_envs=agents, device="cpu", replacement=False),
             observation_space=actor.observation_space,
             state_space=critic.state_space,
@@ -85,8 +86,9 @@ class Ppo(PPO):  # type: ignore[misc]
             device="cpu",
             cfg=_configuration(settings),
         )
-        # skrl's own optimiser, but all parameters in one call.
-        self.optimizer = torch.optim.Adam(chain(actor.parameters(), critic.parameters()), fused=True)
+        self.policy, self.value, self.scheduler = actor, critic, None
+        self.models.update(policy=actor, value=critic)
+        self.optimizer = Adam(chain(actor.parameters(), critic.parameters()))
         self.init()
         self.enable_training_mode(True)
 
@@ -103,7 +105,7 @@ class Ppo(PPO):  # type: ignore[misc]
         self.memory.filled = True
         self._current_next_observations = rollout.next_observation[0]
         self._current_next_states = rollout.next_privileged[0]
-        self.optimizer.param_groups[0]["lr"] = learning_rate
+        self.optimizer.learning_rate = learning_rate
         self.enable_models_training_mode(True)
         self.update(timestep=iteration, timesteps=self.settings.iterations)
         self.enable_models_training_mode(False)

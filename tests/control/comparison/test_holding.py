@@ -53,7 +53,7 @@ class Dragging:
 
 
 def holding(**more):
-    return Holding(open_robot=Dragging, batched=True, seed=0, **more)
+    return Holding(**{"open_robot": Dragging, "batched": True, "seed": 0} | more)
 
 
 def test_the_poses_are_the_centre_and_four_near_the_corners_of_a_diagonal_plane():
@@ -69,6 +69,20 @@ def test_a_tool_that_drags_behind_varies_with_the_direction_and_its_encoders_do_
     assert (found.poses, found.cycles) == (5, 2)
     assert found.encoders.mean.value < 2e-4
     assert found.tool.mean.value == pytest.approx(np.sqrt(2.0) * BEHIND, rel=0.1), "directions at right angles"
+
+
+def test_side_by_side_each_arm_comes_from_one_direction():
+    opened = []
+
+    def connect(count, seed):
+        opened.append(count)
+        return Dragging(count, seed)
+
+    found = vary_directions(holding(open_robot=connect), "default", DefaultController, ARM, 2, SHORT)
+    alone = Holding(open_robot=connect, batched=False, seed=0)
+    in_turn = vary_directions(alone, "default", DefaultController, ARM, 2, SHORT)
+    assert opened == [6, 1]
+    assert found.tool.mean.value == pytest.approx(in_turn.tool.mean.value, abs=1e-4)
 
 
 def test_cycles_on_one_arm_are_driven_one_after_the_other():

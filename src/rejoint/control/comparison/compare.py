@@ -124,7 +124,8 @@ def compare(
     A single arm that does not stand at rest as its ``stance`` says is not driven: NotReadyError.
     In a race, what is ``measured`` already is not driven either; ``source`` says in a few words where.
     A ``correction`` aims for all controllers alike. Where nobody knows where the tool is, a ``model`` says how far it
-    is from its targets. Of a batch, a ``helper`` drives a part of the trials in another process.
+    is from its targets. Of a batch, a ``helper`` drives a part of the trials in another process; ``on_trial`` is called
+    for those whose recording it hands over.
     """
     targets = np.asarray(targets, dtype=float)
     if targets.ndim != 3 or targets.shape[2] != 3 or 0 in targets.shape or not np.isfinite(targets).all():
@@ -210,7 +211,7 @@ class TrialRunner:
 
     def _take_over(self, driven: Driven, recording: Recording) -> None:
         """Take over what a helper has driven."""
-        self._tell(driven.controller, driven.kind, driven.places, recording)
+        self._tell(driven.controller, driven.kind, driven.places[: recording.time.shape[1]], recording)
         self.tallies[driven.controller].add(driven)
         self.ledger.add(driven)
         self.progress.skip(len(driven.places) * driven.targets)

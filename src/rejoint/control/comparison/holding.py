@@ -100,15 +100,17 @@ def vary_directions(
 ) -> DirectionVariation | None:
     """Come to each pose of ISO 9283 along each axis of the base, from the side of the centre, ``cycles`` times.
 
-    Poses that are out of reach are left out.
+    Poses that are out of reach are left out. Where arms stand side by side, each takes one axis: it is done in a third
+    of the cycles.
     """
     poses = iso.iso_poses(arm, iso.RISING_AHEAD)
     poses = poses[beyond_reach(arm, poses) == 0.0]
     middle = 0.5 * (arm.targets.upper + arm.targets.lower)
     side = np.where(poses > middle, -1.0, 1.0)
     starts = poses[None] + AWAY * length_size(arm) * np.eye(3)[:, None] * side[None]  # (3, P, 3)
-    way = np.stack([starts, np.broadcast_to(poses, starts.shape)], axis=2).reshape(-1, 3)
-    held = how.hold(controller, np.tile(way, (cycles, 1, 1)), protocol)
+    way = np.stack([starts, np.broadcast_to(poses, starts.shape)], axis=2)  # (3, P, 2, 3)
+    ways = way.reshape(3 if how.batched else 1, -1, 3)
+    held = how.hold(controller, np.tile(ways, (cycles, 1, 1)), protocol)
     encoders, tool = (_variation(one[:, 1::2].reshape(cycles, 3, len(poses), 3)) for one in (held.away, held.away_true))
     if encoders is None:
         return None

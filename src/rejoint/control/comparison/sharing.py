@@ -21,6 +21,7 @@ from rejoint.system.stopping import pause
 Task = tuple[str, Kind]
 """Controller and protocol"""
 Result = tuple[Driven, Recording]
+"""What the trials of a task brought, and what was recorded of the first ones: as many as somebody keeps"""
 
 _LOOK = 0.02
 """[s] between two looks at a helper that is waited for (chosen: far below what a trial takes)"""

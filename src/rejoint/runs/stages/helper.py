@@ -25,6 +25,7 @@ from rejoint.control.comparison.compare import Settings, TrialRunner
 from rejoint.control.comparison.counting import Targets
 from rejoint.control.comparison.driven import Places
 from rejoint.control.comparison.ledger import Ledger
+from rejoint.control.comparison.protocols import Kind
 from rejoint.control.comparison.sharing import HelperLostError, Result, Task
 from rejoint.control.correction import Correction
 from rejoint.control.guard import GuardLimits
@@ -32,6 +33,7 @@ from rejoint.control.robot import Robot
 from rejoint.robots import open_robot
 from rejoint.runs.given import Period, as_run, period_of
 from rejoint.runs.stages.driving import make_factories
+from rejoint.system.memory import give_back
 from rejoint.system.progress import no_progress
 from rejoint.twin.twin import Twin
 
@@ -127,7 +129,14 @@ def main(line: int) -> None:
     runner = tasks.get().runner()
     while True:
         (name, kind), places = tasks.get()
-        asked.send(runner.drive_batch(runner.open_batch(places), name, kind, places))
+        asked.send(_drive(runner, name, kind, places))
+        give_back()
+
+
+def _drive(runner: TrialRunner, name: str, kind: Kind, places: Places) -> Result:
+    """Drive the trials of a task, and keep what was recorded of the first: its log is kept, those of others are not."""
+    driven, recording = runner.drive_batch(runner.open_batch(places), name, kind, places)
+    return driven, recording.of(slice(1))
 
 
 def _listen(asked: Connection, tasks: SimpleQueue[Any]) -> None:

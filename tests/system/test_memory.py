@@ -1,0 +1,40 @@
+"""Free memory goes back to the system where the C library can do it."""
+
+import subprocess
+import sys
+
+import pytest
+
+from rejoint.system import memory
+
+LEFT = """
+from rejoint.system.memory import give_back
+
+def resident():
+    with open("/proc/self/status") as status:
+        return next(int(line.split()[1]) for line in status if line.startswith("VmRSS"))
+
+pieces = [bytes(1000) for _ in range(100_000)]  # a hundred megabytes, with a piece in use at their end
+last = pieces.pop()
+full = resident()
+del pieces
+kept = resident()
+give_back()
+print(full, kept, resident())
+"""
+
+
+@pytest.mark.skipif(memory._trim() is None, reason="this C library cannot")
+def test_what_is_free_below_something_in_use_is_given_back():
+    done = subprocess.run([sys.executable, "-c", LEFT], check=True, capture_output=True, text=True)
+    full, kept, left = map(int, done.stdout.split())
+    assert kept > full - 10_000
+    assert left < full - 80_000
+
+
+def test_elsewhere_nothing_happens(monkeypatch):
+    memory._trim.cache_clear()
+    monkeypatch.setattr(sys, "platform", "darwin")
+    assert memory._trim() is None
+    memory.give_back()
+    memory._trim.cache_clear()
