@@ -13,13 +13,23 @@ from typing import Protocol
 
 import numpy as np
 
-from rejoint.arms import Array, tcp_position
+from rejoint.arms import Array, position_kinematics, tcp_position
+from rejoint.arms.displacement import FLOATING
 from rejoint.control.controller import ControlInput
 from rejoint.control.correction import MOST, Modelled
 from rejoint.control.robot import Mask
 
-MEMORY = 0.12
-"""[s] over which sightings are averaged (chosen: noise of single ones is halved at 10 to 30 a second)"""
+NOISE = 0.3e-3
+"""[m] standard deviation of each coordinate that a sighting has at least, and where nobody knows it (chosen: between
+what a board of 60 mm at 0.6 m has across the line of sight and along it)"""
+UNKNOWN = 3e-3
+"""[m] by which the model may be wrong before anything was seen (chosen: twice what calibrations leave)"""
+DRIFT = 0.2e-3
+"""[m/sqrt(s)] by which that changes while the arm stands or is shaken (chosen)"""
+RATTLE = 12e-3
+"""[rad/sqrt(s)] by which a link that floats wanders in its play (chosen: worn bases coast at 5 mm/s)"""
+ALONG = 0.1
+"""share of a motion of the tool by which the shift changes on the way (chosen)"""
 NEAR = 0.015
 """[m] from its aim within which sightings count: the shift farther away is another one (chosen)"""
 CHANGE = 2e-4
@@ -71,6 +81,8 @@ class Seen(Modelled):
     """(3,) [m] of each target that was seen: the tool, as seen there last, less where the model has it"""
     _target: Array = field(default_factory=lambda: np.full(3, np.nan), init=False)
     _extra: Array = field(default_factory=lambda: np.zeros(3), init=False)  # [m] of shift that the model does not know
+    _spread: Array = field(default_factory=lambda: np.eye(3), init=False)  # (3, 3) [m^2] its covariance
+    _place: Array = field(default_factory=lambda: np.zeros(3), init=False)  # [m] by the encoders, at the last of them
     _count: int = field(default=0, init=False)  # sightings believed at this target
     _last: float = field(default=-np.inf, init=False)  # [s] of the newest sighting that was looked at
     _believed: float = field(default=-np.inf, init=False)  # [s] of the newest that was believed
@@ -91,20 +103,20 @@ class Seen(Modelled):
         seen = self.eye.sighting(now)
         if seen is None or seen.time <= self._last or not self._remembered(seen.time):
             return None
-        elapsed, self._last = seen.time - self._believed, seen.time
+        self._last = seen.time
         then = self._position(seen.time)
-        away = float(np.linalg.norm(inputs.target[0] - tcp_position(self.arm, then)))
-        unknown = seen.place - tcp_position(self.arm, then) - self.shift(then)
+        place = tcp_position(self.arm, then)
+        away = float(np.linalg.norm(inputs.target[0] - place))
+        unknown = seen.place - place - self.shift(then)
         if away > NEAR or float(np.linalg.norm(unknown)) > JUMP:
             return None
         self._count += 1
-        share = max(1.0 / self._count, 1.0 - np.exp(-elapsed / MEMORY))
-        self._extra, self._believed = self._extra + share * (unknown - self._extra), seen.time
+        self._learn(unknown, then, seen)
         self.used += 1
         if self._count > 1:
             self.beyond.pop()
         self.beyond.append(self._extra)
-        left = target[0] - tcp_position(self.arm, then) - self.shift(then) - self._extra
+        left = target[0] - place - self.shift(then) - self._extra
         self.visits[-1] = self._count, float(np.linalg.norm(left))
         fresh = target[0] - self.shift(position) - self._extra
         changed = float(np.linalg.norm(fresh - inputs.target)) > CHANGE
@@ -125,6 +137,26 @@ class Seen(Modelled):
         apart = np.linalg.norm(np.array(self.beyond) - side, axis=1)
         far = float(np.linalg.norm(side))
         return far if far > SHIFTED and far > 2.0 * float(np.sqrt((apart**2).mean())) else None
+
+    def _learn(self, unknown: Array, then: Array, seen: Sighting) -> None:
+        """Take over what one believed sighting tells: at once where a link floats, else by degrees.
+
+        A Kalman filter: what the model does not know stays about the same, but for links without weight, which wander
+        in their play, and for what changes along the way.
+        """
+        place, jacobian = position_kinematics(self.arm, then)
+        if self._count == 1:
+            self._spread = UNKNOWN**2 * np.eye(3)
+        else:
+            floats = 1.0 - np.tanh(self.displacement.torque(self.arm, then) / FLOATING) ** 2
+            wander, moved = RATTLE * jacobian * floats, ALONG * float(np.linalg.norm(place - self._place))
+            change = DRIFT**2 * np.eye(3) + wander @ wander.T
+            self._spread = self._spread + (seen.time - self._believed) * change + moved**2 * np.eye(3)
+        noise = np.fmax(seen.sigma, NOISE)  # NaN: nobody knows
+        share = self._spread @ np.linalg.inv(self._spread + noise**2 * np.eye(3))
+        self._extra = self._extra + share @ (unknown - self._extra)
+        self._spread = self._spread - share @ self._spread
+        self._place, self._believed = place, seen.time
 
     def _remembered(self, time: float) -> bool:
         return self._told[0][0] <= time <= self._told[-1][0]
