@@ -1,6 +1,8 @@
 """Who does what next, with a executor that writes files instead of moving arms; no Ray."""
 
 import json
+import subprocess
+import sys
 from collections.abc import Sequence
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -436,3 +438,11 @@ def test_the_state_is_a_plain_file(tmp_path: Path) -> None:
     assert not told["finished"]
     standing = drive(fleet.arms, campaign.left, campaign.work, PlayedExecutor(), Rules())
     assert [step for step, _ in standing[0].steps] == [s for s in STAGES if s not in ("gains", "calibrate")]
+
+
+def test_who_only_takes_reports_loads_nothing_of_the_work() -> None:
+    code = (
+        "import sys, rejoint.runs.fleet.rayworker as _; print(sorted({'numpy', 'pyarrow', 'numba'} & {*sys.modules}))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
