@@ -148,13 +148,13 @@ def plain(folder: Path, verb: str, count: int, of: int) -> tuple[float, float]:
     Returns the time [s] and that of processors [s]. Where fewer than all arms are done, the first of each process has
     its start in it, and those left out count as the others do.
     """
-    code = "import sys, time, rejoint\nfor words in sys.argv[1:]:\n name, robot = words.split('=', 1)\n"
+    code = "import os, sys, time, rejoint\nfor words in sys.argv[1:]:\n name, robot = words.split('=', 1)\n"
     code += {
         "check": f" rejoint.check(robot, history={str(folder)!r}, name=name)\n",
         "repair": f" rejoint.repair(robot, run={str(folder)!r} + '/' + name, quick=True, sets=1, repetitions=1, "
         "controllers=('integrator', 'policy'))\n",
     }[verb]
-    code += " print(time.monotonic(), time.process_time())\n"
+    code += " print(time.monotonic(), sum(os.times()[:4]))\n"
     given = [f"{name}={address(number)}" for number, name in enumerate(names(count))]
     began = time.monotonic()
     running = [
@@ -184,9 +184,9 @@ def check_same(verb: str, fleet: Path, alone: Path, count: int, same: int) -> No
             if number >= same:
                 continue
             (other,) = (alone / "checks" / name).glob(f"*/{SUMMARY}")
-            same = read_rows(done[0])[0].true_error_mm == read_rows(other)[0].true_error_mm
+            errors = [read_rows(path)[0].true_error_mm for path in (done[0], other)]
             logs = [RunLog.load(path.parent / "check.parquet").position for path in (done[0], other)]
-            if not same or not np.array_equal(*logs):
+            if errors[0] != errors[1] or not np.array_equal(*logs):
                 raise WrongError(f"the check of {name} is another than alone")
             continue
         folders = sorted((fleet / "runs" / "repairs" / name).iterdir())

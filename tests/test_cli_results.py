@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rich.cells import cell_len
 from typer.testing import CliRunner
 
 from rejoint.arms import so101
@@ -37,6 +38,12 @@ def test_tables_keep_to_eighty_columns_and_every_cell(columns: int, capsys: pyte
         assert all(cell in text for cell in row)
     parts = sum("row0" in line for line in lines)
     assert parts == (1 if columns < 5 else parts) >= columns // 9
+
+
+def test_wide_letters_count_twice(capsys: pytest.CaptureFixture[str]):
+    lines = printed(capsys, ["arm", "state"], [["機械腕-1", "steady"], ["arm-2", "alarm"]])
+    assert any("機械腕-1" in line for line in lines)
+    assert len({cell_len(line) for line in lines[1:]}) == 1
 
 
 def test_long_sentences_are_folded_at_words(capsys: pytest.CaptureFixture[str]):

@@ -18,7 +18,7 @@ from rejoint.control.integrator import IntegratorController
 from rejoint.control.loop import Schedule, run
 from rejoint.control.recording import Cycle
 from rejoint.control.robot import JointState
-from rejoint.pages.live import panel
+from rejoint.pages.live import animation, panel
 from rejoint.pages.live.ghost import Ghost
 from rejoint.pages.live.ring import Ring
 from rejoint.pages.live.skeleton import Skeleton, capsule
@@ -36,12 +36,12 @@ N = ARM.joints
 
 def write(ring, number, *, time=None, reasons=0, position=None, wanted=None, command=None, **given):
     """Write a record every number of which is ``number``, unless given."""
-    each = np.full((1, N), float(number))
+    each, point = np.full((1, N), float(number)), np.full((1, 3), float(number))
     position, wanted, command = (each if one is None else one[None] for one in (position, wanted, command))
     cycle = Cycle(
         time=np.array([number if time is None else time], dtype=float), position=position, command=command,
-        target=np.full((1, 3), float(number)), aim=np.full((1, 3), float(number)), target_index=np.array([number]),
-        since_target=np.zeros(1), true_tcp=np.full((1, 3), float(number)), active=np.array([True]),
+        target=given.get("target", point), aim=point, target_index=np.array([number]),
+        since_target=np.zeros(1), true_tcp=given.get("true_tcp", point), active=np.array([True]),
         reasons=np.array([reasons], dtype=np.uint16), load=each, turned=np.full(1, np.nan),
     )  # fmt: skip
     state = JointState(
@@ -278,6 +278,18 @@ def test_the_panel_speaks_in_millimetres_degrees_and_minutes():
     assert [panel.duration(s) for s in (3.0, 89.0, 200.0, 4000.0)] == ["5 s", "90 s", "3 min", "1 h 07 min"]
     assert "every command passes" in panel.guard((), "")
     assert "Stopped" in panel.guard(("lead",), "tripped")
+
+
+@pytest.mark.parametrize(("target", "true"), [(np.nan, 0.1), (0.1, 0.1), (0.1, np.nan)])
+def test_the_legend_names_what_is_drawn_and_nothing_else(target, true):
+    """A check has no targets, but an emulated arm's tool is drawn in it; a real one's never is."""
+    ring = Ring(N)
+    write(ring, 0, position=ARM.rest, target=np.full((1, 3), target), true_tcp=np.full((1, 3), true))
+    subject = SimpleNamespace(arm=ARM, ghost=None)
+    names = [name for _, name in animation._legend(subject, ring.since(0)[0])]
+    assert ("target, and what is accepted" in names) == np.isfinite(target)
+    assert ("the tool itself" in names) == np.isfinite(true)
+    assert "check ·" not in panel.head("emulated:worn", "", panel.Doing(title="check", what="check"))
 
 
 class Passing:

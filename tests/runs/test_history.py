@@ -18,6 +18,7 @@ from rejoint.arms import load_arm
 from rejoint.diagnosis.monitoring.judge import Change, Due, Outlook, PastCheck, outlook
 from rejoint.diagnosis.monitoring.measures import CheckMeasures, JointCheck
 from rejoint.diagnosis.monitoring.words import cause_of, say
+from rejoint.logs.history import index
 from rejoint.logs.history.identity import hours_of, name_of
 from rejoint.logs.history.index import INDEX, find_rows
 from rejoint.logs.history.rows import SCHEMA, SUMMARY, HistoryRow, read_rows, write_rows
@@ -154,7 +155,7 @@ def test_a_folder_that_goes_while_it_is_looked_for_is_left_out(tmp_path: Path, m
     assert not unread
 
 
-def test_what_was_read_once_is_a_copy_and_no_more(tmp_path: Path) -> None:
+def test_what_was_read_once_is_a_copy_and_no_more(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The copy follows files that come, change and go, and is made anew where it is damaged or missing."""
     paths = [put(tmp_path / "checks", f"a{i}/t", rows_of(head(i, arm=f"a{i}"), measures())) for i in range(3)]
     first = find_rows(tmp_path)
@@ -167,6 +168,9 @@ def test_what_was_read_once_is_a_copy_and_no_more(tmp_path: Path) -> None:
     assert {row.arm for row in rows} == {"a1", "a2", "a9"}
     assert [row.error_mm for row in rows if row.arm == "a1" and not row.joint] == [9.0]
     assert {row.arm for row in find_rows(tmp_path, "a2")[0]} == {"a2", "a9"}
+    monkeypatch.setattr(index, "read_table", None)  # a check reads nothing anew either, where there is a copy
+    assert len(find_rows(tmp_path, "a2")[0]) == 4
+    monkeypatch.undo()
     for damage in (b"", b"PAR1", (tmp_path / INDEX).read_bytes()[:-9]):
         (tmp_path / INDEX).write_bytes(damage)
         assert find_rows(tmp_path)[0] == rows

@@ -16,6 +16,7 @@ from typing import IO, Any, Literal, TextIO, cast
 import msgspec
 import numpy as np
 from rich import progress as bars
+from rich.cells import cell_len
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
@@ -153,7 +154,7 @@ class Terminal:
 def _parts(headers: Sequence[str], rows: Sequence[Sequence[str]], most: int) -> list[tuple[list[int], list[int]]]:
     """Distribute columns to tables of at most ``most`` characters, the first to each; with the widths of columns."""
     cells = [[header, *(row[index] for row in rows)] for index, header in enumerate(headers)]
-    natural = [max(map(len, column)) for column in cells]
+    natural = [max(map(cell_len, column)) for column in cells]
     least = [_least(column) for column in cells]
     parts: list[list[int]] = [[0]]
     for index in range(1, len(headers)):
@@ -176,8 +177,9 @@ def _across(widths: Sequence[int]) -> int:
 
 def _least(cells: Sequence[str]) -> int:
     """Width that a column needs: words of its title and of long cells may stand below one another."""
-    words = [len(word) for cell in cells for word in cell.split()]
-    return min(max([*words, *(len(cell) for cell in cells[1:] if len(cell) <= _CELL)], default=1), WIDTH // 2)
+    words = [cell_len(word) for cell in cells for word in cell.split()]
+    whole = [wide for wide in map(cell_len, cells[1:]) if wide <= _CELL]
+    return min(max([*words, *whole], default=1), WIDTH // 2)
 
 
 def results_of(value: object, *traces: str) -> Any:  # noqa: ANN401 - plain data of any kind

@@ -14,6 +14,7 @@ import errno
 import json
 import os
 import threading
+import time
 import zlib
 from collections import deque
 from pathlib import Path
@@ -65,7 +66,7 @@ class Journal:
 
     def __init__(self, path: Path, handle: int) -> None:
         """Take the run log's path and the open file; `begin` makes both."""
-        self.path, self.file = path, _journal_path(path)
+        self.path, self.file = path, journal_path(path)
         self.problem: OSError | None = None
         """what kept rows from being written; the run goes on without"""
         self._handle, self._rows, self._over = handle, deque[bytes](), threading.Event()
@@ -82,7 +83,7 @@ class Journal:
         about = {"arm": arm, "joints": list(joint_names), "robot": robot, "label": label}
         head = f"{_MAGIC} {json.dumps(about)}\n".encode()
         size = len(head) + rows * (_row_size(len(joint_names)) + _CHECK)
-        file = _journal_path(path)
+        file = journal_path(path)
         try:
             file.parent.mkdir(parents=True, exist_ok=True)
             require_space(file.parent, 2 * size)
@@ -161,14 +162,16 @@ class Journal:
                 self._rows.clear()
 
 
-def recover(folder: Path) -> tuple[Path, ...]:
+def recover(folder: Path, *, quiet: float = 0.0) -> tuple[Path, ...]:
     """Make run logs of the journals in ``folder`` that killed processes left, and remove those; returns the logs.
 
-    Only for a process that works there alone: a journal in use looks the same. FileError if a log cannot be written;
-    the journal stays then.
+    Only for a process that works there alone, or where ``quiet`` [s] have to have passed since a journal was written
+    last: one in use looks the same. FileError if a log cannot be written; the journal stays then.
     """
     found = []
     for file in sorted(folder.glob(f".*{_ENDING}")):
+        if quiet and time.time() - file.stat().st_mtime < quiet:
+            continue
         path = folder / f"{file.name[1 : -len(_ENDING)]}.parquet"
         made = None if path.exists() else _convert(file, path)  # where it exists, only the removal was missing
         file.unlink(missing_ok=True)
@@ -228,7 +231,8 @@ def _row_size(joints: int) -> int:
     return 8 * (1 + 2 * joints + 6)
 
 
-def _journal_path(path: Path) -> Path:
+def journal_path(path: Path) -> Path:
+    """Return where the journal of the run log at ``path`` is."""
     return path.with_name(f".{path.stem}{_ENDING}")
 
 

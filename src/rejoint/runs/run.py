@@ -173,27 +173,34 @@ class Run:
 
 
 def newest_or_new(robot: str, arm: Arm, seed: int) -> tuple[Path, bool]:
-    """Default run folder of a robot: the newest one if it was interrupted, else a new one.
-
-    A new one as well where the description of the arm has changed since. Returns the path and whether it is to be
-    resumed.
-    """
-    home = RUNS / re.sub(r"[^\w.-]+", "-", f"{arm.name}-{robot}-seed{seed}").strip("-")
-    path, resumed = newest_or_new_in(home)
-    if resumed and RunFolder(path).info.exists() and not Run.open(path).is_of(robot, arm):
-        return home / f"{int(path.name) + 1:03}", False
-    return path, resumed
+    """Default run folder of a robot, below `RUNS`; as `newest_or_new_in`."""
+    name = re.sub(r"[^\w.-]+", "-", f"{arm.name}-{robot}-seed{seed}").strip("-")
+    return newest_or_new_in(RUNS / name, robot, arm)
 
 
-def newest_or_new_in(home: Path) -> tuple[Path, bool]:
+def newest_or_new_in(home: Path, robot: str, arm: Arm) -> tuple[Path, bool]:
     """Find the newest of the numbered run folders in ``home`` if it was interrupted, else a new one.
 
-    Returns the path and whether it is to be resumed.
+    A new one as well where that is of another robot, or the description of the arm has changed since. Returns the path
+    and whether it is to be resumed.
     """
     numbers = sorted(int(p.name) for p in home.glob("*") if p.name.isdecimal()) if home.is_dir() else []
-    if numbers and not is_finished(RunFolder(home / f"{numbers[-1]:03}")):
-        return home / f"{numbers[-1]:03}", True
-    return home / f"{(numbers[-1] if numbers else 0) + 1:03}", False
+    last = numbers[-1] if numbers else 0
+    newest = RunFolder(home / f"{last:03}")
+    if numbers and not is_finished(newest) and not is_of_another(newest, robot, arm):
+        return newest.path, True
+    return home / f"{last + 1:03}", False
+
+
+def is_of_another(folder: RunFolder, robot: str, arm: Arm) -> bool:
+    """Tell whether a run is of another robot, or of the arm as it was described before.
+
+    What cannot be read is not: whoever goes on in that folder says what is wrong with it.
+    """
+    try:
+        return folder.info.exists() and not Run.open(folder.path).is_of(robot, arm)
+    except FileError:
+        return False
 
 
 def is_finished(folder: RunFolder) -> bool:

@@ -172,7 +172,8 @@ def test_failures_are_told_in_one_sentence_each(tmp_path, arm, diagnosis):
 @pytest.mark.parametrize(
     ("robot", "source", "option"),
     [
-        ("emulated:worn", "touch", ""), ("tcp://10.0.0.1:9000", "touch", " --calibrate touch"),
+        ("emulated:worn", "touch", ""), ("emulated:worn?seed=3", "touch", ""),
+        ("tcp://10.0.0.1:9000", "touch", " --calibrate touch"),
         ("tcp://10.0.0.1:9000", "tracker", " --calibrate tracker=FILE"),
     ],
 )  # fmt: skip
@@ -183,7 +184,10 @@ def test_what_measured_the_tool_is_named_where_the_robot_does_not_tell(tmp_path,
     comparison = dataclasses.replace(make_comparison(arm, ("default",)), robot=robot, calibration=own.date)
     lines = made(folder, comparison, seed=0, robot=robot)
     assert lines["repair"].line.endswith(f"--controllers default{option} --seed 0")
-    assert lines["calibrate"].line == f"rejoint calibrate {robot} {tmp_path}{'' if option == '' else ' --touch'}"
+    assert (
+        lines["calibrate"].line
+        == f"rejoint calibrate {shlex.quote(robot)} {tmp_path}{'' if option == '' else ' --touch'}"
+    )
     assert "--calibration" not in lines["compare"].line
     plain = made(folder, dataclasses.replace(comparison, calibration=""), seed=0, robot=robot)
     assert " --calibration none" in plain["compare"].line

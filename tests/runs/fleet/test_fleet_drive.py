@@ -1,12 +1,16 @@
 """Who does what next, with a executor that writes files instead of moving arms; no Ray."""
 
 import json
+import subprocess
+import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from datetime import datetime, timedelta
 from pathlib import Path
 
 import pytest
 
+from rejoint.arms import load_arm, write_arm_toml
 from rejoint.cli import main
 from rejoint.logs.history.rows import SUMMARY, HistoryRow, utc_now, write_rows
 from rejoint.logs.runfolder.folder import RunFolder
@@ -20,6 +24,7 @@ from rejoint.runs.fleet.hours import read_hours
 from rejoint.runs.fleet.result import FleetResult
 from rejoint.runs.fleet.work import Lost, RepairOptions, Work, WorkOutcome
 from rejoint.runs.given import arm_of
+from rejoint.runs.run import Run
 from rejoint.system.errors import FileError, InputError, UnsavedError
 from rejoint.system.stopping import Interrupted
 
@@ -251,6 +256,24 @@ def test_a_killed_lead_costs_one_step_of_each_arm(tmp_path: Path) -> None:
     assert len(executor.begun) == len(arms) * len(stages)
 
 
+def test_an_arm_that_is_described_otherwise_begins_another_run(tmp_path: Path) -> None:
+    """Of three arms two were interrupted; one of them is described otherwise then, and so is one that was through."""
+    own = tmp_path / "own.toml"
+    write_arm_toml(own, replace(load_arm("mycobot280"), name="own"))
+    arms = [replace(emulated(name), description=str(own)) for name in "ab"] + [emulated("c")]
+    fleet = Fleet(path=tmp_path / "FLEET.toml", folder=tmp_path / "lab", arms=tuple(arms))
+    first = Campaign.open(fleet, "repair")
+    for one in arms:
+        Run.create(first.run(one), one.address, arm_of(one.address, one.description))
+    RunFolder(first.run(arms[1])).finished.write_text("done")
+    assert Campaign.open(fleet, "repair").info == first.info
+    write_arm_toml(own, replace(load_arm("mycobot280"), name="own", mass=1.2 * load_arm("mycobot280").mass))
+    runs = Campaign.open(fleet, "repair").info.runs
+    assert runs == {"a": "repairs/a/002", "b": "repairs/b/001", "c": "repairs/c/001"}
+    RunFolder(first.run(arms[2])).info.write_text("damaged")
+    assert Campaign.open(fleet, "repair").info.runs == runs, "who works there says so, and only that arm fails"
+
+
 def test_checks_go_on_and_begin_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     arms = [emulated("a"), emulated("b")]
     with pytest.raises(KilledError):
@@ -436,3 +459,11 @@ def test_the_state_is_a_plain_file(tmp_path: Path) -> None:
     assert not told["finished"]
     standing = drive(fleet.arms, campaign.left, campaign.work, PlayedExecutor(), Rules())
     assert [step for step, _ in standing[0].steps] == [s for s in STAGES if s not in ("gains", "calibrate")]
+
+
+def test_who_only_takes_reports_loads_nothing_of_the_work() -> None:
+    code = (
+        "import sys, rejoint.runs.fleet.rayworker as _; print(sorted({'numpy', 'pyarrow', 'numba'} & {*sys.modules}))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"

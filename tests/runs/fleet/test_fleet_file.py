@@ -1,6 +1,7 @@
 """FLEET.toml: what is read from it, and what is said of a file that cannot be used."""
 
 import re
+from dataclasses import replace
 from datetime import date, datetime, timedelta
 from pathlib import Path
 
@@ -8,10 +9,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from rejoint.arms import load_arm, write_arm_toml
 from rejoint.runs.fleet.file import FleetArm, read_fleet
 from rejoint.runs.fleet.hours import DAYS, Hours, read_hours
 from rejoint.system.errors import FileError
 
+OWN = replace(load_arm("mycobot280"), name="own")
 TEXT = """
 folder = "lab"
 hours = ["Mon-Fri 08:00-18:00"]
@@ -36,9 +39,15 @@ may_repair = true
 """
 
 
+def write_fleet(folder: Path, text: str = TEXT) -> Path:
+    """Write the file, and the description of its second arm."""
+    write_arm_toml(folder / "own.toml", OWN)
+    (folder / "FLEET.toml").write_text(text)
+    return folder / "FLEET.toml"
+
+
 def test_arms_take_what_they_do_not_say_from_the_top(tmp_path: Path) -> None:
-    (tmp_path / "FLEET.toml").write_text(TEXT)
-    fleet = read_fleet(tmp_path / "FLEET.toml")
+    fleet = read_fleet(write_fleet(tmp_path))
     first, second = fleet.arms
     assert fleet.folder == tmp_path / "lab"
     assert (first.name, first.description, first.bench, first.resource) == (
@@ -83,6 +92,8 @@ def test_the_file_in_the_docs_says_what_holds_where_nothing_is_said(tmp_path: Pa
         ),
         ("emulated:worn?seed=2", "feetech://192.168.1.20:9000?p=16", r"two arms have the address"),
         ("emulated:worn?seed=2", "emulated worn", r"line 15: arm 2: address: unknown robot address"),
+        ("own.toml", "gone.toml", r"line 16: arm 2: description: .*gone.toml.*no such file"),
+        ('"so101"', '"so102"', r"line 10: arm 1: description: .*so102"),
         ("Fri 22", "Fre 22", r"line 17: arm 2: hours: expected hours such as Mon-Fri 08:00-18:00"),
         ("08:00-18:00", "08:00-24:30", r"line 3: hours: expected two different times from 00:00 to 24:00"),
         ("2027-01-06", "2026-01-06", r"line 18: arm 2: closed: expected a day such as"),
@@ -96,9 +107,9 @@ def test_the_file_in_the_docs_says_what_holds_where_nothing_is_said(tmp_path: Pa
 )
 def test_what_cannot_be_used_is_named_in_one_line(tmp_path: Path, found: str, instead: str, told: str) -> None:
     assert found in TEXT
-    (tmp_path / "FLEET.toml").write_text(TEXT.replace(found, instead))
+    path = write_fleet(tmp_path, TEXT.replace(found, instead))
     with pytest.raises(FileError, match=told) as error:
-        read_fleet(tmp_path / "FLEET.toml")
+        read_fleet(path)
     assert "\n" not in str(error.value)
 
 
@@ -147,8 +158,7 @@ def test_a_file_is_read_or_refused_whatever_is_in_it(
         lines[place] = f"{key}= {data.draw(st.sampled_from(values))}" if "=" in lines[place] else data.draw(
             st.sampled_from(["", "[arm]", "[[arm]]", "[tip]", "=", "\x00", lines[place]])
         )  # fmt: skip
-    path = tmp_path_factory.getbasetemp() / "any.toml"
-    path.write_text("\n".join(lines))
+    path = write_fleet(tmp_path_factory.getbasetemp(), "\n".join(lines))
     try:
         fleet = read_fleet(path)
     except FileError as error:

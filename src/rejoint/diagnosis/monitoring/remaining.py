@@ -31,6 +31,9 @@ _SCATTERS = np.geomspace(0.6, 1.8, 4)
 """Scatters of a check that are tried, as multiples of the one believed"""
 _SCATTER_FACTOR = 1.5
 """Factor within which the scatter is believed (chosen: it was measured on other arms)"""
+_POINTS = 200
+"""Most points that are looked at: neighbours among more checks are put together (chosen: the work grows with the cube,
+and wear shows over many of so many)"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,6 +64,8 @@ def remaining(
         [np.ones(len(x)), x, np.nan_to_num(warm - np.nanmean(warm) if np.isfinite(warm).any() else np.zeros(len(x)))],
         axis=1,
     )
+    design, error, scatter = _together(design, error, scatter)
+    x = design[:, 1]
     believed = np.diag([0.0, 0.0, 1.0 / max(per_degree, 1e-9) ** 2])
     common = np.minimum.outer(x - x[0], x - x[0])  # covariance of a Brownian motion
     size = max(float(np.abs(np.polyfit(x, error, 1)[0])), scatter)
@@ -80,6 +85,19 @@ def remaining(
         return None
     early, middle, late = (span * float(np.quantile(times, share, method="higher")) for share in SHARES)
     return Remaining(early=early, middle=middle, late=late)
+
+
+def _together(design: Array, error: Array, scatter: float) -> tuple[Array, Array, float]:
+    """Put neighbours together until there are at most `_POINTS`, with the scatter of their means.
+
+    As many in each, so that up to so many of the first checks are left out.
+    """
+    each = -(-len(error) // _POINTS)
+    if each == 1:
+        return design, error, scatter
+    first = len(error) % each
+    rows = design[first:].reshape(-1, each, design.shape[1]).mean(axis=1)
+    return rows, error[first:].reshape(-1, each).mean(axis=1), scatter / each**0.5
 
 
 def _log_prior(ratio: float, factor: float) -> float:

@@ -31,27 +31,25 @@ _INDEXED = SCHEMA.append(pa.field(_FILE, pa.string()))
 def find_rows(folder: Path, arm: str | None = None) -> tuple[list[HistoryRow], tuple[str, ...]]:
     """Read all summary rows below a folder, the oldest first, and say which files could not be read.
 
-    With ``arm`` the checks of other arms are left out, and nothing is kept: for a check, which may run beside others.
+    With ``arm`` the checks of other arms are left out, and nothing new is kept: for a check, which may run beside
+    others.
     """
-    if arm is None:
-        table, problems = find_table(folder)
-        rows = rows_from(table)
-    else:
-        paths = {key: path for key, path in _files(folder).items() if _is_of(path.relative_to(folder), arm)}
-        table, problems = _read(paths)
-        rows = rows_from(table.select(SCHEMA.names))
+    table, problems = find_table(folder, arm)
+    rows = rows_from(table)
     return sorted(rows, key=lambda row: (row.arm, row.time, row.kind)), problems  # joints stay in the arm's order
 
 
-def find_table(folder: Path) -> tuple[pa.Table, tuple[str, ...]]:
-    """Read all summary rows below a folder as a table of `SCHEMA`, and say which files could not be read."""
+def find_table(folder: Path, arm: str | None = None) -> tuple[pa.Table, tuple[str, ...]]:
+    """Read summary rows, as `find_rows`, as a table of `SCHEMA`, and say which files could not be read."""
     paths = _files(folder)
+    if arm is not None:
+        paths = {key: path for key, path in paths.items() if _is_of(path.relative_to(folder), arm)}
     known = _copy(folder)
     known = known.filter(pc.is_in(known[_FILE], pa.array(list(paths), pa.string())))
     seen = set(known[_FILE].to_pylist())
     fresh, problems = _read({key: path for key, path in paths.items() if key not in seen})
     table = pa.concat_tables([known, fresh]).combine_chunks()
-    if len(fresh):
+    if len(fresh) and arm is None:
         with suppress(FileError):  # a folder that may only be read is read again the next time
             write_whole(folder / INDEX, lambda temporary: pq.write_table(table, temporary, write_page_checksum=True))
     return table.select(SCHEMA.names), problems

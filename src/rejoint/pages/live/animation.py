@@ -99,7 +99,7 @@ class Animation:
             head=panel.head(robot, controller, doing), share=doing.share,
             error=panel.error(trails.errors, subject.within), guard=panel.guard(words, stopped),
             joints=panel.joints(subject.arm.joint_names, recent),
-            legend=panel.legend(_legend(subject, told=bool(np.isfinite(trails.errors[1])))),
+            legend=panel.legend(_legend(subject, recent)),
         )  # fmt: skip
 
 
@@ -119,12 +119,16 @@ def _curve(trails: Trails) -> tuple[Array, Array, Array]:
     return t[known], 1e3 * error[known], 1e3 * true[known]
 
 
-def _legend(subject: Subject, *, told: bool) -> tuple[tuple[str, str], ...]:
-    ghost = "where it is sent" if subject.ghost is None else "its twin's prediction"
+def _legend(subject: Subject, recent: Records) -> tuple[tuple[str, str], ...]:
+    """Name the colours of what is drawn: a check has no targets, and a real arm's tool is seen by nobody."""
+    target, tool = (
+        bool(len(recent)) and bool(np.isfinite(points[-1]).all()) for points in (recent.target, recent.true_tcp)
+    )
     entries = [
-        (css(LINKS[1]), "the arm"), (css(GHOST), ghost), (css(TRAIL), "its tool, by its encoders"),
-        (css(TARGET), "target, and what is accepted"),
-    ]  # fmt: skip
-    if told:
-        entries.append((css(TRUE), "the tool itself"))
+        (css(LINKS[1]), "the arm"),
+        (css(GHOST), "where it is sent" if subject.ghost is None else "its twin's prediction"),
+        (css(TRAIL), "its tool, by its encoders"),
+        *([(css(TARGET), "target, and what is accepted")] if target else []),
+        *([(css(TRUE), "the tool itself")] if tool else []),
+    ]
     return *entries, (panel.GREY, f"squares of {1e3 * cell_of(reach(subject.arm)):.0f} mm")

@@ -39,7 +39,7 @@ def head(robot: str, controller: str, doing: Doing) -> str:
     share = f"{100 * doing.share:.0f} % done{left}" if doing.share else ""
     lines = [
         f"<b>{escape(robot)}</b>" + (f" · {escape(controller)}" if controller else ""),
-        f"<b>{escape(doing.title)}</b>" + (f" · {escape(doing.what)}" if doing.what else ""),
+        f"<b>{escape(doing.title)}</b>" + (f" · {escape(doing.what)}" if doing.what not in ("", doing.title) else ""),
         f"<span style='color:{GREY}'>{share}</span>",
     ]
     return _box("<br>".join(lines))

@@ -15,6 +15,8 @@ class Cell(NamedTuple):
     text: str
     note: str = ""
     """small print below; may have several lines"""
+    whole: bool = False
+    """whether it stays on one line in a table of words: a date, say"""
 
 
 @dataclass(frozen=True, kw_only=True)

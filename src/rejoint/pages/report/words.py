@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from datetime import datetime
 
+from rejoint.pages.report.numerals import number
 from rejoint.robots import place_of
 from rejoint.system.errors import AddressError
 
@@ -67,6 +68,12 @@ def listed(words: Sequence[str], last: str) -> str:
 def plural(count: int, noun: str) -> str:
     """Return the count with its noun in the right number."""
     return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
+
+
+def cycles(count: float) -> str:
+    """``1.05 million control cycles``, or ``768 control cycles`` where they are few."""
+    few = count < 1e5
+    return f"{count:.0f} control cycles" if few else f"{number(count / 1e6, 3)} million control cycles"
 
 
 def short(name: str, width: int = 24) -> str:

@@ -15,7 +15,7 @@ from rejoint.runs.chain import stages_of
 from rejoint.runs.fleet.file import Fleet, FleetArm
 from rejoint.runs.fleet.work import RepairOptions, Step, Work
 from rejoint.runs.given import arm_of
-from rejoint.runs.run import newest_or_new_in
+from rejoint.runs.run import is_finished, is_of_another, newest_or_new_in
 from rejoint.system.errors import FileError
 from rejoint.system.files import read_json, write_json
 
@@ -62,9 +62,7 @@ class Campaign:
             before = None
         runs = {} if before is None else dict(before.runs)
         for arm in arms:
-            if arm.name not in runs:
-                place = newest_or_new_in(fleet.folder / "repairs" / arm.name)[0]
-                runs[arm.name] = str(place.relative_to(fleet.folder)) if verb == "repair" else ""
+            runs[arm.name] = _run_of(fleet, arm, runs.get(arm.name)) if verb == "repair" else ""
         info = CampaignInfo(begun=now if before is None else before.begun, runs=runs)
         write_json(path, info)
         return cls(fleet=fleet, verb=verb, options=options or RepairOptions(), info=info, resumed=before is not None)
@@ -118,6 +116,20 @@ class Campaign:
                 if row is not None and row.time >= begun:
                     return row
         return None
+
+
+def _run_of(fleet: Fleet, arm: FleetArm, before: str | None) -> str:
+    """Return the run folder of an arm that is repaired, below that of the fleet: of an earlier call if it has one.
+
+    Where its address or its description has changed since, an interrupted run is none to go on with.
+    """
+    built = arm_of(arm.address, arm.description)
+    if before is not None:
+        files = RunFolder(fleet.folder / before)
+        if not is_of_another(files, arm.address, built) or is_finished(files):
+            return before
+    place, _ = newest_or_new_in(fleet.folder / "repairs" / arm.name, arm.address, built)
+    return str(place.relative_to(fleet.folder))
 
 
 def needs_repair(row: HistoryRow) -> bool:

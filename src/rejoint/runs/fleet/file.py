@@ -30,7 +30,8 @@ from rejoint.arms import CATALOGUE
 from rejoint.logs.history.identity import plain_name
 from rejoint.robots import place_of
 from rejoint.runs.fleet.hours import Hours, read_hours
-from rejoint.system.errors import InputError
+from rejoint.runs.given import arm_of
+from rejoint.system.errors import FileError, InputError
 from rejoint.system.tomltable import TomlTable, read_toml
 
 FOLDER = "runs"
@@ -113,9 +114,14 @@ def _arm(table: TomlTable, top: TomlTable, home: Path) -> FleetArm:
         place_of(address)
     except InputError as error:
         raise table.error("address", str(error)) from error
+    description = _description(table, home)
+    try:
+        arm_of(address, description)
+    except (InputError, FileError) as error:
+        raise table.error("description", str(error)) from error
     hours = Hours(spans=_hours(table, top, "hours").spans, closed=_hours(table, top, "closed").closed)
     return FleetArm(
-        name=name, address=address, description=_description(table, home), hours=hours,
+        name=name, address=address, description=description, hours=hours,
         bench=table.string("bench") if "bench" in table.data else "",
         tolerance_mm=_giver("tolerance_mm", table, top).number("tolerance_mm", above=0.0),
         may_move=_said("may_move", table, top, usual=False),

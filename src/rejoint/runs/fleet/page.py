@@ -30,9 +30,9 @@ def fleet_page(result: FleetResult) -> Page:
         rows=tuple(_row(row) for row in rows),
     )  # fmt: skip
     steps = Table(
-        caption="Steps of this call [s]", headers=("arm", "address", "step", "took"),
+        caption="Steps of this call [s]", headers=("arm", "step", "took", "address"),
         rows=tuple(
-            Row(cells=(Cell(row.name), Cell(row.address), Cell(name), Cell(f"{took:.1f}")))
+            Row(cells=(Cell(row.name), Cell(name), Cell(f"{took:.1f}"), Cell(row.address)))
             for row in rows for name, took in row.steps
         ),
     )  # fmt: skip
@@ -45,7 +45,7 @@ def fleet_page(result: FleetResult) -> Page:
     )  # fmt: skip
     ended = f"{result.ended:%Y-%m-%d %H:%M} UTC"
     return Page(
-        title=TITLES[result.verb], subtitle=f"{done} of {len(rows)} arms, {result.seconds:.0f} s, ended {ended}",
+        title=TITLES[result.verb], subtitle=f"{done} of {len(rows)} arms done in {result.seconds:.0f} s, ended {ended}",
         verdict=(first, *(f"{row.name}: {row.state}. {row.found}" for row in urgent[:_NAMED])), sections=sections,
         footer="Made by rejoint fleet from the files of the runs and checks, which are not changed.",
     )  # fmt: skip

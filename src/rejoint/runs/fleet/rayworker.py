@@ -1,4 +1,7 @@
-"""What Ray runs: work on an arm in a process of its own, and the actor in which all of them report."""
+"""What Ray runs: work on an arm in a process of its own, and the actor in which all of them report.
+
+The actor is a process as well, and imports this module: what only work needs comes when there is some.
+"""
 
 from __future__ import annotations
 
@@ -6,11 +9,13 @@ import os
 import signal
 import threading
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from rejoint.runs.fleet.work import Work, WorkOutcome, do_work
 from rejoint.system.progress import Progress
 from rejoint.system.stopping import install
+
+if TYPE_CHECKING:
+    from rejoint.runs.fleet.work import Work, WorkOutcome
 
 PULSE = 0.5
 """[s] between two reports of what is at work (chosen: nobody reads faster)"""
@@ -63,6 +68,8 @@ class ArmHolder:
 
 def _done_beside(tell: Callable[..., None], work: Work, reports: Any) -> WorkOutcome:  # noqa: ANN401
     """Do work while a thread tells ``reports`` how far it is."""
+    from rejoint.runs.fleet.work import do_work
+
     stop = threading.Event()
     state = [0.0, ""]
     thread = threading.Thread(target=tell, args=(reports, work.arm.name, state, stop), daemon=True)

@@ -90,7 +90,7 @@ def rows_of(campaign: Campaign, standings: Sequence[Standing]) -> tuple[FleetRow
 def _checked(campaign: Campaign, one: Standing) -> FleetRow:
     row = campaign.check_of(one.arm) if one.end == "done" else None
     if row is None:
-        return _undone(campaign, one, campaign.fleet.folder)
+        return _undone(one, campaign.fleet.folder)
     code = ALARM if needs_repair(row) else DRIFTS if row.state == "drifting" else 0
     return _row(
         one, state="tolerance reached" if row.over else row.state, error_mm=row.counts_mm,
@@ -105,7 +105,7 @@ def _repaired(campaign: Campaign, one: Standing) -> FleetRow:
 
     folder = campaign.run(one.arm)
     if one.end != "done":
-        return _undone(campaign, one, folder)
+        return _undone(one, folder)
     if not RunFolder(folder).info.exists():  # the check said that there is no need
         return _checked(campaign, one)
     try:
@@ -131,12 +131,11 @@ def _recommended(folder: Path) -> str:
     return "" if comparison is None else recommend(comparison).controller
 
 
-def _undone(campaign: Campaign, one: Standing, folder: Path) -> FleetRow:
+def _undone(one: Standing, folder: Path) -> FleetRow:
     """Tell of an arm that is not through."""
-    again = f"rejoint fleet {campaign.verb} {campaign.fleet.path}"
     code = PARTLY if one.end != "failed" else ROBOT if one.outcome is None else one.outcome.code
     code = code if code in _ORDER else ROBOT  # held, since nobody led any more
-    todo = f"{again} goes on" if one.end == "failed" else f"once that is so: {again}"
+    todo = "mend that, then give the same command again" if one.end == "failed" else "once that is so: the same command"
     return _row(
         one, state=one.end or "left", error_mm=None, found=one.why, todo=todo, folder=folder, code=code
     )  # fmt: skip

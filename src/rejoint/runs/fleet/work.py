@@ -10,8 +10,6 @@ from typing import Literal, TypeAlias
 
 from rejoint.runs.chain import MOVING, StageName
 from rejoint.runs.fleet.file import FleetArm
-from rejoint.runs.repair import repair
-from rejoint.runs.stages.check import check
 from rejoint.system.errors import RejointError, first_line
 from rejoint.system.extras import explain
 from rejoint.system.progress import Progress, no_progress
@@ -100,11 +98,15 @@ def do_work(work: Work, on_progress: Progress = no_progress) -> WorkOutcome:
 def _do(work: Work, on_progress: Progress) -> None:
     arm, options = work.arm, work.options
     if work.step == "check":
+        from rejoint.runs.stages.check import check
+
         check(
             arm.address, history=work.folder, name=arm.name, arm=arm.description, tolerance_mm=arm.tolerance_mm,
             on_progress=on_progress,
         )  # fmt: skip
         return
+    from rejoint.runs.repair import repair  # late: a process that only checks arms needs none of its stages
+
     repair(
         arm.address, run=work.folder, arm=arm.description, preset=options.preset, controllers=options.controllers,
         sets=options.sets, repetitions=options.repetitions, seed=options.seed, quick=options.quick,

@@ -16,6 +16,7 @@ from rejoint.system.files import write_whole
 
 _WIDE, _HIGH, _EDGE = 320.0, 110.0, 22.0  # [px] of a figure, and of its margin (chosen: three fit side by side)
 _LABEL = 10.0  # [px] of small print in it
+_DATES = ("reached", "last check")
 _JOINTS = ("hysteresis_mm", "sag_mm", "deviation_mm")
 
 
@@ -41,7 +42,11 @@ def history_page(arms: Sequence[ArmHistory]) -> Page:
 
 def _overview(arms: Sequence[ArmHistory]) -> Section:
     rows = tuple(
-        Row(cells=tuple(Cell(text) for text in cells(arm)), emphasis=arm.over or arm.state == "alarm") for arm in arms
+        Row(
+            cells=tuple(Cell(text, whole=header in _DATES) for header, text in zip(HEADERS, cells(arm), strict=True)),
+            emphasis=arm.over or arm.state == "alarm",
+        )
+        for arm in arms
     )
     table = Table(caption="All arms, the worst first", headers=HEADERS, rows=rows, words=True)
     return Section(key="arms", short="Arms", heading="Arms", parts=(Part(tables=(table,)),))
@@ -118,11 +123,14 @@ def trend_svg(arm: ArmHistory) -> Markup:
         parts.append(
             f'<path d="M{_EDGE} {y(limit):.1f}H{_WIDE - _EDGE}" stroke="var(--look-2)" stroke-dasharray="5 4"/>'
         )
+    now = y(values[-1])
+    above = limit is None or not 0.0 < now - y(limit) < _LABEL + 8.0
+    beside = now - 5.0 if above else now + _LABEL + 4.0  # not in the line of the tolerance
     small = f'font-size="{_LABEL}" fill="currentColor"'
     parts += [
         f'<text x="{_EDGE}" y="{_HIGH - 8}" {small}>{begin:%Y-%m-%d}</text>',
         f'<text x="{_WIDE - _EDGE}" y="{_HIGH - 8}" {small} text-anchor="end">{end:%Y-%m-%d}</text>',
-        f'<text x="{_WIDE - _EDGE}" y="{y(values[-1]) - 5:.1f}" {small} text-anchor="end">{values[-1]:.1f}</text>',
+        f'<text x="{_WIDE - _EDGE}" y="{beside:.1f}" {small} text-anchor="end">{values[-1]:.1f}</text>',
     ]
     told = escape(f"Tool error of {arm.name} over time, {values[0]:.1f} mm at first, {values[-1]:.1f} mm now")
     head = f'<svg class="figure" role="img" aria-label="{told}" viewBox="0 0 {_WIDE:g} {_HIGH:g}">'

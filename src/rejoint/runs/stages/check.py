@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
@@ -13,7 +14,7 @@ from rejoint.control.robot import Robot
 from rejoint.logs.history.identity import hours_of, name_of, plain_name, setup_of
 from rejoint.logs.history.index import CHECKS, find_rows
 from rejoint.logs.history.rows import SUMMARY, HistoryRow, utc_now, write_rows
-from rejoint.logs.journal import Journal
+from rejoint.logs.journal import Journal, journal_path, recover
 from rejoint.logs.runlog import RunLog
 from rejoint.runs.given import (
     FIRST_ROBOT,
@@ -28,7 +29,7 @@ from rejoint.runs.given import (
 )
 from rejoint.runs.history.checks import MOVED, SET_UP, past_of, rows_of, with_outlook
 from rejoint.runs.run import RUNS
-from rejoint.system.errors import AddressError, InputError
+from rejoint.system.errors import AddressError, FileError, InputError
 from rejoint.system.files import require_space, saving
 from rejoint.system.progress import Progress, no_progress, paced, part
 from rejoint.system.stopping import noted
@@ -39,6 +40,13 @@ if TYPE_CHECKING:
 
 BETWEEN = timedelta(minutes=4)
 """By which the dates of checks in a row lie apart where the date was given (chosen: little more than one takes)"""
+LOG = "check.parquet"
+"""Name of the run log of a check"""
+QUIET = 30.0
+"""[s] without a row after which the journal of a check is that of a killed one (chosen: one that goes on is written
+four times a second)"""
+
+_LOGGER = logging.getLogger("rejoint")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -178,6 +186,7 @@ def _once(
             f"that check in {home / CHECKS / head.arm}"
         )
     tolerance = head.tolerance_mm if head.tolerance_mm is not None or not mine else mine[-1].tolerance_mm
+    _keep_killed(home / CHECKS / head.arm)
     folder = home / CHECKS / head.arm / f"{head.time:%Y%m%dT%H%M%S}-{os.urandom(2).hex()}"
     with noted(), opened(robot, arm, len(mine) if seed is None else seed, period) as connection:
         log, warm = _drive(shown(live, connection), folder, on_progress)
@@ -205,7 +214,7 @@ def _drive(robot: Robot, folder: Path, on_progress: Progress) -> tuple[RunLog, A
         raise InputError(f"a check is of one arm, {robot.address} has {robot.count}; use `record_check` for a batch")
     folder.mkdir(parents=True, exist_ok=True)
     require_space(folder)
-    path, names = folder / f"{LABEL}.parquet", robot.arm.joint_names
+    path, names = folder / LOG, robot.arm.joint_names
     journal = Journal.begin(path, arm=robot.arm.name, joint_names=names, robot=robot.address, label=LABEL)
     try:
         ((log, warm),) = record_check(robot, on_cycle=journal.see, on_progress=on_progress)
@@ -215,6 +224,17 @@ def _drive(robot: Robot, folder: Path, on_progress: Progress) -> tuple[RunLog, A
         raise
     journal.finish(log)
     return log, warm
+
+
+def _keep_killed(place: Path) -> None:
+    """Make run logs of what killed checks of an arm recorded below ``place``; each check has a folder of its own."""
+    for folder in sorted(file.parent for file in place.glob(f"*/{journal_path(Path(LOG)).name}")):
+        try:
+            for log in recover(folder, quiet=QUIET):
+                _LOGGER.warning("A check that was cut short counts for nothing; what it recorded is kept: %s", log)
+            _remove_if_empty(folder)
+        except (FileError, OSError) as error:  # of somebody else, say: no reason to check nothing
+            _LOGGER.warning("A check was cut short, and nothing is made of what it recorded: %s", error)
 
 
 def _described(address: str, arm: Arm) -> str:

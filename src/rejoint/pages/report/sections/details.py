@@ -113,7 +113,8 @@ def commands(contents: Contents) -> dict[str, Command]:
     """Return the command line of every stage, with all that it takes to repeat what was done."""
     run = shlex.quote(str(contents.folder.path))
     info = contents.info
-    robot, seed = ("ROBOT", 0) if info is None else (shlex.quote(info.robot), info.seed)
+    address, seed = ("ROBOT", 0) if info is None else (info.robot, info.seed)
+    robot = shlex.quote(address)
     arm = "" if info is None or info.arm == DEFAULT_ARM else f" --arm {shlex.quote(_arm(contents))}"
     diagnose = f"rejoint diagnose {robot} --run {run}{arm} --seed {seed}"
     paper = recipe if (recipe := _recipe(contents)).startswith(" --preset") else ""
@@ -128,7 +129,9 @@ def commands(contents: Contents) -> dict[str, Command]:
         "diagnose": Command("Measure and judge the arm:", diagnose),
         "identify": Command("Fit the twin:", identify),
         "train": Command("Train the policy:", f"rejoint train {run}{recipe}"),
-        "calibrate": Command("Measure where the tool is:", f"rejoint calibrate {robot} {run}{_gauge(contents, robot)}"),
+        "calibrate": Command(
+            "Measure where the tool is:", f"rejoint calibrate {robot} {run}{_gauge(contents, address)}"
+        ),
         "compare": Command("Try every controller on the arm:", _compare(contents, robot, run)),
         "report": Command("Make this page again:", f"rejoint report {run}"),
     }

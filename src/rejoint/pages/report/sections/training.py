@@ -17,6 +17,7 @@ from rejoint.pages.report.figures import training_curves
 from rejoint.pages.report.gallery import Gallery
 from rejoint.pages.report.numerals import number
 from rejoint.pages.report.view import Part, Section
+from rejoint.pages.report.words import cycles
 from rejoint.system.errors import FileError, first_line
 
 KEY, SHORT, HEADING = "training", "Training", "Training of the policy"
@@ -89,13 +90,13 @@ def _curves(curves: Curves, pupils: str, gallery: Gallery) -> Part:
     outcome = f"{number(100 * success, 3, '%')} success and a median error of {number(error, 2, 'mm')}"
     picture = gallery.show(
         "training", figure,
-        alt=f"Reward, success rate and error over {number(curves.step[-1] / 1e6, 3)} million environment steps; "
+        alt=f"Reward, success rate and error over {cycles(curves.step[-1])}; "
         f"at the end: {outcome}.",
     )  # fmt: skip
     text = (
-        f"The policy learned by trial and error on randomised {pupils}: {number(curves.step[-1] / 1e6, 3)} million "
-        f"control cycles in {number(curves.wall_s[-1], 2, 's')}, without a motion of the arm. In training, with the "
-        f"noise of exploration, it ended at {outcome}."
+        f"The policy learned by trial and error on randomised {pupils}: {cycles(curves.step[-1])} in "
+        f"{number(curves.wall_s[-1], 2, 's')}, without a motion of the arm. In training, with the noise of "
+        f"exploration, it ended at {outcome}."
     )
     return Part(texts=(text,), figures=(picture,))
 

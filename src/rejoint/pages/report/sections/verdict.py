@@ -17,7 +17,7 @@ from rejoint.pages.report.numerals import UNKNOWN, interval, number
 from rejoint.pages.report.sections.diagnosed import error_range, mean_error
 from rejoint.pages.report.trust import answer
 from rejoint.pages.report.view import KeyNumber, Page, Section, Summary
-from rejoint.pages.report.words import day_and_time, listed, measured_with, plural, sentence
+from rejoint.pages.report.words import cycles, day_and_time, listed, measured_with, plural, sentence
 from rejoint.system.statistics import Spread, above_zero
 
 MM, PERCENT = 1e3, 1e2
@@ -207,8 +207,7 @@ def _done(contents: Contents) -> tuple[str, ...]:
     if contents.curves is not None:
         curves = contents.curves
         lines.append(
-            f"A policy was trained in simulation: {number(curves.step[-1] / 1e6, 2)} million control cycles in "
-            f"{number(curves.wall_s[-1], 2, 's')}."
+            f"A policy was trained in simulation: {cycles(curves.step[-1])} in {number(curves.wall_s[-1], 2, 's')}."
         )
     if contents.comparison is not None:
         comparison = contents.comparison
