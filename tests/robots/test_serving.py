@@ -131,6 +131,40 @@ def test_a_move_has_ended_once_the_tool_stays_near_or_comes_no_nearer() -> None:
         assert served.in_position(goal) == (off == 0.0)
 
 
+def test_a_stopped_arm_is_held_where_it_stands() -> None:
+    served, ends = ServedArm(ARM, ARM.rest), list[MoveEnd]()
+    served.on_arrival = ends.append
+    answers, _ = answering(served)
+    for lag in (0.02, 0.2):  # a worn arm is behind its reference
+        assert served.move_joints(served.destination + 0.4, 1.0)
+        position, clock = served.angles, 0.0 if served._time is None else served._time
+        for _ in range(8):
+            clock += 0.05
+            position = served.advance(state(clock, position)).posture[0] - lag
+        answers.answer(Frame(0x29))
+        stopped = clock
+        while served.moving:
+            clock += 0.05
+            wanted = served.advance(state(clock, position))
+        assert clock - stopped < 0.6
+        np.testing.assert_allclose(wanted.posture[0], position, atol=1e-9)
+        np.testing.assert_allclose(served.destination, position, atol=1e-9)
+    assert not ends, "it was sent nowhere"
+
+
+def test_an_arm_whose_client_goes_is_still_brought_to_the_end_of_its_way() -> None:
+    served = ServedArm(ARM, ARM.rest)
+    answers, _ = answering(served)
+    goal = ARM.rest + 0.1
+    assert served.move_joints(goal, 1.0)
+    clock = 0.0
+    while served.on_its_way:
+        clock += 0.05
+        served.advance(state(clock, ARM.rest))
+    assert answers.hold("the client is gone"), "its joints are not there yet"
+    np.testing.assert_allclose(served.advance(state(clock + 0.05, ARM.rest)).posture[0], goal, atol=1e-9)
+
+
 def test_orders_that_would_let_the_arm_fall_are_refused_and_said() -> None:
     answers, said = answering(ServedArm(ARM, ARM.rest))
     for command in REFUSED:

@@ -79,10 +79,15 @@ class Answering:
         )  # fmt: skip
 
     def hold(self, why: str) -> bool:
-        """Let the arm hold where it is, and return whether it was on its way; ``why`` is written."""
+        """Let the arm hold, and return whether it was on its way; ``why`` is written.
+
+        It holds where it is, or at the end of a way to which it is only brought nearer: a program that waits a few
+        seconds instead of asking has that from a new arm as well.
+        """
         with self._served.carrying_out():
             under_way = self._served.moving
-            self._served.stop()
+            if self._served.on_its_way:
+                self._served.stop()
         self._log.write("hold", why=why, on_its_way=under_way)
         return under_way
 

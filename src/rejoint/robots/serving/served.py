@@ -28,6 +28,8 @@ IN_PLACE = PostureGains.close
 """[m] of the tool within which a move has ended: where the controller lets the arm rest"""
 CALM = 0.3
 """[s] for which it has to stay there (chosen: longer than a worn joint rings)"""
+STANDS = 0.15
+"""[s] for which a stopped arm has to be slow before it is held where it is (chosen: as the posture's `calm`)"""
 PATIENCE = 8.0
 """[s] after the end of its way for which a move is brought nearer before it ends as near as it comes (chosen: worn
 joints stick for seconds)"""
@@ -74,7 +76,9 @@ class ServedArm(Mover):
         """when [s] the reference ended its way; None while it moves"""
         self._settled = True
         self._close_since: float | None = None
-        """when [s] the tool came within `IN_PLACE`; None where it is not"""
+        """when [s] the tool came within `IN_PLACE`, or a stopped arm became slow; None where it is not"""
+        self._stopped = False
+        """whether the move was stopped: it ends where the arm comes to stand"""
 
     @contextmanager
     def carrying_out(self) -> Iterator[None]:
@@ -124,6 +128,9 @@ class ServedArm(Mover):
             self._since = self._time
         if self._settled:
             return
+        if self._stopped:
+            self._judge_stopped(self._time)
+            return
         posture = self._wanted.posture[0]
         error = float(np.linalg.norm(tcp_position(self.arm, posture) - tcp_position(self.arm, self._position)))
         after = self._time - self._since
@@ -133,6 +140,20 @@ class ServedArm(Mover):
             self._settled, self._came = True, posture.copy()
             away = float(np.abs(posture - self._position).max())
             self.on_arrival(MoveEnd(error=error, angle=away, after=after))
+
+    def _judge_stopped(self, now: float) -> None:
+        """Let a stopped arm be held where it has come to stand: it was sent nowhere."""
+        slow = bool((np.abs(self._speed) < PostureGains.moving).all())
+        self._close_since = (self._close_since or now) if slow else None
+        if self._close_since is not None and now - self._close_since >= STANDS:
+            self._stay()
+            self._settled, self._came = True, self._position.copy()
+            self._wanted = Wanted(posture=self._came[None].copy(), arrived=np.ones(1, dtype=bool))
+
+    def _stay(self) -> None:
+        """Let the reference be where the arm is."""
+        for joint, angle in enumerate(np.clip(self.angles, self.lower, self.upper)):
+            self._motion.place(joint, float(angle))
 
     # --- what clients ask -------------------------------------------------------------------
 
@@ -181,6 +202,11 @@ class ServedArm(Mover):
         """Whether a move is under way, or the arm is still brought nearer to its end."""
         return not self.paused and (self._motion.moving or not self._settled)
 
+    @property
+    def on_its_way(self) -> bool:
+        """Whether the reference of a move has not come to its end."""
+        return self._motion.moving
+
     def in_position(self, angles: Array) -> bool:
         """Whether the arm is at ``angles`` (n,) [rad]; at the end of a move, once that has ended."""
         if not at_angles(self.planned_angles, angles):
@@ -200,8 +226,15 @@ class ServedArm(Mover):
     # --- what clients order -----------------------------------------------------------------
 
     def stop(self, joint: int | None = None) -> None:
-        """Hold where the reference is: one joint, or the arm."""
+        """Hold: one joint where the reference is, or the arm where it is itself, if it is on its way.
+
+        A worn arm is behind its reference, by centimetres where joints stick; to bring it there would take seconds.
+        """
+        under_way = self.on_its_way or not self._settled
         self._motion.hold(joint)
+        if joint is None and under_way:
+            self._stay()
+            self._since, self._settled, self._stopped = None, False, True
 
     def pause(self) -> None:
         """Hold where the reference is, to go on later."""
@@ -221,5 +254,5 @@ class ServedArm(Mover):
         """Do nothing: the zeros of the joints stay."""
 
     def _ready(self) -> bool:
-        self._settled, self._since = False, None
+        self._settled, self._since, self._stopped = False, None, False
         return True
