@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from rejoint.arms import frames, mycobot280, tcp_position
+from rejoint.control.controller import ControlInput
 from rejoint.control.guard import GuardLimits
 from rejoint.control.loop import Schedule, move, run
 from rejoint.control.posture import PostureController, PostureGains, Wanted, _without
@@ -76,16 +77,32 @@ def test_other_joints_bring_the_tool_to_its_place_where_one_is_weak() -> None:
     assert frames(ARM, goal).tcp_rotation.shape == (20, 3, 3)
 
 
+class Stay:
+    """The arms are to stay at rest."""
+
+    def advance(self, state: JointState) -> Wanted:
+        return Wanted(posture=ARM.rest[None], arrived=np.ones(len(state.time), dtype=bool))
+
+
+def told(position: np.ndarray, sent: np.ndarray, time: float = 0.0) -> ControlInput:
+    state = JointState(time=np.array([time]), position=position[None], age=np.zeros(1))
+    return ControlInput(state=state, target=np.full((1, 3), np.nan), sent=sent, since_target=np.array([time]))
+
+
 @pytest.mark.parametrize("offset", [0.0, 0.02])
 def test_it_begins_with_the_command_in_force(offset: float) -> None:
-    from rejoint.control.controller import ControlInput
-
-    class Stay:
-        def advance(self, state: JointState) -> Wanted:
-            return Wanted(posture=ARM.rest[None], arrived=np.ones(len(state.time), dtype=bool))
-
     sent = ARM.rest[None] + 0.05
-    state = JointState(time=np.zeros(1), position=ARM.rest[None], age=np.zeros(1))
-    inputs = ControlInput(state=state, target=np.full((1, 3), np.nan), sent=sent, since_target=np.zeros(1))
     controller = PostureController(ARM, Stay(), offset=offset, gains=dataclasses.replace(PostureGains(), push=0.0))
-    np.testing.assert_allclose(controller.command(inputs), sent, atol=1e-12)
+    np.testing.assert_allclose(controller.command(told(ARM.rest, sent)), sent, atol=1e-12)
+
+
+def test_nothing_winds_up_in_an_arm_that_rests() -> None:
+    controller, step = PostureController(ARM, Stay()), 0.05
+    position = ARM.rest - np.radians([0.0, 0.0, 0.0, 0.0, 0.0, 0.3])  # joint 6 turns the tool and hardly moves it
+    before = sent = ARM.rest[None]
+    for cycle in range(1200):  # a minute
+        before, sent = sent, controller.command(told(position, sent, cycle * step))
+    np.testing.assert_array_equal(sent, before, "it rests")
+    position = position + np.radians([1.0, 0.0, 0.0, 0.0, 0.0, 0.09])  # something moves the tool, and joint 6 a count
+    after = controller.command(told(position, sent, 1200 * step))
+    assert np.abs(after - sent)[0, 1:].max() < np.radians(1.0), np.degrees(after - sent).round(1)

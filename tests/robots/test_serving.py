@@ -13,9 +13,11 @@ import pytest
 from benchmarks.serve import ARM, abuse, check_log, connected, holds, play, read_times, served
 
 import rejoint
-from rejoint.arms import tcp_position
+from rejoint.arms import tcp_pose, tcp_position
+from rejoint.arms.wire.computer import COLLISION
 from rejoint.arms.wire.frames import Decoder, Frame, encode
-from rejoint.arms.wire.values import pack_angles
+from rejoint.arms.wire.values import pack_angles, pack_coords
+from rejoint.control.guard import GuardLimits
 from rejoint.control.robot import JointState
 from rejoint.robots.lab.plant.wear import load_wear
 from rejoint.robots.serving.answering import REFUSED, Answering
@@ -129,6 +131,71 @@ def test_a_move_has_ended_once_the_tool_stays_near_or_comes_no_nearer() -> None:
         distance = np.linalg.norm(tcp_position(ARM, goal) - tcp_position(ARM, goal + off))
         assert ends[0].error == pytest.approx(distance, abs=1e-9)
         assert served.in_position(goal) == (off == 0.0)
+
+
+def test_a_stopped_arm_is_held_where_it_stands() -> None:
+    served, ends = ServedArm(ARM, ARM.rest), list[MoveEnd]()
+    served.on_arrival = ends.append
+    answers, _ = answering(served)
+    for lag in (0.02, 0.2):  # a worn arm is behind its reference
+        assert served.move_joints(served.destination + 0.4, 1.0)
+        position, clock = served.angles, 0.0 if served._time is None else served._time
+        for _ in range(8):
+            clock += 0.05
+            position = served.advance(state(clock, position)).posture[0] - lag
+        answers.answer(Frame(0x29))
+        stopped = clock
+        while served.moving:
+            clock += 0.05
+            wanted = served.advance(state(clock, position))
+        assert clock - stopped < 0.6
+        np.testing.assert_allclose(wanted.posture[0], position, atol=1e-9)
+        np.testing.assert_allclose(served.destination, position, atol=1e-9)
+    assert not ends, "it was sent nowhere"
+
+
+def test_an_arm_whose_client_goes_is_still_brought_to_the_end_of_its_way() -> None:
+    served = ServedArm(ARM, ARM.rest)
+    answers, _ = answering(served)
+    goal = ARM.rest + 0.1
+    assert served.move_joints(goal, 1.0)
+    clock = 0.0
+    while served.on_its_way:
+        clock += 0.05
+        served.advance(state(clock, ARM.rest))
+    assert answers.hold("the client is gone"), "its joints are not there yet"
+    np.testing.assert_allclose(served.advance(state(clock + 0.05, ARM.rest)).posture[0], goal, atol=1e-9)
+
+
+def test_an_order_into_the_ground_is_refused_with_the_code_of_a_collision() -> None:
+    served = ServedArm(ARM, ARM.rest, limits=GuardLimits.of(ARM))
+    answers, said = answering(served)
+    low = tcp_pose(ARM, ARM.rest)
+    low[2, 3] = -0.02
+    for straight in (b"\x00", b"\x01"):
+        assert answers.answer(Frame(0x25, pack_coords(low) + b"\x32" + straight)) == Frame(0x25, b"\x00")
+        assert answers.answer(Frame(0x07)) == Frame(0x07, bytes([COLLISION]))
+        assert not served.on_its_way
+    assert said == ["Refused send_coords: the guard keeps the arm from there: it would touch the ground or itself "
+                    "(error 16)"]  # fmt: skip
+    assert answers.answer(Frame(0x22, pack_angles(ARM.rest + 0.1) + b"\x32")) == Frame(0x22, b"\x01")
+
+
+def test_a_move_that_the_guard_keeps_back_ends_where_the_arm_is_and_is_told() -> None:
+    served = ServedArm(ARM, ARM.rest)
+    answers, said = answering(served)
+    served.on_arrival = answers.arrived
+    here = ARM.rest + np.array([0.1, 0.0, 0.0, 0.0, 0.0, 0.0])  # it comes no farther
+    assert served.move_joints(ARM.rest + np.array([0.4, 0.0, 0.0, 0.0, 0.0, 0.0]), 1.0)
+    clock, served.held_back = 0.0, "collision"
+    while served.moving:
+        clock += 0.05
+        served.advance(state(clock, here))
+    np.testing.assert_allclose(served.destination, here, atol=1e-12)
+    np.testing.assert_allclose(served.advance(state(clock + 0.05, here)).posture[0], here, atol=1e-12)
+    assert len(said) == 1
+    assert said[0].startswith("A move ended")
+    assert said[0].endswith("from where it was sent: the guard kept it back (collision).")
 
 
 def test_orders_that_would_let_the_arm_fall_are_refused_and_said() -> None:

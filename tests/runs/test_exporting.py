@@ -100,6 +100,33 @@ def test_a_file_says_which_gains_the_servos_are_to_have(tmp_path: Path) -> None:
     assert "# The servos are to have the gains p 48/48/64/40/32, i 0.\n" in file.with_suffix(".yaml").read_text("utf-8")
 
 
+@pytest.mark.parametrize(
+    ("best", "has_policy", "written", "instead"),
+    [
+        ("policy", True, "policy", False), ("servo-gains+policy", True, "policy", False),
+        ("feedforward", True, "feedforward", False), ("shelf", True, "shelf policy", False),
+        ("predictive", True, "policy", True), ("integrator", False, "feedforward", True),
+        ("servo-gains+feedforward", False, "feedforward", True),
+    ],
+)  # fmt: skip
+def test_another_controller_than_the_recommended_one_is_never_written_in_silence(
+    best: str, has_policy: bool, written: str, instead: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    about = Run.create(tmp_path / "run", "emulated:worn", ARM, 0)
+    if has_policy:
+        write_policy(about.folder.policy, ARM)
+    monkeypatch.setattr("rejoint.runs.exporting.bundle.recommended", lambda run: best)  # noqa: ARG005
+    file, said = export_run(about, "onnx")
+    told = {prop.key: prop.value for prop in onnx.load(file).metadata_props}
+    assert told["rejoint.controller"] == written
+    assert f"The controller is the {written}" in said
+    folder, said_of_folder = export_run(about, "ros2")
+    sentence = f"This run recommends {best}, which cannot be written so; this is its {written} instead."
+    places = (said, said_of_folder, told.get("rejoint.instead", ""), file.with_suffix(".yaml").read_text("utf-8"),
+              (folder / "README.md").read_text("utf-8"))  # fmt: skip
+    assert [sentence in place for place in places] == [instead] * len(places)
+
+
 def test_a_file_says_what_it_is_and_what_is_not_in_it(tmp_path: Path) -> None:
     about = Run.create(tmp_path / "run", "emulated:worn", ARM, 0)
     write_policy(about.folder.policy, ARM)

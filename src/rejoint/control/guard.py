@@ -31,7 +31,18 @@ from rejoint.control.robot import JointState, Mask
 from rejoint.system.errors import InputError
 from rejoint.system.late import Late
 
-__all__ = ["RAMP", "TRIPS", "GuardLimits", "Guarded", "Reason", "Reasons", "guard", "reason_names", "warm_up"]
+__all__ = [
+    "RAMP",
+    "TRIPS",
+    "GuardLimits",
+    "Guarded",
+    "Reason",
+    "Reasons",
+    "clear_by",
+    "guard",
+    "reason_names",
+    "warm_up",
+]
 
 compiled = Late("rejoint.control.compiled")
 
@@ -170,12 +181,12 @@ def _keep_clear(limits: GuardLimits, command: Array, sent: Array) -> tuple[Array
     contact, may not go further, so every motion that lifts or frees it is free.
     """
     shortened = np.zeros((2, len(command)), dtype=bool)
-    clear = _clearances(limits, command)
+    clear = clear_by(limits, command)
     if not np.count_nonzero(clear < 0.0):
         return command, shortened
     index = np.flatnonzero(np.logical_or.reduce(clear < 0.0, axis=-1))
     start, way = sent[index], command[index] - sent[index]
-    on_way = _clearances(limits, start[:, None] + limits.shares * way[:, None])
+    on_way = clear_by(limits, start[:, None] + limits.shares * way[:, None])
     on_way[:, -1] = clear[index]  # of the command itself, without rounding
     nearer, why = command[index], np.zeros((2, len(index)), dtype=bool)
     compiled.shorten(nearer, why, start, way, plain(on_way), _TOLERANCE)
@@ -184,8 +195,8 @@ def _keep_clear(limits: GuardLimits, command: Array, sent: Array) -> tuple[Array
     return result, shortened
 
 
-def _clearances(limits: GuardLimits, q: Array) -> Array:
-    """Return what must not be below zero at ``q`` (..., n) [rad]: (..., n or more) [m].
+def clear_by(limits: GuardLimits, q: Array) -> Array:
+    """Return what the guard keeps from falling below zero at ``q`` (..., n) [rad]: (..., n or more) [m].
 
     These are the heights above their floors of all joint frames but the first, and of the TCP; then the distances
     between what can touch.

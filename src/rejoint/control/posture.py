@@ -115,12 +115,16 @@ class PostureController:
         goal = self._goal(wanted)
         error = np.where(self._weak, wanted.posture, goal) - state.position
         rests = self._at_rest(wanted)[:, None]
-        self._learn(error, moved, elapsed, wanted.arrived[:, None])
+        arrived = wanted.arrived[:, None]
+        added = self._learn(error, moved, elapsed, arrived)
         command = limit_position(self._arm, raised + self._learned)
         lead = np.where(self._weak, 1.25 * self._gains.weak, self._gains.lead)  # more would only heat it
         command = between(command, state.position - lead, state.position + lead)
         self._command = np.where(rests, self._command, command)
+        lost = raised + self._learned - self._command
         self._learned = self._command - raised  # nothing winds up beyond what can be sent
+        sent = between(added - lost, np.minimum(added, 0.0), np.maximum(added, 0.0))
+        self._pushed = np.where((moved == 0.0) & arrived, self._pushed + sent, 0.0)
         return self._command.copy()
 
     def _begin(self, inputs: ControlInput, raised: Array) -> None:
@@ -169,16 +173,16 @@ class PostureController:
         self._rests = stands & np.where(self._rests, distance < gains.again, distance < gains.close)
         return self._rests
 
-    def _learn(self, error: Array, moved: Array, elapsed: Array, arrived: Mask) -> None:
-        """Integrate the ``error`` (B, n) [rad] of joints that are not on their way."""
+    def _learn(self, error: Array, moved: Array, elapsed: Array, arrived: Mask) -> Array:
+        """Integrate the ``error`` (B, n) [rad] of joints that are not on their way; returns what was added."""
         gains, size = self._gains, np.abs(error)
         on_its_way = (np.abs(self._speed) > gains.moving) & (self._speed * error > 0.0)
         push = gains.push * np.sign(error) * ((size > gains.within) & arrived)
         added = elapsed * np.where(on_its_way, 0.0, gains.rate * error * size / (size + gains.fade) + push)
         loose = (moved != 0.0) & arrived & (self._pushed * moved > 0.0)
         taken = np.where(loose, gains.taken_back * self._pushed, 0.0)
-        self._pushed = np.where(moved != 0.0, 0.0, self._pushed + added)
         self._learned = self._learned + added - taken
+        return added
 
 
 def _without(arm: Arm, posture: Array, position: Array, weak: Mask, turn: float) -> Array:

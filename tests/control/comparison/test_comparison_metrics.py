@@ -227,6 +227,11 @@ def test_targets_out_of_reach_are_named_by_number_and_set():
     targets[1, 2] = [0.9, 0.0, 0.2]
     with pytest.raises(InputError, match=r"targets: number 3 of set 2: \(900, 0, 200\) mm is out of reach, \d+ mm"):
         require_reachable(ARM, targets)
+    targets[1, 2] = [0.15, 0.0, -0.05]
+    with pytest.raises(
+        InputError, match=r"targets: number 3 of set 2: \(150, 0, -50\) mm is lower than 20 mm, where the"
+    ):
+        require_reachable(ARM, targets)
     targets[1, 2] = np.nan
     with pytest.raises(InputError, match="finite"):
         require_reachable(ARM, targets)

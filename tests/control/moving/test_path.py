@@ -64,6 +64,11 @@ def test_out_of_reach_and_too_fast_are_refused_with_where():
     far = Path(time=np.array([0.0, 2.0, 4.0]), place=np.array([[0.18, 0, 0.2], [0.6, 0, 0.2], [0.18, 0, 0.2]]))
     with pytest.raises(InputError, match=r"at 1\.98 s \(600, .* is out of reach, \d+ mm too far"):
         far.require_followable(ARM)
+    low = Path(time=np.array([0.0, 2.0, 4.0]), place=np.array([[0.18, 0, 0.1], [0.18, 0, 0.01], [0.18, 0, 0.1]]))
+    with pytest.raises(
+        InputError, match=r"at \d\.\d\d s \(180, 0, 10\) mm is lower than 20 mm, where the guard keeps the tool"
+    ):
+        low.require_followable(ARM)
     metres = Path(time=np.array([0.0, 2.0]), place=np.array([[0.18e-3, 0, 0.2e-3], [0.19e-3, 0, 0.2e-3]]))
     with pytest.raises(InputError, match="they look like metres, and millimetres are expected"):
         metres.require_followable(ARM)

@@ -16,7 +16,9 @@ ACCELERATION = float(np.radians(200.0))
 
 NO_SOLUTION = 32
 NO_LINE = 33
-"""Error codes of the vendor's ``get_error_information``; 1..6 name the joint over its limit."""
+COLLISION = 16
+"""Error codes of the vendor's ``get_error_information``; 1..6 name the joint over its limit. 16 to 19 are its collision
+protection, of which the first stands for all that the guard keeps clear of"""
 
 HAS_ARRIVED_ANGLE = float(np.radians(1.0))
 HAS_ARRIVED_LENGTH = 0.003

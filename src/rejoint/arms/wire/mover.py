@@ -48,7 +48,7 @@ class Mover:
         if beyond.any():
             self.error = int(np.argmax(beyond)) + 1
             return False
-        if not self._ready():
+        if not self._is_clear(angles) or not self._ready():
             return False
         if not self.fresh:
             return self._take(joint_path(self.destination, angles, FULL_SPEED), rate, replace=False)
@@ -68,6 +68,8 @@ class Mover:
         path, complete = line_path(self.arm, start, pose, FULL_SPEED)
         if not complete or not self._within_limits(path):
             self.error = NO_LINE
+            return False
+        if not self._is_clear(path.points[-1]):
             return False
         return self._ready() and self._take(path, rate, replace=self.fresh)
 
@@ -93,6 +95,10 @@ class Mover:
     def clear_queue(self) -> None:
         """Forget the waiting moves."""
         self._motion.clear_queue()
+
+    def _is_clear(self, angles: Array) -> bool:  # noqa: ARG002 - the vendor's computer does not look
+        """Whether nothing is touched at ``angles`` (n,) [rad]; else an error code."""
+        return True
 
     def _ready(self) -> bool:
         """Whether a move may start."""

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, solve_position, tcp_position
 from rejoint.arms.orientation import Orientation
@@ -81,7 +82,7 @@ def parsed(path: Path, number: int, line: list[str], make: Callable[[list[str]],
 
 
 def require_reachable(arm: Arm, targets: Array, turns: Orientation | None = None) -> None:
-    """Raise InputError for targets (S, K, 3) [m] that are no numbers or out of the arm's reach, and name them.
+    """Raise InputError for targets (S, K, 3) [m] that are no numbers, out of the arm's reach or too low, and name them.
 
     So are those where the tool cannot be turned as in ``turns`` (S, K).
     """
@@ -93,6 +94,9 @@ def require_reachable(arm: Arm, targets: Array, turns: Orientation | None = None
     far = _out_of_reach(names, points, beyond_reach(arm, points))
     if far:
         raise InputError(f"targets: {far}; give places, in metres, that the tool can reach")
+    low = np.flatnonzero(too_low(arm, points))
+    if len(low):
+        raise InputError(f"targets: {names[low[0]]}: {_point(points[low[0]])} {lowest(arm)}; give higher places")
     askew = "" if turns is None else _not_turned(arm, names, points, turns.flat)
     if askew:
         raise InputError(f"targets: {askew}")
@@ -112,6 +116,17 @@ def beyond_reach(arm: Arm, targets: Array) -> Array:
         again = solve_position(arm, targets[missed, None], starts, rest_gain=0.0).error.min(axis=1)
         beyond[missed] = np.minimum.reduce([beyond[missed], apart.min(axis=1), again])
     return np.where(beyond > _REACHED, beyond, 0.0)
+
+
+def too_low(arm: Arm, places: Array) -> NDArray[np.bool_]:
+    """Whether places (...) of (..., 3) [m] are below the lowest height to which the guard lets the tool come."""
+    low: NDArray[np.bool_] = places[..., 2] < arm.floor
+    return low
+
+
+def lowest(arm: Arm) -> str:
+    """Return what to say of a place that is too low."""
+    return f"is lower than {1e3 * arm.floor:g} mm, where the guard keeps the tool from the ground"
 
 
 def unit_hint(places: Array) -> str:

@@ -14,7 +14,7 @@ from rejoint.arms import Arm, Array
 from rejoint.arms.orientation import WEIGHT, Orientation, tool_axis
 from rejoint.arms.posing import NEAR, TURNED, missed_pose
 from rejoint.arms.rotations import quaternion_of, same_side
-from rejoint.control.comparison.targets import beyond_reach, parsed, unit_hint
+from rejoint.control.comparison.targets import beyond_reach, lowest, parsed, too_low, unit_hint
 from rejoint.control.moving.posture import PathPostures
 from rejoint.control.poses import PLACE, Pose, columns, in_words, turned_as, unknown_header
 from rejoint.system.errors import FileError, InputError
@@ -155,6 +155,9 @@ class Path:
                 f"path: at {times[k]:.2f} s {_point(places[k])} is out of reach, {1e3 * beyond[k]:.0f} mm too far;"
                 f"{unit_hint(self.place)} give places that the tool can reach"
             )
+        if too_low(arm, places).any():
+            k = int(places[:, 2].argmin())
+            raise InputError(f"path: at {times[k]:.2f} s {_point(places[k])} {lowest(arm)}; lead it higher")
         turns = self.turn_at(times)
         begin = PathPostures(arm, places[:1], turns and turns[:1])
         postures = begin.along(places[:, None], turns and turns[:, None])[:, 0]

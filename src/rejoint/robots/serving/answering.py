@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable
 
 from rejoint.arms.wire.commands import answer
-from rejoint.arms.wire.computer import NO_LINE, NO_SOLUTION
+from rejoint.arms.wire.computer import COLLISION, HAS_ARRIVED_LENGTH, NO_LINE, NO_SOLUTION
 from rejoint.arms.wire.frames import Frame
 from rejoint.arms.wire.orders import ORDERS, SWITCHES
 from rejoint.arms.wire.states import flag
@@ -76,23 +76,37 @@ class Answering:
         self._log.write(
             "arrival", number=self._number, error_mm=round(1e3 * arrival.error, 3),
             farthest_joint_rad=round(arrival.angle, 5), after_s=round(arrival.after, 3),
+            **({"held_back": arrival.held_back} if arrival.held_back else {}),
         )  # fmt: skip
+        if arrival.error > HAS_ARRIVED_LENGTH:
+            cause = f"the guard kept it back ({arrival.held_back})" if arrival.held_back else "it came no nearer"
+            self._say_again(cause, f"A move ended {1e3 * arrival.error:.0f} mm from where it was sent: {cause}.")
 
     def hold(self, why: str) -> bool:
-        """Let the arm hold where it is, and return whether it was on its way; ``why`` is written."""
+        """Let the arm hold, and return whether it was on its way; ``why`` is written.
+
+        It holds where it is, or at the end of a way to which it is only brought nearer: a program that waits a few
+        seconds instead of asking has that from a new arm as well.
+        """
         with self._served.carrying_out():
             under_way = self._served.moving
-            self._served.stop()
+            if self._served.on_its_way:
+                self._served.stop()
         self._log.write("hold", why=why, on_its_way=under_way)
         return under_way
 
     def _refuse(self, request: Frame, why: str) -> Frame:
         self._log.ordered(request.command, request.payload, done=False, why=why)
-        line, now = f"Refused {NAMES.get(request.command, hex(request.command))}: {why}", time.monotonic()
-        if now - self._said.get(line, -AGAIN) >= AGAIN:
-            self._said[line] = now
-            self._say(line)
+        line = f"Refused {NAMES.get(request.command, hex(request.command))}: {why}"
+        self._say_again(line, line)
         return Frame(request.command, flag(False))
+
+    def _say_again(self, about: str, line: str) -> None:
+        """Say a line, unless one ``about`` the same was said just now."""
+        now = time.monotonic()
+        if now - self._said.get(about, -AGAIN) >= AGAIN:
+            self._said[about] = now
+            self._say(line)
 
     def _pass_on(self, request: Frame) -> Frame | None:
         found = self._relay.ask(request.command, request.payload)
@@ -108,6 +122,8 @@ def _reason(error: int) -> str:
     """Tell in words what an error code of the vendor means."""
     if error == NO_SOLUTION:
         return "no posture of the arm brings the tool there (error 32)"
+    if error == COLLISION:
+        return f"the guard keeps the arm from there: it would touch the ground or itself (error {COLLISION})"
     if error == NO_LINE:
         return "the arm cannot follow a straight line there (error 33)"
     if 1 <= error <= 6:

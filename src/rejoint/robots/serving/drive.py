@@ -10,7 +10,7 @@ import numpy as np
 
 from rejoint.arms import Array, tcp_position
 from rejoint.control.controller import ControlInput
-from rejoint.control.guard import GuardLimits
+from rejoint.control.guard import GuardLimits, Reason, reason_names
 from rejoint.control.loop import Schedule, run
 from rejoint.control.posture import PostureController, Wanted
 from rejoint.control.recording import PIECE, Cycle, Recording, recording_of
@@ -20,6 +20,9 @@ from rejoint.robots.serving.served import ServedArm
 
 LONGEST_PIECE = 3.0 * PIECE
 """[s] after which a piece of the motion is written as a run log, whether the arm rests or not (chosen, as `PIECE`)"""
+
+OBSTACLES = np.uint16(Reason.FLOOR | Reason.COLLISION | Reason.POSITION)
+"""What the guard keeps an arm from for good, other than a speed"""
 
 
 class MotionLog(Protocol):
@@ -87,6 +90,7 @@ class ServedDrive:
     def _piece(self, sent: Array, log: MotionLog, places: list[Array]) -> Recording:
         def watch(cycle: Cycle) -> None:
             places.append(self.way.place)
+            self.served.held_back = " and ".join(reason_names(cycle.reasons[0] & OBSTACLES))
             log.see(cycle._replace(target=self.way.place[None]))
             self.relay.serve()
 

@@ -18,8 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, tcp_pose, tcp_position
-from rejoint.arms.wire.computer import HAS_ARRIVED_LENGTH, at_angles, at_place
+from rejoint.arms.wire.computer import COLLISION, HAS_ARRIVED_LENGTH, at_angles, at_place
 from rejoint.arms.wire.mover import Mover
+from rejoint.control.guard import GuardLimits, clear_by
 from rejoint.control.posture import PostureGains, Wanted
 from rejoint.control.robot import JointState, Mask
 from rejoint.robots.serving.apparent import Apparent
@@ -28,11 +29,15 @@ IN_PLACE = PostureGains.close
 """[m] of the tool within which a move has ended: where the controller lets the arm rest"""
 CALM = 0.3
 """[s] for which it has to stay there (chosen: longer than a worn joint rings)"""
+STANDS = 0.15
+"""[s] for which a stopped arm has to be slow before it is held where it is (chosen: as the posture's `calm`)"""
 PATIENCE = 8.0
 """[s] after the end of its way for which a move is brought nearer before it ends as near as it comes (chosen: worn
 joints stick for seconds)"""
 LONGEST = 0.1
 """[s] by which the reference goes on in one cycle at most (chosen: the guard's longest period; it waits for the arm)"""
+TOUCH = 1e-6
+"""[m] that a goal may be lower than what it is compared with: rounding (chosen)"""
 LOST = 1.0
 """[s] without an answer of the robot after which its state is told no more (chosen: five periods of a slow wire)"""
 _SMOOTHING = 0.5  # share of the newest difference in the speed that is told (chosen)
@@ -48,12 +53,18 @@ class MoveEnd:
     """[rad] of the joint that is farthest away"""
     after: float
     """[s] from the end of the planned way"""
+    held_back: str = ""
+    """what the guard kept it from, in words; empty where it did not"""
 
 
 class ServedArm(Mover):
     """One arm of n joints at rest at ``position`` (n,) [rad]."""
 
-    def __init__(self, arm: Arm, position: Array, *, apparent: Apparent | None = None) -> None:
+    def __init__(
+        self, arm: Arm, position: Array, *, apparent: Apparent | None = None, limits: GuardLimits | None = None
+    ) -> None:
+        """With the ``limits`` of the guard, orders to places that it keeps clear of are refused."""
+        self._limits = limits
         self._apparent = apparent or Apparent(arm=arm)
         super().__init__(arm, self._apparent.shown(position, position))
         self._lock = threading.RLock()
@@ -62,6 +73,8 @@ class ServedArm(Mover):
         self.registers: dict[tuple[int, int], int] = {}
         self.on_arrival: Callable[[MoveEnd], object] = lambda _: None
         """is told how each move ended"""
+        self.held_back = ""
+        """what the guard keeps the arm from now, in words; the control loop tells"""
         self._time: float | None = None
         self._seen = time.monotonic()
         self._position = position.copy()
@@ -74,7 +87,9 @@ class ServedArm(Mover):
         """when [s] the reference ended its way; None while it moves"""
         self._settled = True
         self._close_since: float | None = None
-        """when [s] the tool came within `IN_PLACE`; None where it is not"""
+        """when [s] the tool came within `IN_PLACE`, or a stopped arm became slow; None where it is not"""
+        self._stopped = False
+        """whether the move was stopped: it ends where the arm comes to stand"""
 
     @contextmanager
     def carrying_out(self) -> Iterator[None]:
@@ -124,6 +139,9 @@ class ServedArm(Mover):
             self._since = self._time
         if self._settled:
             return
+        if self._stopped:
+            self._judge_stopped(self._time)
+            return
         posture = self._wanted.posture[0]
         error = float(np.linalg.norm(tcp_position(self.arm, posture) - tcp_position(self.arm, self._position)))
         after = self._time - self._since
@@ -132,7 +150,29 @@ class ServedArm(Mover):
         if calm or after > PATIENCE:
             self._settled, self._came = True, posture.copy()
             away = float(np.abs(posture - self._position).max())
-            self.on_arrival(MoveEnd(error=error, angle=away, after=after))
+            held_back = self.held_back if error > HAS_ARRIVED_LENGTH else ""
+            if held_back:  # what is ordered next begins where the arm is, not where it will never come
+                self._stay()
+                self._hold_here()
+            self.on_arrival(MoveEnd(error=error, angle=away, after=after, held_back=held_back))
+
+    def _judge_stopped(self, now: float) -> None:
+        """Let a stopped arm be held where it has come to stand: it was sent nowhere."""
+        slow = bool((np.abs(self._speed) < PostureGains.moving).all())
+        self._close_since = (self._close_since or now) if slow else None
+        if self._close_since is not None and now - self._close_since >= STANDS:
+            self._stay()
+            self._hold_here()
+            self._settled = True
+
+    def _hold_here(self) -> None:
+        self._came = self._position.copy()
+        self._wanted = Wanted(posture=self._came[None].copy(), arrived=np.ones(1, dtype=bool))
+
+    def _stay(self) -> None:
+        """Let the reference be where the arm is."""
+        for joint, angle in enumerate(np.clip(self.angles, self.lower, self.upper)):
+            self._motion.place(joint, float(angle))
 
     # --- what clients ask -------------------------------------------------------------------
 
@@ -181,6 +221,11 @@ class ServedArm(Mover):
         """Whether a move is under way, or the arm is still brought nearer to its end."""
         return not self.paused and (self._motion.moving or not self._settled)
 
+    @property
+    def on_its_way(self) -> bool:
+        """Whether the reference of a move has not come to its end."""
+        return self._motion.moving
+
     def in_position(self, angles: Array) -> bool:
         """Whether the arm is at ``angles`` (n,) [rad]; at the end of a move, once that has ended."""
         if not at_angles(self.planned_angles, angles):
@@ -200,8 +245,15 @@ class ServedArm(Mover):
     # --- what clients order -----------------------------------------------------------------
 
     def stop(self, joint: int | None = None) -> None:
-        """Hold where the reference is: one joint, or the arm."""
+        """Hold: one joint where the reference is, or the arm where it is itself, if it is on its way.
+
+        A worn arm is behind its reference, by centimetres where joints stick; to bring it there would take seconds.
+        """
+        under_way = self.on_its_way or not self._settled
         self._motion.hold(joint)
+        if joint is None and under_way:
+            self._stay()
+            self._since, self._settled, self._stopped = None, False, True
 
     def pause(self) -> None:
         """Hold where the reference is, to go on later."""
@@ -220,6 +272,17 @@ class ServedArm(Mover):
     def calibrate(self, joint: int) -> None:
         """Do nothing: the zeros of the joints stay."""
 
+    def _is_clear(self, angles: Array) -> bool:
+        """Whether the guard lets the arm go to ``angles`` (n,) [rad], or at least nearer to what is clear."""
+        if self._limits is None:
+            return True
+        goal, here = (self._apparent.measured(one, self._came) for one in (angles, self.planned_angles))
+        clear = clear_by(self._limits, np.stack([goal, here]))
+        if (clear[0] >= np.minimum(clear[1], 0.0) - TOUCH).all():
+            return True
+        self.error = COLLISION
+        return False
+
     def _ready(self) -> bool:
-        self._settled, self._since = False, None
+        self._settled, self._since, self._stopped = False, None, False
         return True

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,9 +15,11 @@ from rejoint.arms.size import torque_size
 from rejoint.control.catalogue import POLICY
 from rejoint.control.contract import check_contract
 from rejoint.control.feedforward import NOMINAL_STIFFNESS, FeedforwardController
+from rejoint.control.geared import inner_name
 from rejoint.control.law import STEP_LIMIT
 from rejoint.control.residual import CommandLaw
 from rejoint.control.servogains import in_words
+from rejoint.control.shelf import SHELF, shelf_policy
 from rejoint.runs.given import as_policy
 from rejoint.runs.run import Run
 from rejoint.runs.stages.driving import recommended
@@ -26,6 +29,7 @@ from rejoint.system.files import write_whole
 from rejoint.system.version import __version__
 
 if TYPE_CHECKING:
+    from rejoint.control.policy import Policy
     from rejoint.runs.exporting.controllergraph import Design
 
 OUTSIDE = (
@@ -40,28 +44,46 @@ _PERIODS = (0.018, 0.055)
 
 
 def design_of(run: Run) -> Design:
-    """Return what to write of a run: the controller that it recommends, if that is its policy or the feed-forward.
+    """Return what to write of a run: the controller that it recommends, if that is a policy or the feed-forward.
 
-    Where it recommends another one, its policy is written if it has one, else the feed-forward. InputError for
-    policies that were trained in the manner of the paper.
+    Where it recommends another one, its policy is written if it has one, else the feed-forward, and the design says so.
+    InputError for policies that were trained in the manner of the paper.
     """
+    best = recommended(run)
+    if best == SHELF:
+        return _of_policy(run, shelf_policy(run.arm), f"{SHELF} policy")
+    if best != FeedforwardController.name and run.folder.policy.exists():
+        design = _of_policy(run, as_policy(run.folder.policy), POLICY)
+    else:
+        design = _of_feedforward(run)
+    written = inner_name(best) if design.name == POLICY else best  # a policy says which gains it is for
+    if written == design.name:
+        return design
+    return replace(
+        design, instead=f"This run recommends {best}, which cannot be written so; this is its {design.name} instead."
+    )
+
+
+def _of_feedforward(run: Run) -> Design:
     from rejoint.runs.exporting.controllergraph import Design
 
     arm, twin = run.arm, run.twin
-    damping = () if twin is None else tuple(float(value) for value in twin.parameters.damping)
-    if not run.folder.policy.exists() or recommended(run) == FeedforwardController.name:
-        stiffness = np.full(arm.joints, NOMINAL_STIFFNESS * torque_size(arm))
-        known = stiffness if twin is None else twin.parameters.stiffness
-        law = CommandLaw(
-            anchor="goal", stiffness=tuple(float(value) for value in known), step_limit=float(STEP_LIMIT),
-            authority_floor=0.0, authority_slope=0.0, load_penalty=0.0, envelope_margin=2.0 * np.pi,
-        )  # fmt: skip
-        return Design(
-            arm=arm, law=law, network=None, name=FeedforwardController.name, damping=damping, periods=_PERIODS
-        )
-    policy = as_policy(run.folder.policy)
+    stiffness = np.full(arm.joints, NOMINAL_STIFFNESS * torque_size(arm))
+    known = stiffness if twin is None else twin.parameters.stiffness
+    law = CommandLaw(
+        anchor="goal", stiffness=tuple(float(value) for value in known), step_limit=float(STEP_LIMIT),
+        authority_floor=0.0, authority_slope=0.0, load_penalty=0.0, envelope_margin=2.0 * np.pi,
+    )  # fmt: skip
+    return Design(
+        arm=arm, law=law, network=None, name=FeedforwardController.name, damping=_damping(run), periods=_PERIODS
+    )
+
+
+def _of_policy(run: Run, policy: Policy, name: str) -> Design:
+    from rejoint.runs.exporting.controllergraph import Design
+
     contract = policy.contract
-    check_contract(contract, arm)
+    check_contract(contract, run.arm)
     if contract.law.anchor != "goal" or contract.layout != "residual":
         raise InputError(
             f"{run.folder.policy}: a law of the anchor {contract.law.anchor!r} and the layout {contract.layout!r}, "
@@ -70,8 +92,18 @@ def design_of(run: Run) -> Design:
     periods = contract.min_period, contract.max_period
     gains = "" if contract.servo_gains is None else in_words(contract.servo_gains)
     return Design(
-        arm=arm, law=contract.law, network=policy.content, name=POLICY, damping=damping, periods=periods, gains=gains
-    )
+        arm=run.arm, law=contract.law, network=policy.content, name=name, damping=_damping(run), periods=periods,
+        gains=gains,
+    )  # fmt: skip
+
+
+def _damping(run: Run) -> tuple[float, ...]:
+    return () if run.twin is None else tuple(float(value) for value in run.twin.parameters.damping)
+
+
+def told(design: Design) -> str:
+    """Return what whoever runs the file must know: what it is instead of, and what is not in it."""
+    return f"{design.instead} {OUTSIDE}".strip()
 
 
 def write_controller(run: Run, out: Path) -> Design:
@@ -121,6 +153,7 @@ def metadata(design: Design) -> dict[str, str]:
             "state_out before it goes back as state_in"
         ),
         **({"rejoint.servo_gains": design.gains} if design.gains else {}),
+        **({"rejoint.instead": design.instead} if design.instead else {}),
         "rejoint.not_inside": OUTSIDE,
         "rejoint.software": __version__,
     }
@@ -150,7 +183,7 @@ def leapp_text(design: Design, file: str, data: bytes) -> str:
         "sha256sum": hashlib.sha256(data).hexdigest(), "backend": "onnx", "warp_segments": 0,
     }  # fmt: skip
     assert len(slots) == size  # noqa: S101 - written by the same table
-    about = f"# {OUTSIDE}"
+    about = f"# {told(design)}"
     if design.gains:
         about += f"\n# The servos are to have the gains {design.gains}."
     return f"""{about}

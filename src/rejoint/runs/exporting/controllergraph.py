@@ -65,6 +65,8 @@ class Design:
     """[s] shortest and longest control period that it is for"""
     gains: str = ""
     """in words, of the servos' own loops that it was trained for; empty where they are not known"""
+    instead: str = ""
+    """a sentence, where the run recommends another controller, which cannot be written; else empty"""
 
 
 def controller_graph(design: Design) -> onnx.ModelProto:

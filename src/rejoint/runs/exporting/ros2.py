@@ -4,13 +4,17 @@ from __future__ import annotations
 
 from importlib.resources import files
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from rejoint.arms.urdf import at_targets, unit_arm, write_urdf
-from rejoint.runs.exporting.bundle import OUTSIDE, package_name, usual_period, write_controller
+from rejoint.runs.exporting.bundle import package_name, told, usual_period, write_controller
 from rejoint.runs.given import as_calibration
 from rejoint.runs.run import Run
 from rejoint.system.files import write_whole
 from rejoint.system.version import __version__
+
+if TYPE_CHECKING:
+    from rejoint.runs.exporting.controllergraph import Design
 
 _TEMPLATES = files("rejoint.runs.exporting") / "ros2_files"
 
@@ -23,8 +27,8 @@ _FILES = {
 """Templates, and where they go"""
 
 
-def write_package(run: Run, folder: Path) -> Path:
-    """Write the package into ``folder``; returns it. Words between @ are filled in."""
+def write_package(run: Run, folder: Path) -> Design:
+    """Write the package into ``folder``; returns what is in it. Words between @ are filled in."""
     package = package_name(run.arm)
     inside = folder / package
     inside.mkdir(parents=True, exist_ok=True)
@@ -33,7 +37,7 @@ def write_package(run: Run, folder: Path) -> Path:
     words = {
         "PACKAGE": package, "VERSION": __version__.split("+")[0], "ARM": run.arm.name, "CONTROLLER": design.name,
         "JOINTS": ", ".join(run.arm.joint_names), "PERIOD": f"{usual_period(design):.4f}", "LOW": f"{low:g}",
-        "HIGH": f"{high:g}", "OUTSIDE": OUTSIDE,
+        "HIGH": f"{high:g}", "OUTSIDE": told(design),
     }  # fmt: skip
     for template, place in _FILES.items():
         text = (_TEMPLATES / template).read_text(encoding="utf-8")
@@ -48,7 +52,7 @@ def write_package(run: Run, folder: Path) -> Path:
         write_urdf(
             folder / "urdf" / f"{run.arm.name}.urdf", unit, "This unit: the corrections are in the joint origins."
         )
-    return folder
+    return design
 
 
 def _write(path: Path, text: str) -> None:

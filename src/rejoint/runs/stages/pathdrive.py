@@ -6,7 +6,7 @@ each bring a `Carrier`.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, Protocol, TypeAlias
@@ -142,7 +142,13 @@ def as_path(given: PathLike, arm: Arm, seed: int) -> Path:
         return standard_path(given, arm, seed)
     if isinstance(given, str | FilePath):
         return read_path(FilePath(given))
-    points = as_floats("path", given, "a Path, a file, or points (K, 4) of time [s] and x, y, z [m]")
+    expected = "a Path, a file, or points (K, 4) of time [s] and x, y, z [m]"
+    if isinstance(given, Iterator):
+        raise InputError(
+            f"path: expected {expected}, found a generator; make an array of all its points, or put them into a "
+            "rejoint.Stream as they come"
+        )
+    points = as_floats("path", given, expected)
     if points.ndim != 2 or points.shape[-1] != 4:
         raise InputError(f"path: an array of shape {points.shape}, expected (points, 4): time [s] and x, y, z [m]")
     return Path(time=points[:, 0], place=points[:, 1:])

@@ -187,7 +187,7 @@ def _put_together(
 ) -> tuple[ServedDrive, WireServer]:  # fmt: skip
     """Put control loop and server together around one served arm."""
     relay = Relay(getattr(robot, "relay", None))
-    served = ServedArm(arm, arm.rest, apparent=Apparent(arm=arm, shift=shift))
+    served = ServedArm(arm, arm.rest, apparent=Apparent(arm=arm, shift=shift), limits=limits)
     answering = Answering(served, log, relay, say)
     served.on_arrival = answering.arrived
     server = pty_wire(answering, say) if listener is None else tcp_wire(answering, listener, say)
