@@ -119,6 +119,61 @@ def test_the_error_names_joint_and_cause_and_the_joint_goes_back_to_its_balance(
     )
 
 
+class Standing(EmulatedRobot):
+    """An arm whose joint 2 stands, by what it tells, from each of ``times`` [s] until it is led back, or for ever."""
+
+    times, alive, flicker, told, sent = (), True, 0.0, None, 0.0
+
+    def step(self, command, active=None):
+        state, back = super().step(command, active), command[0, 1] - self.sent
+        self.sent = command[0, 1]
+        if self.told is None and self.times and state.time[0] >= self.times[0]:
+            self.told, self.times = state.position[0, 1], self.times[1:]
+        if self.told is not None and self.alive and back > np.radians(1.0):
+            self.told = None  # it had broken loose just before
+        position = state.position.copy()
+        if self.told is not None:
+            position[0, 1] = self.told + self.flicker * (round(state.time[0] / 0.1) % 2)
+        return replace(state, position=position, load=None)
+
+
+BANDS = Bands(slope=np.zeros(6), offset=np.zeros(6), reach=np.full(6, 1.0), width=np.full(6, np.radians(1.0)))
+
+
+def away(time):
+    return REST + np.minimum(0.5 * time, 3.0)[:, None] * np.array([0.0, -0.2, 0.0, 0.0, 0.0, 0.0])
+
+
+def stood(*times, alive=True, flicker=0.0):
+    robot = Standing(ARM, [load_wear("healthy", ARM)], seed=1)
+    robot.times, robot.alive, robot.flicker = times, alive, flicker
+    return play(robot, away, 8.0, limits=replace(LIMITS, bands=BANDS))
+
+
+def test_a_joint_that_broke_loose_while_it_was_led_back_goes_on():
+    recording = stood(1.0)
+    assert (recording.tripped == 0).all()
+    doubted = np.flatnonzero(recording.reasons[:, 0] & Reason.NOT_FOLLOWING)
+    gone_on = np.flatnonzero(recording.reasons[:, 0] & Reason.GAP)
+    assert len(gone_on) == 1
+    assert doubted[0] < gone_on[0]
+    assert (np.diff(recording.time[:, 0]) > 0.0).all()
+    after = recording.command[gone_on[0] + 1 :, 0, 1]
+    speed = np.abs(np.diff(after)) / np.diff(recording.time[gone_on[0] + 1 :, 0])
+    assert speed.max() < 0.3 * ARM.max_speed[1], "slowly, and nothing is caught up with"
+    assert after[-1] < recording.command[doubted[0], 0, 1] - np.radians(2.0), "it goes on where it was going"
+
+
+def test_a_reading_that_stays_or_flickers_or_stands_again_and_again_is_not_believed():
+    for flicker in (0.0, ARM.encoder_step):
+        with pytest.raises(GuardTripError, match="not following"):
+            stood(1.0, alive=False, flicker=flicker)
+    with pytest.raises(GuardTripError, match="not following") as caught:
+        stood(1.0, 3.0, 5.0)
+    recording = recording_of(caught.value)
+    assert np.count_nonzero(recording.reasons[:, 0] & Reason.GAP) == 2
+
+
 def test_without_load_a_frozen_encoder_that_never_moved_carries_the_tool_no_farther_than_its_bound():
     count = 10
     robot = Breaking(ARM, worn(count, kind="healthy"), seed=2, tells_load=False)

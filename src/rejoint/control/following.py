@@ -234,6 +234,27 @@ class Following:
         reach = TRAVEL / self._levers(position)
         return np.where(far, np.minimum(np.maximum(wanted, held - reach), held + reach), wanted)
 
+    def onward(self, way: Array) -> Array:
+        """How far (B, n) [rad] joints that were gone by ``way`` (B, n) [rad] went where their commands had gone."""
+        return way * np.sign(self._tracks["travel"])
+
+    def believe(self, state: JointState, sent: Array, joints: Mask) -> None:
+        """Believe ``joints`` (B, n) again that stood and broke loose; ``sent`` (B, n) [rad] is in force now.
+
+        The push at which one broke loose is allowed from now on.
+        """
+        tracks, where = self._tracks, joints.any(axis=-1)
+        stood = np.abs(tracks["push"]) / watching.MOST
+        tracks["width"] = np.where(joints, np.maximum(tracks["width"], stood), tracks["width"])
+        tracks["position"][where], tracks["held"][where] = state.position[where], sent[where]
+        tracks["since"][where] = state.time[where, None]
+        for name in ("travel", "pushed", "due", "still", "strikes", "steady", "full", "late"):
+            tracks[name][where] = 0
+        self._verdict[where] = watching.FINE
+        self._last = np.where(where, state.time, self._last)
+        self._sent_at[where] = state.time[where, None]
+        self._sent[where] = sent[where, None]
+
     def balance(self, joints: Mask, sent: Array) -> Array:
         """Commands (B, n) [rad] to hold by: ``sent``, but ``joints`` (B, n) by those that they were in balance with."""
         return np.where(joints, self._tracks["held"], sent)

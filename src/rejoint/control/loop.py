@@ -30,6 +30,12 @@ from rejoint.system.stopping import check, noted, shielded
 RELEASE_CYCLES = 12
 """Cycles in which a joint that is not believed is led back to where it was in balance (chosen: twice what the longest
 lead needs at the largest step)."""
+LOOSE = 3
+"""Encoder steps that a reading must go on, the way its joint was pushed, to be believed again (chosen: a dead encoder
+may flicker by one)"""
+MOST_DOUBTED = 2
+"""Times in a run that an arm goes on after a joint that was not believed broke loose (chosen: an encoder that fails now
+and then is to be found)"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -263,7 +269,8 @@ class _Loop:
             self.look(cycle, before.state, run_state.wanted)
         if self.on_cycle is not None:
             self.on_cycle(cycle)
-        self._stop_tripped(run_state, reasons)
+        if self._stop_tripped(run_state, reasons):
+            return True
         if run_state.active.any():
             run_state.stepped(own(self.robot.step(command, run_state.active)), command, speed)
         return bool(run_state.active.any())
@@ -310,28 +317,42 @@ class _Loop:
         command = np.where(active[:, None], command, run_state.sent)
         return Guarded(command, reasons * active, ease[:, None] * guarded.speed)
 
-    def _stop_tripped(self, run_state: RunState, reasons: Reasons) -> None:
+    def _stop_tripped(self, run_state: RunState, reasons: Reasons) -> bool:
+        """Stop what tripped; returns whether an arm was let go on after all, so that what was decided is void."""
         trips = reasons & np.uint16(TRIPS.value)
         if not trips.any():
-            return
+            return False
+        alive = self._release(run_state, trips) & (trips == np.uint16(Reason.NOT_FOLLOWING.value))
+        trips = trips * ~alive
         run_state.tripped = run_state.tripped | trips
-        self._release(run_state, trips)
-        if not self.schedule.keep_going:
+        if trips.any() and not self.schedule.keep_going:
             raise trip_error(int(np.flatnonzero(trips)[0]), run_state, self.limits)
         run_state.active = run_state.active & (trips == 0)
+        if not alive.any():
+            return False
+        newest = self.recorder.cycles.pop()  # what an arm that goes on reads there is the next cycle's
+        if (newest.active & ~alive).any():
+            self.recorder.cycles.append(newest._replace(active=newest.active & ~alive))
+        run_state.go_on(alive)
+        return True
 
-    def _release(self, run_state: RunState, trips: Reasons) -> None:
-        """Lead joints that are not believed back to where they were in balance: to hold a blind one is to drive it."""
+    def _release(self, run_state: RunState, trips: Reasons) -> Mask:
+        """Lead joints that are not believed back to where they were in balance: to hold a blind one is to drive it.
+
+        Returns the arms (B,) whose joints broke loose meanwhile, and may go on.
+        """
         if run_state.unbelieved is None:
-            return
+            return np.zeros(len(trips), dtype=bool)
         where = run_state.active & ((trips & np.uint16(Reason.NOT_FOLLOWING)) != 0)
         goal = run_state.following.balance(run_state.unbelieved & where[:, None], run_state.sent)
-        sent = run_state.sent
+        sent, stood = run_state.sent, run_state.state.position
+        farthest = np.zeros_like(stood)
         with shielded(), suppress(RejointError, OSError):  # the trip is the error to report
             for _ in range(RELEASE_CYCLES):
                 reach = self.limits.max_speed * np.minimum(run_state.period, self.limits.max_period)[:, None]
                 sent = np.minimum(np.maximum(goal, sent - reach), sent + reach)
                 run_state.state = own(self.robot.step(sent, where))
+                farthest = np.maximum(farthest, run_state.following.onward(run_state.state.position - stood))
                 last = self.recorder.cycles[-1]
                 self.recorder.cycles.append(
                     last._replace(
@@ -341,3 +362,5 @@ class _Loop:
                     )
                 )  # fmt: skip
         run_state.sent = np.where(where[:, None], sent, run_state.sent)
+        loose: Mask = (farthest >= LOOSE * self.robot.arm.encoder_step) | ~run_state.unbelieved
+        return where & loose.all(axis=-1) & (run_state.doubted < MOST_DOUBTED)

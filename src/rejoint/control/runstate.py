@@ -89,6 +89,8 @@ class RunState:
     """(B,) whether the state came after a gap"""
     eased_until: Array = field(init=False)
     """(B,) [s]"""
+    doubted: NDArray[np.intp] = field(init=False)
+    """(B,) times that an arm went on after a joint that was not believed broke loose"""
     aim: Array = field(init=False)
     """(B, 3) [m] where the controllers are sent: the targets, or what a correction makes of them"""
     turn: Orientation | None = field(init=False, default=None)
@@ -98,7 +100,7 @@ class RunState:
         self.last_time, self.wanted = self.state.time, self.sent
         count = len(self.sent)
         self.usual, self.eased_until = np.full(count, np.nan), np.full(count, -np.inf)
-        self.gap = np.zeros(count, dtype=bool)
+        self.gap, self.doubted = np.zeros(count, dtype=bool), np.zeros(count, dtype=np.intp)
         self.aim = self.target
         self._take_aim(np.ones(count, dtype=bool))
 
@@ -195,6 +197,16 @@ class RunState:
             self._take_aim(self.active)
         if np.count_nonzero(self.gap):
             self._begin_again(self.gap, moved)
+
+    def go_on(self, where: Mask) -> None:
+        """Let arms (B,) go on, as after a gap, whose joints were led back and broke loose meanwhile."""
+        self.doubted = self.doubted + where
+        if self.unbelieved is not None:
+            self.following.believe(self.state, self.sent, self.unbelieved & where[:, None])
+        self._wait(where, self.state.time - self.last_time)
+        self.last_time = np.where(where, self.state.time, self.last_time)
+        self.gap = self.gap | where
+        self._begin_again(where, np.zeros(len(where), dtype=bool))
 
     def _wait(self, where: Mask, elapsed: Array) -> None:
         """Leave a gap of ``elapsed`` (B,) [s] out of the time that targets, trajectories and paths take.
