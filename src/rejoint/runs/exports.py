@@ -81,15 +81,15 @@ def _homing(run: Run, source: Path, out: Path | None) -> tuple[Path, str]:
 
 def _controller(run: Run, kind: str, out: Path | None) -> tuple[Path, str]:
     require(f"rejoint export --format {kind}", "onnx")
-    from rejoint.runs.exporting.bundle import told, write_controller
+    from rejoint.runs.exporting.bundle import notice, write_controller
     from rejoint.runs.exporting.ros2 import write_package
 
     if kind == "ros2":
         folder = out or run.path / "ros2"
         design = write_package(run, folder)
-        return folder, f"The controller in it is the {design.name}. {told(design)}"
+        return folder, f"The controller in it is the {design.name}. {notice(design)}"
     path = out or run.path / "controller.onnx"
     if path.suffix != ".onnx":
         raise InputError(f"{path}: expected a file that ends with .onnx")
     design = write_controller(run, path)
-    return path, f"The controller is the {design.name}; {path.with_suffix('.yaml').name} describes it. {told(design)}"
+    return path, f"The controller is the {design.name}; {path.with_suffix('.yaml').name} describes it. {notice(design)}"

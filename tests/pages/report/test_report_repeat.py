@@ -164,8 +164,7 @@ def test_failures_are_told_in_one_sentence_each(tmp_path, arm, diagnosis):
     assert "its own controller left" in page.words, "what it was before is known from the diagnosis"
     assert "“default” was stopped on the way." in page.words
     cells = next(row for row in page.rows if row and row[0].startswith("default"))
-    assert cells[-1].startswith("stopped")
-    assert "missed 3 targets in a row" in cells[-1]
+    assert cells[-1].startswith("stopped: missed 3 targets in a row")
     assert "None" not in page.words
 
 

@@ -155,7 +155,7 @@ def _guard(row: ControllerRow) -> Cell:
     reasons = [f"{number(count.share * PERCENT, 2)} % {count.reason}" for count in row.guard]
     stopped = [f"{plural(row.failures, 'trial')} stopped"] if row.failures else []
     what, _, where = row.out.partition(" (")
-    out = ["stopped", what, *([where.removesuffix(")")] if where else [])] if row.out else []
+    out = [f"stopped: {what}", *([where.removesuffix(")")] if where else [])] if row.out else []
     parts = [*out, *stopped, *reasons] or [NEVER]
     return Cell(parts[0], "\n".join(parts[1:]))
 

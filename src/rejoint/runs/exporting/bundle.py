@@ -101,7 +101,7 @@ def _damping(run: Run) -> tuple[float, ...]:
     return () if run.twin is None else tuple(float(value) for value in run.twin.parameters.damping)
 
 
-def told(design: Design) -> str:
+def notice(design: Design) -> str:
     """Return what whoever runs the file must know: what it is instead of, and what is not in it."""
     return f"{design.instead} {OUTSIDE}".strip()
 
@@ -183,7 +183,7 @@ def leapp_text(design: Design, file: str, data: bytes) -> str:
         "sha256sum": hashlib.sha256(data).hexdigest(), "backend": "onnx", "warp_segments": 0,
     }  # fmt: skip
     assert len(slots) == size  # noqa: S101 - written by the same table
-    about = f"# {told(design)}"
+    about = f"# {notice(design)}"
     if design.gains:
         about += f"\n# The servos are to have the gains {design.gains}."
     return f"""{about}

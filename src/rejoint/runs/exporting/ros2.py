@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rejoint.arms.urdf import at_targets, unit_arm, write_urdf
-from rejoint.runs.exporting.bundle import package_name, told, usual_period, write_controller
+from rejoint.runs.exporting.bundle import notice, package_name, usual_period, write_controller
 from rejoint.runs.given import as_calibration
 from rejoint.runs.run import Run
 from rejoint.system.files import write_whole
@@ -37,7 +37,7 @@ def write_package(run: Run, folder: Path) -> Design:
     words = {
         "PACKAGE": package, "VERSION": __version__.split("+")[0], "ARM": run.arm.name, "CONTROLLER": design.name,
         "JOINTS": ", ".join(run.arm.joint_names), "PERIOD": f"{usual_period(design):.4f}", "LOW": f"{low:g}",
-        "HIGH": f"{high:g}", "OUTSIDE": told(design),
+        "HIGH": f"{high:g}", "OUTSIDE": notice(design),
     }  # fmt: skip
     for template, place in _FILES.items():
         text = (_TEMPLATES / template).read_text(encoding="utf-8")
