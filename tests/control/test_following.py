@@ -164,6 +164,15 @@ def test_a_joint_that_broke_loose_while_it_was_led_back_goes_on():
     assert after[-1] < recording.command[doubted[0], 0, 1] - np.radians(2.0), "it goes on where it was going"
 
 
+def test_while_a_joint_is_led_back_the_motion_waits_and_answers_come():
+    recording = stood(1.0)
+    assert not recording.gaps().any()
+    passed = recording.time[-1, 0] - recording.time[0, 0]
+    waited = recording.waits()[:, 1].sum()
+    assert waited > 0.2
+    assert recording.since_target[-1, 0] + waited == pytest.approx(passed, abs=1e-6)
+
+
 def test_a_reading_that_stays_or_flickers_or_stands_again_and_again_is_not_believed():
     for flicker in (0.0, ARM.encoder_step):
         with pytest.raises(GuardTripError, match="not following"):

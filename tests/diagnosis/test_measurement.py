@@ -110,6 +110,17 @@ def test_nothing_is_saturated_noisy_or_hunting(measured):
         assert found.noise_rad.value < ARM.encoder_step
 
 
+def test_a_pause_in_the_readings_is_no_torque_limit(log):
+    """On a wire that stalls a joint went to its new command unseen; between two readings it seems to stay behind."""
+    kept = np.ones(len(log), dtype=bool)
+    for step in ExcitationLog.of(ARM, log).of_kind("step"):
+        since = log.time - step.start
+        kept &= (since < 0.1) | (since > 0.6)
+    arrays = {name: getattr(log, name)[kept] for name in ("time", "position", "command", "target", "true_tcp")}
+    found = measure(ARM, dataclasses.replace(log, **arrays))
+    assert [row.torque_limit_nm for row in found.joints] == [None] * ARM.joints
+
+
 def test_encoder_noise_is_measured(log):
     rng = np.random.default_rng(0)
     noisy = dataclasses.replace(log, position=log.position + rng.normal(scale=0.005, size=log.position.shape))

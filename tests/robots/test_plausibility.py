@@ -82,6 +82,26 @@ def test_two_answers_that_agree_overrule_the_very_first_one():
     continuity.check(0.07, -FAR)
 
 
+def test_two_answers_that_agree_overrule_one_that_was_wrong_by_no_more_than_a_joint_can_go():
+    """Bit 11 of an angle is 20.48 degrees; of a joint that moves the right way, what it does can be believed."""
+    continuity = moving(-0.05, 0.0)
+    wrong, right = np.radians([0, 0, 19.0, 0, 0, 0]), np.radians([0, 0, -3.0, 0, 0, 0])
+    continuity.check(0.05, wrong)
+    continuity.accept(0.05, wrong, None)
+    with pytest.raises(ImpossibleReplyError, match="joint 3 cannot have jumped"):
+        continuity.check(0.10, right)
+    continuity.check(0.12, right)
+    continuity.accept(0.12, right, None)
+    continuity.check(0.17, right)
+
+
+def test_an_encoder_that_has_slipped_stays_refused():
+    continuity = moving(-0.05, 0.0)
+    for time in (0.05, 0.10, 0.15):
+        with pytest.raises(ImpossibleReplyError):
+            continuity.check(time, FAR)
+
+
 def run(continuity, readings, commands, period=0.05):
     return [
         continuity.accept(period * k, np.asarray(r, float), np.asarray(c, float))

@@ -50,7 +50,8 @@ class Reason(IntFlag):
     SERVO_FAULT = 256
     """a servo reports a fault"""
     GAP = 512
-    """no answers came for a while; the arm held, and goes on as from a start (flagged by the control loop)"""
+    """no answers came for a while, or a joint that was not believed broke loose; the arm held, and goes on as from a
+    start (flagged by the control loop)"""
     NOT_FOLLOWING = 1024
     """a joint's reading stands still and is not believed, see `rejoint.control.following`"""
     ACCELERATION = 2048

@@ -12,7 +12,10 @@ from numpy.typing import NDArray
 from rejoint.arms import Array
 from rejoint.control.guard import GuardLimits, Reason, Reasons
 from rejoint.control.robot import JointState, Mask, Robot
+from rejoint.control.runstate import GAP
 from rejoint.logs.runlog import RunLog
+
+_CLOCK = 1e-6  # [s] rounding of clocks that have run for long
 
 
 class Cycle(NamedTuple):
@@ -126,17 +129,23 @@ class Recording:
     def gaps(self, b: int = 0) -> Array:
         """Lengths (T,) [s] of the pauses in the answers of arm ``b`` after which it went on as from a start, else 0."""
         rows = np.flatnonzero(self.active[:, b])
+        elapsed = np.diff(self.time[rows, b], prepend=self.time[rows[:1], b])
         marked = (self.reasons[rows, b] & np.uint16(Reason.GAP.value)) != 0
         gaps = np.zeros(len(self.time))
-        gaps[rows] = np.where(marked, np.diff(self.time[rows, b], prepend=self.time[rows[:1], b]), 0.0)
+        gaps[rows] = np.where(marked & (elapsed > GAP), elapsed, 0.0)  # it also goes on so after a joint was led back
         return gaps
 
     def waits(self, b: int = 0) -> Array:
-        """When [s since its target was set] the motion of arm ``b`` waited in its gaps, and how long [s]: (k, 2)."""
-        rows = np.flatnonzero(self.gaps(b))
-        rows = rows[self.target_index[rows, b] == self.target_index[rows - 1, b]]
-        since = self.since_target[:, b]
-        return np.stack([since[rows], self.gaps(b)[rows] - (since[rows] - since[rows - 1])], axis=-1)
+        """When [s since its target was set] the motion of arm ``b`` waited, and how long [s]: (k, 2).
+
+        It waits in gaps, and while a joint that is not believed is led back.
+        """
+        rows = np.flatnonzero(self.active[:, b])
+        since = self.since_target[rows, b]
+        waited = np.diff(self.time[rows, b]) - np.diff(since)
+        same = self.target_index[rows[1:], b] == self.target_index[rows[:-1], b]
+        where = np.flatnonzero(same & (np.abs(waited) > _CLOCK))
+        return np.stack([since[1:][where], waited[where]], axis=-1)
 
     def log(self, b: int, label: str, extra: Mapping[str, str] | None = None) -> RunLog:
         """Return the run log of arm ``b``: the rows with news, on a clock that increases."""

@@ -23,6 +23,9 @@ _GRID = 0.0025
 _STILL_SPEED = 0.05
 """[rad/s] below which a joint counts less and less as moving (chosen: one encoder count in 30 ms)."""
 
+_SPARSE = 0.5
+"""Share of a window that may lie between two readings (chosen: a usual period is a quarter of the shortest window)"""
+
 _LONG = 4.0
 """[s] segments longer than this are cut into several clusters (chosen: several times the slowest oscillation)."""
 
@@ -53,7 +56,8 @@ def window_averages(
     """Average a joint's signals under windows of ``length`` [s] that overlap by three quarters.
 
     ``delays`` (D,) [s] are the times that a command and the answer may need on their way; the first
-    ``cut`` [s] of each segment is left out.
+    ``cut`` [s] of each segment is left out, and so are windows in which nobody read the arm for a while: what is
+    interpolated there under a moving command looks like a joint that stays behind.
     """
     parts = []
     for index, segment in enumerate(segments):
@@ -86,15 +90,26 @@ def _averages(
     speed = -average(position, first)
     begins = hop * _GRID * np.arange(len(speed))
     duration = _LONG / 2 if time[-1] - time[0] > _LONG else np.inf
+    read = sliding_window_view(_read(log.time, time, length), count)[::hop].all(axis=-1)
     return Averages(
-        error=average(data.commanded(joint, time - delays[:, None]) - position, window),
-        command_speed=-average(np.interp(time, log.time, log.command[:, joint]), first),
-        speed=speed,
-        acceleration=average(position, second),
-        direction=average(np.tanh(smooth / _STILL_SPEED), window),
-        gravity=average(np.interp(time, log.time, data.gravity[:, joint]), window),
-        cluster=first_cluster + (begins / duration).astype(np.intp),
+        error=average(data.commanded(joint, time - delays[:, None]) - position, window)[:, read],
+        command_speed=-average(np.interp(time, log.time, log.command[:, joint]), first)[read],
+        speed=speed[read],
+        acceleration=average(position, second)[read],
+        direction=average(np.tanh(smooth / _STILL_SPEED), window)[read],
+        gravity=average(np.interp(time, log.time, data.gravity[:, joint]), window)[read],
+        cluster=first_cluster + (begins / duration).astype(np.intp)[read],
     )
+
+
+def _read(readings: Array, time: Array, length: float) -> NDArray[np.bool_]:
+    """Tell of each ``time`` (K,) [s] whether the ``readings`` (T,) [s] around it are near enough for a window.
+
+    A log whose usual period is long has its windows all the same.
+    """
+    apart = np.diff(readings)
+    before = np.clip(np.searchsorted(readings, time, side="right") - 1, 0, len(apart) - 1)
+    return np.asarray(apart[before] <= max(_SPARSE * length, 2.0 * float(np.median(apart))))
 
 
 def _window(count: int) -> tuple[Array, Array, Array]:

@@ -46,6 +46,7 @@ class Continuity:
     def __init__(self, arm: Arm) -> None:
         self._max_speed = MAX_SPEED_FACTOR * arm.max_speed
         self._last: tuple[float, Array] | None = None
+        self._before: tuple[float, Array] | None = None
         self._doubted: float | None = None
         self._candidate: Array | None = None
         self._confirmed = False
@@ -57,7 +58,8 @@ class Continuity:
 
         An answer that comes again after it was doubted, within `DOUBT`, had no more time for its way than the first.
         Where a joint went farther than in `SURE`, as it may after a pause, two answers have to agree; and two that do
-        overrule the very first one.
+        overrule the very first one. They overrule the last one as well where they suit the one before it: a wrong
+        byte may move a joint by no more than is possible, and is then believed once.
         """
         if self._last is None:
             return
@@ -69,7 +71,7 @@ class Continuity:
         sudden = gone > self._max_speed * min(elapsed, SURE) + JUMP_SLACK
         agreed = self._candidate is not None and bool((np.abs(position - self._candidate) <= JUMP_SLACK).all())
         self._doubted = time if jumped.any() else None
-        doubtful = jumped.any() and self._confirmed
+        doubtful = jumped.any() and self._confirmed and not (agreed and self._suits_the_one_before(time, position))
         if doubtful or (sudden.any() and not agreed):
             self._candidate = position
             i = int(np.argmax(jumped if jumped.any() else sudden))
@@ -79,6 +81,12 @@ class Continuity:
                 f"{elapsed:.3f} s"
             )
         self._candidate = None
+
+    def _suits_the_one_before(self, time: float, position: Array) -> bool:
+        if self._before is None:
+            return False
+        then, before = self._before
+        return bool((np.abs(position - before) <= self._max_speed * max(time - then, 0.0) + JUMP_SLACK).all())
 
     def accept(self, time: float, position: Array, command: Array | None) -> float:
         """Take over an answer; return its age [s]: how long it should have changed and did not.
@@ -94,7 +102,7 @@ class Continuity:
         elif command is not None and self._command_then is None:
             self._command_then = self._last[1]
         self._confirmed = self._last is not None
-        self._last = (time, position)
+        self._before, self._last = self._last, (time, position)
         if command is None or self._command_then is None:
             return 0.0
         if self._waiting_since is None:

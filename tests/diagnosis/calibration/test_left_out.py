@@ -12,7 +12,7 @@ from rejoint.diagnosis.calibration.file import read_calibration, write_calibrati
 from rejoint.diagnosis.calibration.fit import fit
 from rejoint.diagnosis.calibration.gate import astray
 from rejoint.diagnosis.calibration.measurements import Measurements
-from rejoint.diagnosis.calibration.parameters import DisplacementLayout
+from rejoint.diagnosis.calibration.parameters import DisplacementLayout, displacement_of, vector_of
 from rejoint.diagnosis.calibration.postures import suggest
 from rejoint.diagnosis.calibration.preload import WEDGE, preload
 from rejoint.diagnosis.open_loop import modelled_errors
@@ -53,6 +53,25 @@ def test_a_mean_error_lies_in_its_interval_and_grows_with_what_is_open():
     away = np.linalg.norm(sharp.tool(position) - tcp_position(ARM, position), axis=-1)
     np.testing.assert_allclose(sharp.expected(position), away, atol=1e-7)
     assert (open_.expected(position) > 1e-3).all()
+
+
+def test_a_joint_that_may_lie_on_either_flank_stays_in_its_play():
+    """Draws of how askew the base stands tell where the tool may be; a slope at the reversal said 30 mm."""
+    doubt, lean = np.radians(2.0), np.array([np.sin(np.radians(3.0)), 0.0, -np.cos(np.radians(3.0))])
+    own = calibration(play=[0.015, 0, 0, 0, 0, 0], gravity=9.81 * lean)
+    covariance = np.zeros_like(own.covariance)
+    tilt = own.layout.at("tilt")
+    covariance[tilt, tilt] = doubt**2 * np.eye(2)
+    own = replace(own, covariance=covariance)
+    postures = np.repeat(ARM.rest[None], 41, axis=0)
+    postures[:, 0] = np.radians(np.linspace(-20.0, 20.0, 41))  # gravity presses the base joint to either side
+
+    vector = vector_of(own.layout, own.displacement)
+    drawn = np.repeat(vector[None], 400, axis=0)
+    drawn[:, tilt] += doubt * np.random.default_rng(0).standard_normal((400, 2))
+    tools = np.stack([displacement_of(own.layout, one).tool(ARM, postures) for one in drawn])
+    seen = np.sqrt(((tools - own.tool(postures)) ** 2).sum(axis=-1).mean(axis=0))
+    np.testing.assert_allclose(own.sigma(postures), seen, rtol=0.15, atol=2e-4)
 
 
 def test_the_error_of_a_diagnosis_is_modelled_by_what_was_found_later():

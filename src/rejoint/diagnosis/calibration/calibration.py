@@ -9,7 +9,7 @@ import numpy as np
 from rejoint.arms import Arm, Array, Displacement, solve_position, tcp_position
 from rejoint.arms.loaded import bare
 from rejoint.control.contract import law_digests
-from rejoint.diagnosis.calibration.model import linearised, scatter
+from rejoint.diagnosis.calibration.model import linearised, link_loads, scatter, torque_slopes
 from rejoint.diagnosis.calibration.parameters import DisplacementLayout, vector_of
 from rejoint.system.errors import ContractError
 from rejoint.system.statistics import CONFIDENCE
@@ -91,11 +91,17 @@ class Calibration:
         return self.tool(position, approach) - tcp_position(self.arm, position)
 
     def spread(self, position: Array) -> Array:
-        """Covariance (..., 3, 3) [m^2] of the tool around `tool`: parameters, floating joints, and what remains."""
+        """Covariance (..., 3, 3) [m^2] of the tool around `tool`: parameters, floating joints, and what remains.
+
+        On which flank of its play a joint lies is no slope: where its torque may have either sign, each is counted.
+        """
         flat = np.reshape(position, (-1, self.arm.joints))
-        _, slope = linearised(self.arm, self.layout, vector_of(self.layout, self.displacement), flat)
+        vector = vector_of(self.layout, self.displacement)
+        _, slope = linearised(self.arm, self.layout, vector, flat, flanks=False)
         known = slope @ self.covariance @ np.swapaxes(slope, -1, -2)
-        total = known + scatter(self.arm, self.displacement, flat) + self.floor**2 * np.eye(3)
+        torque = torque_slopes(self.layout, vector, link_loads(self.arm, flat))
+        doubt = np.sqrt(np.einsum("mnk,kl,mnl->mn", torque, self.covariance, torque))
+        total = known + scatter(self.arm, self.displacement, flat, doubt) + self.floor**2 * np.eye(3)
         return np.asarray(total.reshape(*np.shape(position)[:-1], 3, 3))
 
     def interval(

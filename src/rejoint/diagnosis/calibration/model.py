@@ -7,6 +7,8 @@ tool. A fit that took that scatter for noise of equal size in all directions wou
 
 from __future__ import annotations
 
+from statistics import NormalDist
+
 import numpy as np
 
 from rejoint.arms import Arm, Array, Displacement, frames, position_kinematics
@@ -21,14 +23,17 @@ SCATTER = 1.0 / 3.0
 """Variance of where a floating joint lies in its play, by the square of half of it: a third where every place is as
 likely, one where it always lies at a flank (chosen on emulated worn arms)"""
 _STEP = 1e-6  # [rad] for the derivative of the direction of gravity
+_DRAWS = np.array([NormalDist().inv_cdf((k + 0.5) / 64) for k in range(64)])  # of a torque that is not known exactly
 
 
 def linearised(
-    arm: Arm, layout: DisplacementLayout, vector: Array, position: Array, approach: Array | None = None
-) -> tuple[Array, Array]:
+    arm: Arm, layout: DisplacementLayout, vector: Array, position: Array, approach: Array | None = None, *,
+    flanks: bool = True,
+) -> tuple[Array, Array]:  # fmt: skip
     """Return the tool (M, 3) [m] at encoder positions (M, n) and its derivative (M, 3, k) by the arm's parameters.
 
-    ``approach`` (M, n) [rad] is where the encoders came from, as in `Displacement.joints`.
+    ``approach`` (M, n) [rad] is where the encoders came from, as in `Displacement.joints`. Without ``flanks`` the
+    derivative leaves out that joints change the flank of their play: as a slope that holds within `FLOATING` alone.
     """
     displacement = displacement_of(layout, vector)
     moved, loads = displacement.moved(arm), link_loads(arm, position)
@@ -45,17 +50,24 @@ def linearised(
     derivative[..., layout.at("carry")] = 0.5 * lever * (displacement.play * free * came)[:, None, :]
     # torque moves joints by flex and by the side of the play
     turning = 0.5 * displacement.play * free / FLOATING * (1.0 + 2.0 * displacement.carry * side * came)
-    yielding = -lever * (displacement.compliance + turning)[:, None, :]
-    derivative[..., layout.at("mass")] = yielding @ (loads @ displacement.gravity)
-    tilt = vector[layout.at("tilt")]
-    for i, step in enumerate(_STEP * np.eye(2)):
-        turn = (gravity_of(tilt + step) - gravity_of(tilt - step)) / (2 * _STEP)
-        derivative[..., layout.at("tilt").start + i] = np.einsum(
-            "mij,mj->mi", yielding, loads @ turn @ displacement.mass
-        )
+    yielding = -lever * (displacement.compliance + flanks * turning)[:, None, :]
+    slopes = torque_slopes(layout, vector, loads)
+    for name in ("mass", "tilt"):
+        derivative[..., layout.at(name)] = yielding @ slopes[..., layout.at(name)]
     if len(position):
         derivative[..., layout.at("twist")] = _by_twist(moved, joints, tool)
     return tool, derivative
+
+
+def torque_slopes(layout: DisplacementLayout, vector: Array, loads: Array) -> Array:
+    """Return the derivative (M, n, k) [N m] of the torques by the arm's parameters, from its `link_loads`."""
+    displacement, tilt = displacement_of(layout, vector), vector[layout.at("tilt")]
+    slopes = np.zeros((*loads.shape[:2], layout.body))
+    slopes[..., layout.at("mass")] = loads @ displacement.gravity
+    for i, step in enumerate(_STEP * np.eye(2)):
+        turn = (gravity_of(tilt + step) - gravity_of(tilt - step)) / (2 * _STEP)
+        slopes[..., layout.at("tilt").start + i] = loads @ turn @ displacement.mass
+    return slopes
 
 
 def link_loads(arm: Arm, position: Array) -> Array:
@@ -79,11 +91,20 @@ def _by_twist(arm: Arm, joints: Array, tool: Array) -> Array:
     return np.moveaxis(both.reshape(count, 6 * (arm.joints + 1), 3), 1, 2)
 
 
-def scatter(arm: Arm, displacement: Displacement, position: Array) -> Array:
-    """Covariance (..., 3, 3) [m^2] of the tool by joints that float in their play at ``position`` (..., n) [rad]."""
-    lever = position_kinematics(arm, position)[1]
-    free = 1.0 - np.tanh(displacement.torque(arm, position) / FLOATING) ** 2
-    variance = SCATTER * (0.5 * displacement.play) ** 2 * free
+def scatter(arm: Arm, displacement: Displacement, position: Array, doubt: Array | None = None) -> Array:
+    """Covariance (..., 3, 3) [m^2] of the tool by joints that float in their play at ``position`` (..., n) [rad].
+
+    With the ``doubt`` (..., n) [N m], the standard deviation of each torque, also by those that may lie on the other
+    flank than their torque says. No joint leaves its play, however large the doubt is.
+    """
+    lever, torque = position_kinematics(arm, position)[1], displacement.torque(arm, position)
+    side = np.tanh(torque / FLOATING)
+    free, other = 1.0 - side**2, np.zeros_like(side)
+    if doubt is not None:
+        sides = np.tanh((torque[..., None] + doubt[..., None] * _DRAWS) / FLOATING)
+        free = (1.0 - sides**2).mean(axis=-1)
+        other = ((sides - side[..., None]) ** 2).mean(axis=-1)
+    variance = (0.5 * displacement.play) ** 2 * (SCATTER * free + other)
     return np.asarray((lever * variance[..., None, :]) @ np.swapaxes(lever, -1, -2))
 
 

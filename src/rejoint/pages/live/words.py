@@ -127,7 +127,7 @@ _WORDS: dict[Reason, _Say] = {
     Reason.FLOOR: _floor,
     Reason.ACCELERATION: _acceleration,
     Reason.COLLISION: _collision,
-    Reason.GAP: lambda _, __: "no answers came for a while; the arm held and goes on slowly",
+    Reason.GAP: lambda _, __: "no answers came for a while, or a joint was led back; the arm held and goes on slowly",
     Reason.NOT_FINITE: _not_finite,
     Reason.STALE: lambda _, limits: f"no new joint state for more than {limits.max_age:.1f} s; check the connection",
     Reason.OUT_OF_RANGE: _out_of_range,
