@@ -35,9 +35,11 @@ def test_a_signal_in_a_callback_of_compiled_code_is_sent_again():
     assert ended.stdout.splitlines() == ["swallowed", "interrupted by SIGTERM"], ended.stderr
 
 
-@pytest.mark.parametrize("fails", [True, False])
-def test_the_command_line_ends_as_interrupted_whatever_the_compiled_code_makes_of_it(fails):
-    after = "raise RuntimeError('no compiled object yet')" if fails else "time.sleep(30)"
+@pytest.mark.parametrize(
+    "after", ["raise RuntimeError('no compiled object yet')", "raise ImportError('initialization failed')",
+              "time.sleep(30)"],
+)  # fmt: skip
+def test_the_command_line_ends_as_interrupted_whatever_the_compiled_code_makes_of_it(after):
     ended = run(
         f"def app(**_):\n    callback()\n    {after}\n"
         "import rejoint.cli as cli\ncli.app = app\nsys.argv = ['rejoint']\ncli.main()\n"
