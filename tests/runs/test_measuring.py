@@ -10,7 +10,7 @@ from rejoint.arms import mycobot280
 from rejoint.diagnosis.calibration.gauges import EmulatedGauge, TouchGauge
 from rejoint.diagnosis.calibration.measurementfile import read_interrupted, read_measurements
 from rejoint.runs.run import Run
-from rejoint.system.errors import FileError, InputError
+from rejoint.system.errors import FileError, InputError, UnsavedError
 
 ARM = mycobot280()
 ROBOT = "emulated:worn?seed=5"
@@ -72,6 +72,19 @@ def test_a_fit_that_is_missing_is_made_without_moving_the_arm(run, monkeypatch):
     monkeypatch.setattr("rejoint.control.loop.move", None)
     assert calibrate(run, hand := Hand()).calibration.points == TOTAL - 1
     assert hand.asked == []
+
+
+def test_a_calibration_that_could_not_be_written_is_made_again_from_what_was_typed(run, monkeypatch):
+    def full(path, _):
+        raise FileError(path, "cannot be written (No space left on device)", "free some space")
+
+    with monkeypatch.context() as disk:
+        disk.setattr("rejoint.runs.stages.calibrate.write_calibration", full)
+        with pytest.raises(UnsavedError):
+            calibrate(run, Hand())
+    assert calibrate(run, hand := Hand()).calibration.points == TOTAL - 1
+    assert hand.asked == []
+    assert run.folder.calibration.exists()
 
 
 @pytest.mark.parametrize("other", [{"count": 4}, {"visits": 1}, {"gauge": Hand().gauge(frame="room")}])

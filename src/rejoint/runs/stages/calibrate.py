@@ -225,8 +225,8 @@ def _fitted(
 def _write(run: Run, measured: Measurements | Film, result: Calibrated, *, taken: bool) -> None:
     """Keep what was found in the run; ``taken`` tells whether a film was taken just now."""
     run.begin()
-    write_measurements(run.folder.measurements, run.arm, result.measurements)
     set_aside(run.folder.calibration)
     write_calibration(run.folder.calibration, result.calibration)
+    write_measurements(run.folder.measurements, run.arm, result.measurements)  # from then on nothing goes on from them
     if isinstance(measured, Film) and result.filmed is not None:
         write_filmed(run, run.arm, measured, result.filmed, taken=taken)
