@@ -1,6 +1,8 @@
 """The driver against a server that misbehaves on purpose, and against the emulated worn arm."""
 
 import logging
+import os
+import pty
 import socket
 import struct
 import threading
@@ -16,7 +18,7 @@ from rejoint.control.robot import Robot
 from rejoint.robots import link as link_module
 from rejoint.robots import mycobot as mycobot_module
 from rejoint.robots import open_robot
-from rejoint.robots.address import TcpAddress
+from rejoint.robots.address import SerialAddress, TcpAddress
 from rejoint.robots.bus import Clock
 from rejoint.robots.lab.emulator import Timing, build_firmware, serve_pty, serve_tcp
 from rejoint.robots.mycobot import MyCobotBus
@@ -459,3 +461,26 @@ def test_a_new_connection_that_nobody_serves_is_given_up_for_another_one():
         return bus.opened
 
     assert link.ask(question) == 3
+
+
+def test_a_clock_that_is_set_back_does_not_keep_a_silent_line_waiting(awake, monkeypatch):
+    """The client waited until the wall clock had made up for it, an hour here, and no signal ended that."""
+    line, far = pty.openpty()
+    bus = MyCobotBus(SerialAddress(text="serial:", device=os.ttyname(far), baud=115200), ARM)
+    bus.open()
+    wall, began = time.time, time.monotonic()
+    monkeypatch.setattr(time, "time", lambda: wall() - (3600.0 if time.monotonic() > began + 0.2 else 0.0))
+    ended = []
+
+    def ask():
+        with pytest.raises(NoReplyError):
+            bus.read()
+        ended.append(True)
+
+    asking = threading.Thread(target=ask, daemon=True)
+    asking.start()
+    asking.join(20.0)
+    assert ended
+    bus.close()
+    os.close(line)
+    os.close(far)

@@ -110,6 +110,12 @@ def test_an_interrupted_film_goes_on_to_the_same_end(tmp_path, monkeypatch):
     with pytest.raises(InputError, match="check its cable"):
         film(robot, anew, runs[1], afresh=True)
     assert len(read_film(runs[1].folder.views, ARM)[0]) == 1
+    assert read_film(runs[1].folder.views, ARM)[0].afresh
+    with pytest.raises(InputError, match="check its cable") as stopped:  # without --afresh, and still so
+        film(robot := Still(), Cut(robot, last=2), runs[1])
+    assert "the same command without --afresh goes on there" in stopped.value.__notes__[0]
+    kept, _ = read_film(runs[1].folder.views, ARM)
+    assert (len(kept), kept.afresh) == (2, True)
     assert list(runs[1].path.glob("views-*.parquet"))
 
 

@@ -3,7 +3,10 @@
 import subprocess
 import sys
 
+import numpy as np
 import pytest
+
+from rejoint.logs.runlog import RunLog
 
 PRELUDE = """
 import ctypes, os, signal, sys, time
@@ -32,15 +35,53 @@ def test_a_signal_in_a_callback_of_compiled_code_is_sent_again():
     assert ended.stdout.splitlines() == ["swallowed", "interrupted by SIGTERM"], ended.stderr
 
 
-@pytest.mark.parametrize("fails", [True, False])
-def test_the_command_line_ends_as_interrupted_whatever_the_compiled_code_makes_of_it(fails):
-    after = "raise RuntimeError('no compiled object yet')" if fails else "time.sleep(30)"
+@pytest.mark.parametrize(
+    "after", ["raise RuntimeError('no compiled object yet')", "raise ImportError('initialization failed')",
+              "time.sleep(30)"],
+)  # fmt: skip
+def test_the_command_line_ends_as_interrupted_whatever_the_compiled_code_makes_of_it(after):
     ended = run(
         f"def app(**_):\n    callback()\n    {after}\n"
         "import rejoint.cli as cli\ncli.app = app\nsys.argv = ['rejoint']\ncli.main()\n"
     )
     assert ended.returncode == 143
     assert ended.stderr.startswith("error: interrupted by SIGTERM"), ended.stderr
+
+
+SWALLOWED = """
+class Late:
+    def find_spec(self, name, path=None, target=None):
+        if name == 'pandas.core':
+            os.kill(os.getpid(), signal.SIGTERM)
+
+stopping.install()
+sys.meta_path.insert(0, Late())
+"""
+
+
+def test_a_signal_while_arrow_imports_pandas_is_heard(tmp_path):
+    """Arrow took it for a missing pandas, and whatever read the first log of its process went on to the end."""
+    pytest.importorskip("pandas")
+    log = RunLog.of(np.arange(3.0), np.zeros((3, 6)), np.zeros((3, 6)), arm="mycobot280")
+    log.save(tmp_path / "one.parquet")
+    ended = run(
+        f"{SWALLOWED}from rejoint.logs.runlog import read_log\nfrom pathlib import Path\n"
+        f"try:\n    read_log(Path({str(tmp_path / 'one.parquet')!r}))\n    print('read')\n"
+        "except stopping.Interrupted as error: print(error)\n"
+    )
+    assert ended.stdout == "interrupted by SIGTERM\n", ended.stderr
+
+
+def test_work_that_goes_on_though_its_interruption_was_swallowed_hears_it_as_it_tells_how_far_it_is():
+    ended = run(
+        "import rejoint.cli as cli\nfrom rejoint.cli.console import Terminal\n"
+        "def app(**_):\n    with Terminal().progress('fitting') as update:\n        update(0.0, 'begun')\n"
+        "        try:\n            os.kill(os.getpid(), signal.SIGTERM)\n            time.sleep(30)\n"
+        "        except BaseException:\n            update(0.5, 'what puts right is not cut short')\n"
+        "        update(0.6, '')\n        time.sleep(30)\n"
+        "cli.app = app\nsys.argv = ['rejoint']\ncli.main()\n"
+    )
+    assert (ended.returncode, ended.stderr) == (143, "error: interrupted by SIGTERM\n")
 
 
 def test_a_second_signal_does_not_cut_the_last_line_short():

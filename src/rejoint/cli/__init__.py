@@ -103,9 +103,6 @@ def main() -> None:
     except RejointError as error:
         code = _fail(str(error), type(error).__name__, error.exit_code, json=json)
         _say_notes(error)
-    except ImportError as error:
-        line = explain(error)
-        code = _bug(error, json=json) if line is None else _fail(line, "MissingExtraError", 2, json=json)
     except typer.TyperException as error:
         told = getattr(error, "format_message", error.__str__)()  # names the option, which str() does not
         context = getattr(error, "ctx", None)
@@ -124,12 +121,7 @@ def main() -> None:
         code = _fail(told, "MemoryError", 2, json=json)
         _say_notes(error)
     except Exception as error:  # noqa: BLE001 - a bug, wherever it is, ends in one line
-        asked = interruption()  # compiled code may have swallowed it, and failed for want of what it asked for
-        line = compiling.explain(error)
-        if asked is not None:
-            code = _interrupted(asked, json=json)
-        else:
-            code = _bug(error, json=json) if line is None else _fail(line, "InputError", 2, json=json)
+        code = _unforeseen(error, json=json)
     sys.exit(code)
 
 
@@ -163,6 +155,17 @@ def _interrupted(error: Interrupted, *, json: bool) -> int:
     code = _fail(f"{error}{kept}", "Interrupted", error.exit_code, json=json)
     _say_notes(error)
     return code
+
+
+def _unforeseen(error: Exception, *, json: bool) -> int:
+    asked = interruption()  # compiled code may have swallowed it, and failed for want of what it asked for
+    if asked is not None:
+        return _interrupted(asked, json=json)
+    missing = explain(error) if isinstance(error, ImportError) else None
+    if missing is not None:
+        return _fail(missing, "MissingExtraError", 2, json=json)
+    line = compiling.explain(error)
+    return _bug(error, json=json) if line is None else _fail(line, "InputError", 2, json=json)
 
 
 def _bug(error: Exception, *, json: bool) -> int:

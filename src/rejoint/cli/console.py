@@ -23,6 +23,7 @@ from rich.text import Text
 
 from rejoint.system.errors import UnsavedError
 from rejoint.system.progress import Progress
+from rejoint.system.stopping import raise_again
 
 WIDTH = 80
 """Characters of a line of a table where the terminal does not say its own"""
@@ -146,6 +147,7 @@ class Terminal:
             task = bar.add_task(title, total=None, what="")
 
             def update(share: float, what: str) -> None:
+                raise_again()
                 bar.update(task, completed=share, total=1.0, what=what)
 
             yield update
@@ -213,6 +215,7 @@ def _plain_progress(terminal: Terminal, title: str) -> Progress:
 
     def update(share: float, what: str) -> None:
         nonlocal last
+        raise_again()
         if time.monotonic() - last >= _PLAIN_INTERVAL:
             last = time.monotonic()
             terminal.say(f"{title}: {100 * share:.0f} % {what}".rstrip())

@@ -71,7 +71,8 @@ def calibrate(
     noise: Annotated[float, typer.Option(help="Standard deviation of a measured coordinate in mm.", min=0.001)] = 1e3
     * NOISE,
     afresh: Annotated[
-        bool, typer.Option("--afresh", help="Do not start from the run's earlier calibration or pictures.")
+        bool,
+        typer.Option("--afresh", help="Do not start from the run's earlier calibration, measurements or pictures."),
     ] = False,
     arm: opt.ArmOption = None,
     base: opt.Base = None,
@@ -84,8 +85,8 @@ def calibrate(
     """Measure where the tool really is, and correct for what the encoders do not see, where that helps.
 
     The arm goes slowly to postures and stands still at each until it is measured. `deploy` and `compare` with this run
-    are corrected from then on. An emulated arm tells by itself. A folder that is not there yet is begun. With a camera,
-    an interrupted session goes on where it was.
+    are corrected from then on. An emulated arm tells by itself. A folder that is not there yet is begun. An interrupted
+    session goes on where it was.
 
     Example: `rejoint calibrate serial:///dev/ttyAMA0 runs/mine --touch --count 10`, or
     `rejoint calibrate serial:///dev/ttyAMA0 runs/mine --camera 0`

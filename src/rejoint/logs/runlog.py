@@ -9,8 +9,11 @@ from __future__ import annotations
 
 import hashlib
 import json
+import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +27,7 @@ from rejoint.logs.found import describe
 from rejoint.system.errors import FileError, InputError, first_line
 from rejoint.system.files import CHANGED, MEGABYTE, require_file, write_whole
 from rejoint.system.numbers import LONGEST_PERIOD, as_floats
+from rejoint.system.stopping import noted
 
 Array = NDArray[np.float64]
 
@@ -257,12 +261,20 @@ def read_log(path: Path) -> RunLog:
 def read_parquet(path: Path, remedy: str, columns: list[str] | None = None) -> pa.Table:
     """Read a Parquet file, its checksums verified; FileError if it is too large, else Arrow's errors as they come."""
     require_file(path, LOG_MOST, remedy)
+    _load_pandas()
     with pq.ParquetFile(path, page_checksum_verification=True) as file:
         parts, leaves = range(file.metadata.num_row_groups), range(file.metadata.num_columns)
         values = sum(file.metadata.row_group(part).column(leaf).num_values for part in parts for leaf in leaves)
         if values > VALUES_MOST:
             raise FileError(path, f"{values} numbers, expected at most {VALUES_MOST}", remedy)
         return file.read(columns)
+
+
+def _load_pandas() -> None:
+    """Load pandas, where it is installed, before Arrow does so: a signal that comes meanwhile is lost in there."""
+    if "pandas" not in sys.modules:
+        with noted(), suppress(Exception):  # Arrow does without it
+            import_module("pandas")
 
 
 def _about(log: RunLog) -> dict[str, Any]:

@@ -1,7 +1,8 @@
-"""What is used of the vendor's package: two clients, their table of limits, and what keeps them quiet.
+"""What is used of the vendor's package: two clients, their table of limits, what keeps them quiet, and their clock.
 
 Importing pymycobot 4.0.7 asks the locale in a way that Python has deprecated; the user can do
-nothing about it and does not hear of it.
+nothing about it and does not hear of it. On a serial line the client waits for an answer by the wall clock: where that
+is set back meanwhile it would wait for as long as that, and hear no signal. It gets the clock that is never set.
 """
 
 from __future__ import annotations
@@ -9,15 +10,19 @@ from __future__ import annotations
 import contextlib
 import io
 import logging
+import time
 import warnings
 from collections.abc import Iterator
+from types import SimpleNamespace
 
 from rejoint.robots.address import SerialAddress, TcpAddress
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore", DeprecationWarning)
-    from pymycobot import MyCobot280, MyCobot280Socket
+    from pymycobot import MyCobot280, MyCobot280Socket, common
     from pymycobot.robot_info import RobotLimit
+
+common.time = SimpleNamespace(time=time.monotonic, sleep=time.sleep)  # all that it uses of it
 
 LOWEST_DEG: tuple[float, ...] = tuple(RobotLimit.robot_limit["MyCobot280"]["angles_min"])
 """[deg] lowest joint angles that the clients accept"""

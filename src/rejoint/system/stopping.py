@@ -110,6 +110,16 @@ def _drop() -> None:
     _note.signum, _note.by = 0, ""
 
 
+def raise_again() -> None:
+    """Raise once more what was raised and swallowed, as by a library that takes any error for a missing part of it.
+
+    For what a command calls as its work goes on, in the main thread: there it would not if somebody had heard.
+    """
+    raised, hears = _note.raised, threading.current_thread() is threading.main_thread()
+    if raised is not None and hears and not _note.noted and sys.exc_info()[1] is None:
+        raise raised
+
+
 def interruption() -> Interrupted | None:
     """Return the interruption that was raised last since `install`, for what turns it into something else."""
     return _note.raised

@@ -60,9 +60,9 @@ def test_postures_are_come_to_from_both_sides_and_measured_standing_still():
 def test_what_was_left_out_is_left_out_and_nothing_at_all_is_an_error():
     robot = rejoint.connect("emulated:healthy")
     kept = []
-    found = measure(robot, Silent(), PLAN, on_measured=kept.append)
+    found = measure(robot, Silent(), PLAN, on_measured=lambda *now: kept.append(now))
     assert list(found.posture) == list(PLAN.posture[::2])
-    assert [len(one) for one in kept] == [1, 2]
+    assert [(len(one), answered) for one, answered in kept] == [(1, 1), (1, 2), (2, 3), (2, 4)]
     with pytest.raises(InputError, match="nothing was measured"):
         measure(robot, Mute(), PLAN)
 

@@ -13,15 +13,18 @@ import csv
 import hashlib
 import io
 import json
+from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
+import msgspec
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
 from rejoint.arms import Arm, Array
 from rejoint.arms.size import in_metres
-from rejoint.diagnosis.calibration.measurements import NOISE, Measurements
+from rejoint.diagnosis.calibration.measurements import NOISE, Measurements, Session
 from rejoint.diagnosis.calibration.sheets import ANGLES, COUNT, LENGTHS, read_columns
 from rejoint.logs.runlog import AXES, read_parquet
 from rejoint.system.errors import FileError, InputError, first_line
@@ -33,14 +36,24 @@ _REMEDY = "measure again, or take another file"
 _DEG, _MM = np.pi / 180.0, 1e-3
 
 
-def write_measurements(path: Path, arm: Arm, measured: Measurements) -> None:
-    """Write measurements of ``arm`` as Parquet, or as CSV where the name ends in ``.csv``."""
+def write_measurements(path: Path, arm: Arm, measured: Measurements, session: Session | None = None) -> None:
+    """Write measurements of ``arm`` as Parquet, or as CSV where the name ends in ``.csv``.
+
+    ``session`` tells how far they have come; without it they are all, and nothing goes on from them.
+    """
     columns = _columns(arm, measured)
     if path.suffix.lower() == ".csv":
         write_whole(path, lambda temporary: temporary.write_text(_as_csv(columns), encoding="utf-8"))
         return
-    about = {"arm": arm.name, "joints": list(arm.joint_names), "frame": measured.frame, "source": measured.source}
-    header = {"format": FORMAT, **about, "digest": _digest(measured)}
+    about: dict[str, Any] = {
+        "arm": arm.name,
+        "joints": list(arm.joint_names),
+        "frame": measured.frame,
+        "source": measured.source,
+    }
+    if session is not None:
+        about["session"] = asdict(session)
+    header = {"format": FORMAT, **about, "digest": _digest(measured, about.get("session"))}
     table = pa.table(columns).replace_schema_metadata({_KEY: json.dumps(header).encode()})
     write_whole(path, lambda temporary: pq.write_table(table, temporary, write_page_checksum=True))
 
@@ -60,6 +73,19 @@ def read_measurements(path: Path, arm: Arm, *, frame: str = "base", source: str 
         raise FileError(path, f"not readable measurements ({first_line(error)})", _REMEDY) from error
 
 
+def read_interrupted(path: Path, arm: Arm) -> tuple[Measurements, Session] | None:
+    """Read measurements in Parquet that were interrupted, and how far they had come; None where they came to the end.
+
+    FileError as `read_measurements`.
+    """
+    measured = read_measurements(path, arm)
+    try:
+        session = json.loads((pq.read_schema(path).metadata or {}).get(_KEY, b"{}")).get("session")
+        return None if session is None else (measured, msgspec.convert(session, Session))
+    except (OSError, pa.ArrowException, ValueError, msgspec.MsgspecError) as error:
+        raise FileError(path, f"not readable measurements ({first_line(error)})", _REMEDY) from error
+
+
 def _columns(arm: Arm, measured: Measurements) -> dict[str, Array]:
     columns: dict[str, Array] = {"posture": measured.posture.astype(float)}
     for group in ("position", "approach"):
@@ -68,8 +94,10 @@ def _columns(arm: Arm, measured: Measurements) -> dict[str, Array]:
     return columns | {"sigma": measured.sigma}
 
 
-def _digest(measured: Measurements) -> str:
+def _digest(measured: Measurements, session: object = None) -> str:
     found = hashlib.sha256(f"{measured.frame} {measured.source}".encode())
+    if session is not None:
+        found.update(json.dumps(session, sort_keys=True).encode())
     for name in ("position", "approach", "point", "sigma", "posture"):
         found.update(np.ascontiguousarray(getattr(measured, name), dtype="<f8").tobytes())
     return found.hexdigest()[:16]
@@ -86,7 +114,7 @@ def _from_parquet(path: Path, arm: Arm) -> Measurements:
         raise FileError(path, f"measurements of arm {header['arm']}, expected {arm.name}", "name the right arm")
     columns = {name: table[name].to_numpy() for name in table.column_names}
     found = _assemble(columns, arm, header["frame"], header["source"])
-    if header["digest"] != _digest(found):
+    if header["digest"] != _digest(found, header.get("session")):
         raise FileError(path, CHANGED, _REMEDY)
     return found
 

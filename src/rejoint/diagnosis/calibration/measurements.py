@@ -68,3 +68,15 @@ class Measurements:
             position=self.position[where], approach=self.approach[where], point=self.point[where],
             sigma=self.sigma[where], posture=self.posture[where], frame=self.frame, source=self.source,
         )  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class Session:
+    """How far a measuring drive had come when it was interrupted."""
+
+    plan: str
+    """digest of the postures that it went to, `rejoint.diagnosis.calibration.postures.Suggestion.digest`"""
+    answered: int
+    """postures that were measured or left out"""
+    afresh: bool = False
+    """whether no earlier calibration was to be believed"""

@@ -15,7 +15,7 @@ from rejoint.control.recording import Recording
 from rejoint.control.robot import Robot
 from rejoint.control.start import Stance, begin
 from rejoint.diagnosis.calibration.gauges import Gauge, Stop
-from rejoint.diagnosis.calibration.measurements import Measurements
+from rejoint.diagnosis.calibration.measurements import Measurements, Session
 from rejoint.diagnosis.calibration.postures import Suggestion
 from rejoint.system.errors import InputError, NotReadyError
 from rejoint.system.progress import Progress, no_progress
@@ -32,8 +32,8 @@ MOVED = np.radians(2.0)
 a centimetre at the tool)"""
 TRIES = 3
 """Times that a posture is measured in which the arm did not stand still (chosen)"""
-OnMeasured = Callable[[Measurements], object]
-"""Called after each measurement with all of them, so that they can be kept"""
+OnMeasured = Callable[[Measurements, int], object]
+"""Called after each posture with all measurements and how many postures were measured or left out, to keep them"""
 
 
 @dataclass(kw_only=True, eq=False)
@@ -42,6 +42,15 @@ class _Rows:
     approach: list[Array] = field(default_factory=list)
     point: list[Array] = field(default_factory=list)
     posture: list[int] = field(default_factory=list)
+
+    @classmethod
+    def of(cls, measured: Measurements | None) -> _Rows:
+        if measured is None:
+            return cls()
+        return cls(
+            position=list(measured.position), approach=list(measured.approach), point=list(measured.point),
+            posture=measured.posture.tolist(),
+        )  # fmt: skip
 
     def measurements(self, gauge: Gauge) -> Measurements:
         return Measurements(
@@ -54,35 +63,30 @@ class _Rows:
 def measure(
     robot: Robot, gauge: Gauge, plan: Suggestion, *, limits: GuardLimits | None = None,
     stance: Stance | None = None, on_progress: Progress = no_progress, on_measured: OnMeasured | None = None,
+    begun: tuple[Measurements, Session] | None = None,
 ) -> Measurements:  # fmt: skip
     """Bring one arm to the postures of ``plan``, each from where it says, and measure the tool there.
 
-    A posture that was not kept while it was measured is measured again. InputError where nothing was measured,
-    NotReadyError where the arm does not stand still; what `run` raises where the motion had to be ended.
+    It goes on with what was ``begun`` of the same plan; nothing moves where all of that is done. A posture that was
+    not kept while it was measured is measured again. InputError where nothing was measured, NotReadyError where the
+    arm does not stand still; what `run` raises where the motion had to be ended.
     """
-    drive = StandingDrive(robot, limits, stance)
-    rows, total = _Rows(), len(plan.posture)
-    for number, (posture, before) in enumerate(zip(plan.postures, plan.approach, strict=True)):
+    total = len(plan.posture)
+    earlier, done = (None, 0) if begun is None else (begun[0], begun[1].answered)
+    if earlier is not None and done >= total:
+        return earlier
+    drive, rows = StandingDrive(robot, limits, stance), _Rows.of(earlier)
+    for number in range(done, total):
         on_progress(number / total, f"measurement {number + 1} of {total}")
-        again = ""
-        for _ in range(TRIES):
-            position, approach = drive.stand(posture, before)
-            point = gauge.measure(robot, Stop(number + 1, total, tcp_position(robot.arm, position), again))
-            check()
-            left_out = not np.isfinite(point).any()
-            again = "" if left_out else _gone(robot, position)
-            if not again:
-                break
-        else:
-            raise NotReadyError(f"{again}, {TRIES} times; what moves it?")
-        if left_out:
-            continue
-        rows.position.append(position)
-        rows.approach.append(approach)
-        rows.point.append(point)
-        rows.posture.append(int(plan.posture[number]))
-        if on_measured is not None:
-            on_measured(rows.measurements(gauge))
+        found = _measured(drive, gauge, plan, number)
+        if found is not None:
+            position, approach, point = found
+            rows.position.append(position)
+            rows.approach.append(approach)
+            rows.point.append(point)
+            rows.posture.append(int(plan.posture[number]))
+        if on_measured is not None and rows.posture:
+            on_measured(rows.measurements(gauge), number + 1)
     on_progress(1.0, "measured")
     drive.rest()
     if not rows.posture:
@@ -94,7 +98,7 @@ class StandingDrive:
     """Brings one arm to postures, slowly and under the guard, to stand still in each; begins at rest."""
 
     def __init__(self, robot: Robot, limits: GuardLimits | None = None, stance: Stance | None = None) -> None:
-        self._robot, self._limits = robot, limits or GuardLimits.of(robot.arm)
+        self.robot, self._limits = robot, limits or GuardLimits.of(robot.arm)
         with noted():
             self._sent = begin(robot, self._limits, stance).command[-1]
 
@@ -106,13 +110,32 @@ class StandingDrive:
     def rest(self) -> None:
         """Go back to the rest posture."""
         with noted():
-            move(self._robot, self._robot.arm.rest, sent=self._sent, limits=self._limits)
+            move(self.robot, self.robot.arm.rest, sent=self._sent, limits=self._limits)
 
     def _go(self, posture: Array, settle: float) -> Recording:
         with noted():
-            gone = move(self._robot, posture, sent=self._sent, speed=SPEED, settle=settle, limits=self._limits)
+            gone = move(self.robot, posture, sent=self._sent, speed=SPEED, settle=settle, limits=self._limits)
         self._sent = gone.command[-1]
         return gone
+
+
+def _measured(drive: StandingDrive, gauge: Gauge, plan: Suggestion, number: int) -> tuple[Array, Array, Array] | None:
+    """Measure at one posture, again where it was not kept: readings (n,) there and before, and the tool (3,).
+
+    None where it is left out.
+    """
+    robot, again = drive.robot, ""
+    for _ in range(TRIES):
+        position, approach = drive.stand(plan.postures[number], plan.approach[number])
+        stop = Stop(number + 1, len(plan.posture), tcp_position(robot.arm, position), again)
+        point = gauge.measure(robot, stop)
+        check()
+        if not np.isfinite(point).any():
+            return None
+        again = _gone(robot, position)
+        if not again:
+            return position, approach, point
+    raise NotReadyError(f"{again}, {TRIES} times; what moves it?")
 
 
 def _gone(robot: Robot, position: Array) -> str:

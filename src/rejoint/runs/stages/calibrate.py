@@ -8,8 +8,6 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rejoint.control.robot import Robot
-from rejoint.control.servogains import limits_under
 from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.diagnosis.calibration.camera.film import Film
 from rejoint.diagnosis.calibration.camera.filming import POSTURES, CameraGauge
@@ -19,9 +17,8 @@ from rejoint.diagnosis.calibration.fit import fit
 from rejoint.diagnosis.calibration.gauges import EmulatedGauge, Gauge
 from rejoint.diagnosis.calibration.measurementfile import read_measurements, write_measurements
 from rejoint.diagnosis.calibration.measurements import Measurements
-from rejoint.diagnosis.calibration.postures import suggest
 from rejoint.diagnosis.calibration.preload import Preload, preload
-from rejoint.diagnosis.calibration.procedure import measure, reversals
+from rejoint.diagnosis.calibration.procedure import reversals
 from rejoint.runs.given import (
     ArmLike,
     CalibrationLike,
@@ -39,18 +36,17 @@ from rejoint.runs.given import (
 )
 from rejoint.runs.metering import metered
 from rejoint.runs.run import Run, exclusive
-from rejoint.runs.stages.driving import guard_limits, kept_if_stopped, stance_of
+from rejoint.runs.stages.driving import kept_if_stopped
 from rejoint.runs.stages.filming import film_of, write_filmed
+from rejoint.runs.stages.measuring import measured_of
 from rejoint.system.errors import InputError
 from rejoint.system.files import require_space, saving, set_aside
 from rejoint.system.numbers import as_seed
 from rejoint.system.progress import Progress, no_progress, part
-from rejoint.system.shell import command
 
 if TYPE_CHECKING:
     from rejoint.arms import Arm
     from rejoint.diagnosis.calibration.camera.adjustment import Tip
-    from rejoint.twin.twin import Twin
 
 POINTS = 10
 """Postures that are measured where nobody says how many (docs/true-accuracy.md: from five to ten the error falls by a
@@ -105,7 +101,7 @@ def calibrate(
     """Measure where the tool of an arm really is, fit what lies behind its encoders, and keep it if correcting helps.
 
     The arm goes slowly, under the guard, to postures that tell most, and stands still at each, come to from two sides.
-    In a run, `deploy` and `compare` correct by it from then on.
+    In a run, `deploy` and `compare` correct by it from then on, and what was interrupted goes on where it was.
 
     Parameters
     ----------
@@ -128,8 +124,8 @@ def calibrate(
     twin
         twin that says how far the arm should sag at rest, which is checked; by default that of the run
     prior
-        earlier calibration of the same arm to start from, so that few points suffice; ``none``: from nothing. By
-        default that of the run
+        earlier calibration of the same arm to start from, so that few points suffice; ``none``: from nothing, and
+        without what was interrupted. By default that of the run
     period
         [s] interval of the control periods; by default what the robot suits
     seed
@@ -165,6 +161,7 @@ def calibrate(
         raise InputError("calibration: points alone do not tell of which arm they are; name the arm or the run")
     chosen = about.arm if about is not None else arm_of(robot or "", arm)
     seed = as_seed(seed) if about is None else about.seed
+    afresh = isinstance(prior, str) and prior == "none"
     with exclusive(about):
         believed = as_calibration(prior, about, chosen)
         known = as_twin(twin) if twin is not None else None if about is None else about.twin
@@ -183,17 +180,16 @@ def calibrate(
                 about = about and about.begin()
                 share = part(on_progress, 0.0, 0.95)
                 if isinstance(gauge, CameraGauge):
-                    measured = film_of(
-                        connection, gauge, about, known, count or POSTURES, visits, share, afresh=prior == "none"
-                    )
+                    measured = film_of(connection, gauge, about, known, count or POSTURES, visits, share, afresh=afresh)
+                    believed = None if measured.afresh else believed
                 else:
-                    drive = _MeasuringDrive(
-                        robot=connection, gauge=gauge or EmulatedGauge(seed=seed), run=about, twin=known, prior=believed
-                    )
-                    measured = drive.measure(count or POINTS, visits, share)
+                    measured, believed = measured_of(
+                        connection, gauge or EmulatedGauge(seed=seed), about, known, believed, count or POINTS, visits,
+                        share, afresh=afresh,
+                    )  # fmt: skip
         on_progress(0.95, "fitting")
         tip = gauge.tip if isinstance(gauge, CameraGauge) else None
-        result = _fitted(chosen, measured, believed, tip)
+        result = _fitted(chosen, measured, believed, tip, taken=about is not None and points is None)
         if about is not None:
             with saving(result):
                 _write(about, measured, result, taken=points is None)
@@ -201,8 +197,10 @@ def calibrate(
         return result
 
 
-def _fitted(arm: Arm, measured: Measurements | Film, prior: Calibration | None, tip: Tip | None) -> Calibrated:
-    """Fit points, or what a film shows."""
+def _fitted(
+    arm: Arm, measured: Measurements | Film, prior: Calibration | None, tip: Tip | None, *, taken: bool
+) -> Calibrated:
+    """Fit points, or what a film shows; ``taken`` tells whether they are kept in a run and were made just now."""
     date = f"{datetime.now().astimezone():%Y-%m-%dT%H:%M:%S%z}"
     filmed = None
     if isinstance(measured, Film):
@@ -213,7 +211,12 @@ def _fitted(arm: Arm, measured: Measurements | Film, prior: Calibration | None, 
             raise
         found, measured = filmed.calibration, filmed.measurements
     else:
-        found = fit(arm, measured, prior=prior, date=date)
+        try:
+            found = fit(arm, measured, prior=prior, date=date)
+        except InputError as error:
+            if taken:
+                error.add_note("What was measured is kept; --afresh measures anew.")
+            raise
     return Calibrated(
         calibration=found, measurements=measured, reversal=reversals(arm, measured, found.frame), filmed=filmed
     )
@@ -222,43 +225,8 @@ def _fitted(arm: Arm, measured: Measurements | Film, prior: Calibration | None, 
 def _write(run: Run, measured: Measurements | Film, result: Calibrated, *, taken: bool) -> None:
     """Keep what was found in the run; ``taken`` tells whether a film was taken just now."""
     run.begin()
-    write_measurements(run.folder.measurements, run.arm, result.measurements)
     set_aside(run.folder.calibration)
     write_calibration(run.folder.calibration, result.calibration)
+    write_measurements(run.folder.measurements, run.arm, result.measurements)  # from then on nothing goes on from them
     if isinstance(measured, Film) and result.filmed is not None:
         write_filmed(run, run.arm, measured, result.filmed, taken=taken)
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _MeasuringDrive:
-    """A measuring drive of an open robot."""
-
-    robot: Robot
-    gauge: Gauge
-    run: Run | None
-    twin: Twin | None
-    prior: Calibration | None
-
-    def measure(self, count: int, visits: int, on_progress: Progress) -> Measurements:
-        """Drive and measure; in a run, every measurement is kept as it comes."""
-        arm, run = self.robot.arm, self.run
-
-        def keep(measured: Measurements) -> None:
-            if run is not None:
-                write_measurements(run.folder.measurements, arm, measured)
-
-        if run is not None:
-            set_aside(run.folder.measurements)
-        plan = suggest(arm, count * visits, visits=visits, sigma=self.gauge.sigma, prior=self.prior)
-        try:
-            return measure(
-                self.robot, self.gauge, plan, on_progress=on_progress, on_measured=keep,
-                limits=limits_under(guard_limits(run, arm, self.robot.address), self.robot, None),
-                stance=stance_of(self.twin, run),
-            )  # fmt: skip
-        except BaseException as error:
-            if run is not None and run.folder.measurements.exists():
-                file = run.folder.measurements
-                line = command("calibrate", self.robot.address, run.path, "--points", file)
-                error.add_note(f"What was measured until then: {file}; what fits it: {line}")
-            raise

@@ -14,6 +14,7 @@ from rejoint.diagnosis.calibration.camera.filmfile import POSTURES, read_film, w
 from rejoint.diagnosis.calibration.camera.filming import CameraGauge, FilmDrive, Picture, UnseenBoardError
 from rejoint.runs.run import Run
 from rejoint.runs.stages.driving import guard_limits, stance_of
+from rejoint.runs.stages.measuring import same, told
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import set_aside, write_whole
 from rejoint.system.progress import Progress
@@ -33,9 +34,11 @@ def film_of(
     """Take the film of an open robot; in a run, go on with the one that was interrupted there, unless ``afresh``."""
     arm = robot.arm
     begun = None if run is None else interrupted(run, gauge, afresh=afresh)
-    film = begun or Film(board=gauge.board, carried=gauge.carried)
+    film = begun or Film(board=gauge.board, carried=gauge.carried, afresh=afresh)
     if begun is None:
         _set_aside(run)
+    elif run is not None:
+        told(run.folder.views, f"{len(film)} pictures are there")
 
     def keep(film: Film, name: str, picture: Picture) -> None:
         if run is not None:
@@ -55,7 +58,8 @@ def film_of(
             raise
         except BaseException as error:
             if run is not None and run.folder.views.exists():
-                error.add_note(f"What was seen until then is kept ({run.folder.views}); the same command goes on there")
+                file, goes_on = run.folder.views, same(afresh=film.afresh)
+                error.add_note(f"What was seen until then is kept ({file}); {goes_on} goes on there")
             raise
 
 

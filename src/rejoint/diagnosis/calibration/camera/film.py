@@ -45,6 +45,8 @@ class Film:
     """[px] width and height of the pictures; None before the first"""
     shots: tuple[Shot, ...] = field(default=())
     """in the order of their numbers"""
+    afresh: bool = False
+    """whether no earlier calibration is to be believed with it"""
 
     def __len__(self) -> int:
         """Count the pictures."""

@@ -45,7 +45,8 @@ def write_film(path: Path, arm: Arm, film: Film, *, ended: bool = False) -> None
     rows = _rows(arm, film)
     header = {
         "format": FORMAT, "arm": arm.name, "joints": list(arm.joint_names), "board": asdict(film.board),
-        "carried": film.carried, "size": film.size, "ended": ended, "digest": _digest(rows),
+        "carried": film.carried, "size": film.size, "ended": ended, "afresh": film.afresh,
+        "digest": _digest(rows),
     }  # fmt: skip
     table = pa.table({name: pa.array(values, _type(name)) for name, values in rows.items()})
     table = table.replace_schema_metadata({_KEY: json.dumps(header).encode()})
@@ -69,6 +70,7 @@ def read_film(path: Path, arm: Arm) -> tuple[Film, bool]:
             size=None if header["size"] is None else (int(header["size"][0]), int(header["size"][1])),
             shots=tuple(_shot({name: values[i] for name, values in rows.items()}, arm)
                         for i in range(table.num_rows)),
+            afresh=bool(header.get("afresh", False)),
         )  # fmt: skip
         return film, bool(header["ended"])
     except FileNotFoundError as error:
