@@ -125,6 +125,13 @@ def test_a_posture_that_is_not_safe_says_why(six: Arm) -> None:
         plan_excitation(stretched, seed=0)
 
 
+def test_an_arm_on_a_surface_is_told_of_its_tip_and_not_of_a_derived_posture(tmp_path: Path) -> None:
+    flat = [("revolute", f"0 0 {length}", Y, (-1.0, 1.0)) for length in (0.1, 0.2, 0.2)]
+    arm = read_arm(written(tmp_path, urdf(tuple(flat)))).arm
+    with pytest.raises(InputError, match=r"its joints move the TCP on a line or a surface only.*; choose a tip that"):
+        plan_excitation(arm, seed=0)
+
+
 def test_a_slide_is_held_and_its_place_can_be_given(tmp_path: Path) -> None:
     path = written(tmp_path, urdf((LIFT, *SIX)))
     names, notes = names_and_notes(path)
