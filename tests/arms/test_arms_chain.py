@@ -313,7 +313,8 @@ def test_a_root_link_called_world_is_the_world(tmp_path: Path) -> None:
     [
         ("a.urdf", "<robot><link></robot>", "it is not XML: mismatched tag: line 1"),
         ("a.xml", "<sdf/>", "its root element is <sdf>"),
-        ("a.urdf", "<robot><xacro:property name='a' value='1'/></robot>", "it is a xacro file"),
+        ("a.urdf", "<robot><xacro:macro name='a'/></robot>", "it is a xacro file"),
+        ("a.urdf", "<robot><xacro:property name='a' value='1'/><link name='${a}'/></robot>", "it is a xacro file"),
         ("a.xml", "<mujoco><worldbody><wrong/></worldbody></mujoco>", "MuJoCo cannot read it"),
         ("a.xml", None, "there is no such file"),
     ],

@@ -1,5 +1,6 @@
 """Descriptions as other people write them, each small and with one thing that kept an arm from being used."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -124,6 +125,13 @@ def test_a_posture_that_is_not_safe_says_why(six: Arm) -> None:
         plan_excitation(stretched, seed=0)
 
 
+def test_an_arm_on_a_surface_is_told_of_its_tip_and_not_of_a_derived_posture(tmp_path: Path) -> None:
+    flat = [("revolute", f"0 0 {length}", Y, (-1.0, 1.0)) for length in (0.1, 0.2, 0.2)]
+    arm = read_arm(written(tmp_path, urdf(tuple(flat)))).arm
+    with pytest.raises(InputError, match=r"its joints move the TCP on a line or a surface only.*; choose a tip that"):
+        plan_excitation(arm, seed=0)
+
+
 def test_a_slide_is_held_and_its_place_can_be_given(tmp_path: Path) -> None:
     path = written(tmp_path, urdf((LIFT, *SIX)))
     names, notes = names_and_notes(path)
@@ -227,6 +235,34 @@ def test_what_an_arm_does_not_need_may_be_wrong(tmp_path: Path) -> None:
     for one, other in zip(found.links, plain.links, strict=True):
         assert one.mass == other.mass
         np.testing.assert_array_equal(one.inertia, other.inertia)
+
+
+def test_a_property_that_nothing_uses_makes_no_template(tmp_path: Path) -> None:
+    plain = cut(read_tree(written(tmp_path, urdf(SIX))), None, None)
+    mesh = '<visual><geometry><mesh filename="$(find a)/${b}.dae"/></geometry></visual></link>'
+    text = urdf(SIX, '<xacro:property name="width" value=".2"/>').replace("</inertial></link>", f"</inertial>{mesh}")
+    text = text.replace("<robot", '<robot xmlns:xacro="http://www.ros.org/wiki/xacro"')
+    found = cut(read_tree(written(tmp_path, text)), None, None)
+    assert found.joint_names == plain.joint_names
+    np.testing.assert_array_equal(found.offset, plain.offset)
+
+
+def test_a_mass_without_an_inertia_is_kept_and_the_inertia_estimated(tmp_path: Path) -> None:
+    text = re.sub(r"<inertia [^>]*/>", "", urdf(SIX))
+    loaded = read_arm(written(tmp_path, text))
+    np.testing.assert_array_equal(loaded.arm.mass, np.ones(6))
+    np.testing.assert_allclose(loaded.arm.com, np.tile([0.0, 0.0, 0.05], (6, 1)))
+    assert "body l2: its inertia belongs to no rigid body (moments 0, 0, 0 kg m^2)" in loaded.notes
+    assert sum("no usable inertia; estimated" in note for note in loaded.notes) == 6
+
+
+def test_a_frame_of_next_to_no_inertia_does_not_keep_an_arm_from_being_read(tmp_path: Path) -> None:
+    moments = 'ixx="3.3e-22" iyy="3.3e-22" izz="5e-22" ixy="0" ixz="0" iyz="0"'
+    frame = f'<link name="imu"><inertial><mass value="1e-7"/><inertia {moments}/></inertial></link>'
+    text = urdf(SIX, fixed("l3", "imu").replace('<link name="imu"/>', frame))
+    found, plain = (cut(read_tree(written(tmp_path, one)), None, None) for one in (text, urdf(SIX)))
+    assert found.links[2].mass == pytest.approx(plain.links[2].mass, abs=1e-6)
+    np.testing.assert_allclose(found.links[2].inertia, plain.links[2].inertia, atol=1e-6)
 
 
 def test_warnings_are_notes_and_leave_nothing_behind(

@@ -50,3 +50,17 @@ def test_skipping_what_is_reached_changes_nothing():
     for k in range(399):
         expected[k + 1] = approach(expected[k], command[k], speeds[:, None] * (time[k + 1] - time[k]))
     np.testing.assert_allclose(r.sample(time, np.zeros(4)).swapaxes(0, 1), expected, atol=1e-12)
+
+
+@settings(max_examples=25)
+@given(delay=st.floats(0.0, 0.1), speed=st.floats(0.2, 50.0), seed=st.integers(0, 99))
+def test_means_over_steps_are_those_of_many_samples(delay, speed, seed):
+    rng = np.random.default_rng(seed)
+    time = np.cumsum(rng.uniform(0.02, 0.03, 8))
+    command = rng.normal(0, 0.3, (8, 2))
+    r = Reference(time, command, np.array([speed, 2 * speed]), command[0] + 0.1)
+    width, fine = 0.01, (np.arange(400) + 0.5) / 400 - 0.5
+    at = time[0] + width * np.arange(30)
+    delays = np.array([delay, 0.0])
+    expected = np.mean([r.sample(at + width * share, delays) for share in fine], axis=0)
+    np.testing.assert_allclose(r.mean(at, delays, width), expected, atol=2e-3)

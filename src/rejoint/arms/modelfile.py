@@ -31,6 +31,9 @@ from rejoint.system.extras import require
 _KINDS = {0: "free", 1: "ball", 2: "slide", 3: "hinge"}
 """mjtJoint"""
 
+LEAST_MOMENT = 1e-12
+"""[kg m^2] below, MuJoCo takes an inertia for none (its bound is 1e-14; frames of sensors have 1e-22)"""
+
 
 def read_tree(path: Path, hold: Mapping[str, float] | None = None) -> Tree:
     """Read a URDF or MJCF file, with the joints of ``hold`` held at those positions, [rad] or [m].
@@ -165,7 +168,7 @@ def _contents(spec: Any, notes: list[str]) -> dict[str, SpatialInertia | None]: 
         elif not (np.isfinite(mass) and mass > 0 and np.isfinite(com).all()):
             result[body.name] = NOTHING
             notes.append(f"body {body.name}: a mass of {mass:g} kg at {com} m cannot be; left out")
-        elif not usable(inertia):
+        elif not usable(inertia) or np.linalg.eigvalsh(inertia)[0] < LEAST_MOMENT:
             result[body.name] = SpatialInertia(mass=mass, com=com, inertia=ball(mass), doubtful=True)
             notes.append(f"body {body.name}: its inertia belongs to no rigid body (moments {_moments(inertia)} kg m^2)")
         else:

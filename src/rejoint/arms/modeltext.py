@@ -17,6 +17,11 @@ _JOINT_PARTS = ("parent", "child", "origin", "axis", "limit", "mimic")
 
 _DECLARED = re.compile(rb"\s*<\?xml[^>]*\sencoding=[\"']([\w.-]+)")
 
+_EXPRESSION = re.compile(r"\$[{(]")
+"""Beginning of what xacro computes"""
+
+_NO_INERTIA = dict.fromkeys(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), "0")
+
 _PREFIX = re.compile(r"(</?|\s)([A-Za-z_][\w.-]*):(?=[A-Za-z_][\w.-]*[\s=/>])")
 """namespace prefix of an element or attribute"""
 
@@ -41,9 +46,15 @@ def parse(path: Path) -> ET.Element:
         raise FileError(path, "it is a fragment that other MJCF files include", f"give a whole one{_including(path)}")
     if root.tag not in ("robot", "mujoco"):
         raise FileError(path, f"its root element is <{root.tag}>", "give a URDF (<robot>) or an MJCF (<mujoco>) file")
-    if any(element.tag.startswith("xacro_") for element in root.iter()):
+    if _is_template(root):
         raise xacro_error(path)
     return root
+
+
+def _is_template(root: ET.Element) -> bool:
+    """Tell whether xacro has to be run on a file; URDFs of makers often declare a property that nothing uses."""
+    used = {element.tag for element in root.iter() if element.tag.startswith("xacro_")}
+    return bool(used - {"xacro_property"}) or (bool(used) and _EXPRESSION.search(bare(root)) is not None)
 
 
 def _decoded(data: bytes) -> str:
@@ -86,6 +97,9 @@ def bare(root: ET.Element) -> str:
                 continue
             if element.tag != "joint" or part.tag in _JOINT_PARTS:
                 copy.append(part)
+            if part.tag == "inertial" and part.find("inertia") is None:  # MuJoCo wants one; zeros are estimated later
+                copy[-1] = ET.Element("inertial", part.attrib)
+                copy[-1].extend([*part, ET.Element("inertia", _NO_INERTIA)])
     return ET.tostring(kept, encoding="unicode")
 
 

@@ -35,6 +35,7 @@ from rejoint.arms.room import (
     unsafe,
 )
 from rejoint.arms.size import length_size, torque_size
+from rejoint.arms.workspace import on_a_surface
 from rejoint.diagnosis.path import CommandPath, smooth_ramp
 from rejoint.diagnosis.segments import Segment
 from rejoint.system.errors import InputError
@@ -128,6 +129,15 @@ _REMEDY = (
     "that load the arm more than its targets do, or leave out rest_deg and targets to have them derived"
 )
 
+_ON_A_SURFACE = (
+    "its joints move the TCP on a line or a surface only, for which no posture with room is derived; choose a tip that "
+    "every joint moves (--tip, or tip.position_m in the arm's TOML file), or give rest_deg and targets there"
+)
+
+
+def _remedy(arm: Arm) -> str:
+    return _ON_A_SURFACE if on_a_surface(arm) else _REMEDY
+
 
 def plan_excitation(arm: Arm, *, seed: int, start: Array | None = None, plan: Plan = FULL) -> Excitation:
     """Plan the excitation of an arm that stands at ``start`` (n,) [rad] (default: its rest posture).
@@ -137,7 +147,7 @@ def plan_excitation(arm: Arm, *, seed: int, start: Array | None = None, plan: Pl
     """
     why = unsafe(arm, arm.rest)
     if why:
-        raise InputError(f"arm {arm.name}: its rest posture is not safe to excite it about: {why}; {_REMEDY}")
+        raise InputError(f"arm {arm.name}: its rest posture is not safe to excite it about: {why}; {_remedy(arm)}")
     plan, where = _slowed(plan, arm), "its beginning"
     for _ in range(_ATTEMPTS):
         excitation = _plan_once(arm, seed, arm.rest if start is None else np.asarray(start, dtype=float), plan)
@@ -150,7 +160,7 @@ def plan_excitation(arm: Arm, *, seed: int, start: Array | None = None, plan: Pl
             break
         name = _AMPLITUDES[segment.kind]
         plan = replace(plan, **{name: _SMALLER * getattr(plan, name)})
-    raise InputError(f"arm {arm.name}: the excitation is not safe in {where}; {_REMEDY}")
+    raise InputError(f"arm {arm.name}: the excitation is not safe in {where}; {_remedy(arm)}")
 
 
 def _plan_once(arm: Arm, seed: int, start: Array, plan: Plan) -> Excitation:
@@ -244,7 +254,7 @@ def hold_postures(arm: Arm, plan: Plan, rng: np.random.Generator) -> Array:
     if len(q) < plan.postures:
         raise InputError(
             f"arm {arm.name}: only {len(q)} of {POSTURES} postures around its rest posture are safe, expected "
-            f"{plan.postures} to hold; {_REMEDY}"
+            f"{plan.postures} to hold; {_remedy(arm)}"
         )
     torque = gravity_torque(arm, q)
     torque = torque / np.maximum(np.abs(torque).max(axis=0), LOAD_MARGIN * torque_size(arm))

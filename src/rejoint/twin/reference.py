@@ -45,6 +45,7 @@ class Reference:
             k += 1
             if np.abs(self.at[k] - command[k - 1]).max() < REACHED:
                 k = int(ahead[min(int(np.searchsorted(ahead, k)), len(ahead) - 1)])
+        self._area: Array | None = None
 
     def sample(self, time: Array, delay: Array) -> Array:
         """Return references (m, s, n) [rad] at ``time`` (s,) [s] for delays (m,) [s]; at first the start."""
@@ -53,6 +54,32 @@ class Reference:
         elapsed = np.maximum(late - self.time[row], 0.0)
         twin = self.which[:, None]
         return approach(self.at[row, twin], self.command[row], (self.ramp_speed[self.which] * elapsed)[..., None])
+
+    def mean(self, time: Array, delay: Array, width: float) -> Array:
+        """Return what `sample` does, averaged over ``width`` [s] about each of the even times ``time`` (s,) [s] apart.
+
+        Commands that all come at the same place of a step are then in force from where they come, and not from the
+        next step on.
+        """
+        edges = np.append(time - 0.5 * width, time[-1] + 0.5 * width)
+        late = edges - np.asarray(delay)[:, None]
+        row = np.clip(np.searchsorted(self.time, late, side="right") - 1, 0, len(self.time) - 1)
+        if self._area is None:
+            lasts = np.diff(self.time)[:, None, None]
+            areas = _area(self.at[:-1], self.command[:-1, None], self.ramp_speed, lasts)
+            self._area = np.concatenate([np.zeros_like(self.at[:1]), np.cumsum(areas, axis=0)])
+        twin, speed = self.which[:, None], self.ramp_speed[self.which][..., None]
+        since = (late - self.time[row])[..., None]
+        area = self._area[row, twin] + _area(self.at[row, twin], self.command[row], speed, since)
+        return np.diff(area, axis=1) / width
+
+
+def _area(reference: Array, goal: Array, speed: Array, elapsed: Array) -> Array:
+    """Integral [rad s] of a reference over the time ``elapsed`` [s] in which it approaches ``goal``; all broadcast."""
+    gap = goal - reference
+    moving = np.clip(elapsed, 0.0, np.abs(gap) / speed)
+    missing = np.abs(gap) * moving - 0.5 * speed * moving**2
+    return np.where(elapsed < 0.0, reference, goal) * elapsed - np.sign(gap) * missing
 
 
 def approach(reference: Array, goal: Array, step: Array | float) -> Array:

@@ -26,6 +26,10 @@ from rejoint.twin.reference import Reference
 from rejoint.twin.simulation import Draw, Simulation
 from rejoint.twin.table import TablePlane
 
+IN_STEP = 0.2
+"""How much the commands of a log keep to one place of the time steps, from 0 to 1, that lets them come late or early
+(chosen: stamps that wander by milliseconds, as those of emulated arms, and drifting clocks have 0.01)"""
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Window:
@@ -82,6 +86,7 @@ class Replay:
         self._profiles: dict[int, Profile] = {}
         self._gains = np.stack([gains(log) for log in self.logs])
         self._velocity = [measured_velocity(log) for log in self.logs]
+        self._even = {i for i, log in enumerate(self.logs) if _in_step(log.time, timestep) > IN_STEP}
         spans = [self._log(w).time[w.last - 1] - self._log(w).time[w.first] for w in self.windows]
         self.steps = int(np.ceil(max(spans) / timestep)) + 1
         self._simulations: dict[int, Simulation] = {}
@@ -148,11 +153,18 @@ class Replay:
         """Compute references (windows * m, steps, n) at the start of each simulation step.
 
         MuJoCo moves positions by the new velocity, which leads the motion by half a step; a command held from
-        the start of a step lags by as much. The two cancel, and the delay does not depend on the time step.
+        the start of a step lags by as much. The two cancel where commands come anywhere within a step. Where they all
+        come at one place of it, the means over steps are taken: the delay depends on the time step in neither case.
         """
         references = self._references(parameters)
         grid = np.arange(self.steps) * self.timestep
-        parts = [references[w.log].sample(self._log(w).time[w.first] + grid, parameters.delay) for w in self.windows]
+        parts = []
+        for w in self.windows:
+            reference, times = references[w.log], self._log(w).time[w.first] + grid
+            if w.log in self._even and isinstance(reference, Reference):
+                parts.append(reference.mean(times, parameters.delay, self.timestep))
+            else:
+                parts.append(reference.sample(times, parameters.delay))
         return np.concatenate(parts)
 
     def _references(self, parameters: TwinParameters) -> Mapping[int, Reference | Profile]:
@@ -172,6 +184,11 @@ def predict(arm: Arm, parameters: TwinParameters, log: RunLog, timestep: float =
     """Positions (T, n) [rad] that the twin would have shown, from the first measured state on, open loop."""
     whole = Window(log=0, first=0, last=len(log))
     return Replay(arm, [log], [whole], timestep).predict(parameters.repeat(1))[0][0]
+
+
+def _in_step(time: Array, timestep: float) -> float:
+    """Tell from 0 to 1 how much times (T,) [s] keep to one place of the steps of a grid."""
+    return float(np.abs(np.exp(2j * np.pi * time / timestep).mean()))
 
 
 def measured_velocity(log: RunLog) -> Array:
