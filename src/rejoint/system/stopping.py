@@ -31,8 +31,12 @@ class Interrupted(KeyboardInterrupt):
     """Somebody asked for the end: Ctrl-C, a signal such as SIGTERM, or what called `ask`."""
 
     def __init__(self, signum: int, by: str = "") -> None:
-        self.signum = signum
+        self.signum, self.by = signum, by
         super().__init__(f"interrupted by {by or signal.Signals(signum).name}")
+
+    def __reduce__(self) -> tuple[object, ...]:
+        """Travel between processes, as from one of a pool."""
+        return type(self), (self.signum, self.by), self.__dict__
 
     @property
     def exit_code(self) -> int:
