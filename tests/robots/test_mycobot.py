@@ -5,6 +5,7 @@ import os
 import pty
 import socket
 import struct
+import sys
 import threading
 import time
 from contextlib import suppress
@@ -22,6 +23,7 @@ from rejoint.robots.address import SerialAddress, TcpAddress
 from rejoint.robots.bus import Clock
 from rejoint.robots.lab.emulator import Timing, build_firmware, serve_pty, serve_tcp
 from rejoint.robots.mycobot import MyCobotBus
+from rejoint.robots.vendor import common, silenced
 from rejoint.system.errors import (
     AddressError,
     ConnectionLostError,
@@ -196,6 +198,19 @@ def test_faults_are_not_printed(start, capsys):
     robot, _ = start()
     assert robot.read().fault.any()
     assert capsys.readouterr().out == ""
+
+
+def test_what_a_program_prints_meanwhile_is_printed(capsys):
+    with silenced():
+        other = threading.Thread(target=print, args=("from another thread",))
+        other.start()
+        other.join()
+        sys.stdout.write("from this one\n")
+        common.print("from the client")
+    common.print("as the owner's own client says it")
+    assert capsys.readouterr().out.splitlines() == [
+        "from another thread", "from this one", "as the owner's own client says it",
+    ]  # fmt: skip
 
 
 @pytest.mark.parametrize(

@@ -78,12 +78,12 @@ def test_what_cannot_be_reached_is_an_error_with_a_name_and_the_arm_goes_on(run:
             arm.move_to([0.2, 0.0])
         with pytest.raises(rejoint.InputError, match="positive"):
             arm.move_to([0.18, 0.03, 0.21], timeout_s=0.0)
-        with pytest.raises(rejoint.InputError, match=r"within_m is in metres and at most 0\.1, got 2"):
+        with pytest.raises(rejoint.InputError, match=r"within a positive distance in metres, at most 0\.1, .* got 2"):
             arm.move_to([0.18, 0.03, 0.21], within_m=2)
         for wrong in ("home", None, [[0.18, 0.03, 0.21]], [0.18, "y", 0.2]):
             with pytest.raises(rejoint.InputError, match="expected a point"):
                 arm.move_to(wrong)
-        for wrong in (None, "10 s"):
+        for wrong in (None, "10 s", np.inf):
             with pytest.raises(rejoint.InputError, match="positive"):
                 arm.move_to([0.18, 0.03, 0.21], timeout_s=wrong)
         with pytest.raises(
@@ -160,6 +160,8 @@ def test_an_arm_follows_paths_and_streams_between_points_and_leaves_one_log(run:
         end = arm.wait()
         assert np.linalg.norm(end.tool_m - WAVE[49]) < 4e-3
         assert arm.followed is not None
+        with pytest.raises(rejoint.InputError, match="this stream was followed already"):
+            arm.follow(stream, duration_s=3.0)
     (name, log), = Run.open(run).logs.items()  # fmt: skip
     assert name.startswith("move-")
     assert (np.diff(log.time) > 0.0).all()

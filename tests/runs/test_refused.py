@@ -27,7 +27,7 @@ def run(tmp_path: Path) -> Path:
     return path
 
 
-@pytest.mark.parametrize("wrong", [{"dwell": np.inf}, {"dwell": 0.0}, {"within": np.inf}, {"within": np.nan}], ids=str)
+@pytest.mark.parametrize("wrong", [{"dwell": np.inf}, {"dwell": 0.0}, {"within": 5.0}, {"within": np.nan}], ids=str)
 def test_a_deployment_without_end_or_measure(run: Path, wrong: dict[str, float]) -> None:
     with pytest.raises(rejoint.InputError, match=r"deployment: .* positive"):
         rejoint.deploy(NOBODY, "integrator", TARGETS, run=run, **wrong)
@@ -39,7 +39,7 @@ def test_a_path_at_no_rate(run: Path, rate: float) -> None:
         rejoint.follow(NOBODY, "circle-8s", run=run, rate=rate)
 
 
-@pytest.mark.parametrize("within", [0.0, np.nan, np.inf])
+@pytest.mark.parametrize("within", [0.0, np.nan, np.inf, 5.0])
 def test_a_path_within_no_distance(run: Path, within: float) -> None:
     with pytest.raises(rejoint.InputError, match="within a positive distance"):
         rejoint.follow(NOBODY, "circle-8s", run=run, within=within)
@@ -50,6 +50,30 @@ def test_a_stream_for_ever(run: Path) -> None:
     stream.put(TARGETS[0], 0.0)
     with pytest.raises(rejoint.InputError, match="a stream needs a duration"):
         rejoint.follow(NOBODY, stream, run=run, duration=np.inf)
+
+
+def test_a_stream_that_no_arm_can_begin(run: Path) -> None:
+    for place, why in (([0.6, 0.0, 0.2], "out of reach"), ([0.18, 0.0, -0.1], "higher places")):
+        stream = rejoint.Stream()
+        stream.put(place)
+        with pytest.raises(rejoint.InputError, match=why):
+            rejoint.follow(NOBODY, stream, run=run, duration=3.0)
+    with pytest.raises(rejoint.InputError, match="nothing has come yet"):
+        rejoint.follow(NOBODY, rejoint.Stream(), run=run, duration=3.0)
+
+
+def test_what_a_stream_or_a_path_does_not_have(run: Path) -> None:
+    stream = rejoint.Stream()
+    stream.put(TARGETS[0])
+    with pytest.raises(rejoint.InputError, match="a stream has that of its targets"):
+        rejoint.follow(NOBODY, stream, run=run, duration=3.0, rate=30.0)
+    with pytest.raises(rejoint.InputError, match="a duration is of a stream"):
+        rejoint.follow(NOBODY, "circle-8s", run=run, duration=3.0)
+    with pytest.raises(rejoint.InputError, match="a duration in seconds, found text"):
+        rejoint.follow(NOBODY, stream, run=run, duration="3 s")
+    for repeat in (0, 1.5, "2"):
+        with pytest.raises(rejoint.InputError, match="repeated at least once"):
+            rejoint.follow(NOBODY, "circle-8s", run=run, repeat=repeat)
 
 
 def test_more_trials_than_any_memory_holds(run: Path) -> None:

@@ -136,3 +136,48 @@ def test_what_asks_ends_other_work_as_well_also_where_ctrl_c_is_ignored(backgrou
         "except stopping.Interrupted as error: print(error, error.exit_code, flush=True)\n"
     )
     assert ended.stdout.splitlines() == ["interrupted by a button 130"], ended.stderr
+
+
+DRIVES = """
+import threading
+ended = []
+def drive(name):
+    try:
+        with stopping.noted():
+            begun.wait()
+            stopping.pause(30)
+    except stopping.Interrupted as error: ended.append(f"{name} {error}")
+def threads(*names):
+    global begun
+    begun = threading.Barrier(len(names) + 1)
+    made = [threading.Thread(target=drive, args=(name,)) for name in names]
+    for one in made: one.start()
+    return made
+"""
+
+
+def test_a_signal_ends_what_every_thread_drives_and_only_that():
+    ended = run(
+        f"{DRIVES}\nmade = threads('one', 'two')\n"
+        "with stopping.noted():\n    begun.wait()\n    os.kill(os.getpid(), signal.SIGINT)\n"
+        "    for one in made: one.join()\n"
+        "    print(*sorted(ended), sep='\\n')\n"
+        "    try: stopping.pause(30)\n"
+        "    except stopping.Interrupted as error: print('main', error)\n"
+        "    stopping.pause(0.01)\n"
+        "with stopping.noted(): stopping.pause(0.01)\n"
+        "print('goes on', flush=True)\n"
+    )
+    assert ended.stdout.splitlines() == [
+        "one interrupted by SIGINT", "two interrupted by SIGINT", "main interrupted by SIGINT", "goes on",
+    ], ended.stderr  # fmt: skip
+
+
+def test_whoever_drives_hears_signals_also_where_another_thread_drives_already():
+    ended = run(
+        f"{DRIVES}\n(other,) = threads('other')\nbegun.wait()\n"
+        "try:\n    with stopping.noted():\n        os.kill(os.getpid(), signal.SIGTERM)\n        stopping.pause(30)\n"
+        "except stopping.Interrupted as error: print(error)\n"
+        "other.join()\nprint(*ended, signal.getsignal(signal.SIGTERM) == signal.SIG_DFL, flush=True)\n"
+    )
+    assert ended.stdout.splitlines() == ["interrupted by SIGTERM", "other interrupted by SIGTERM True"], ended.stderr

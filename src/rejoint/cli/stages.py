@@ -234,9 +234,9 @@ def deploy(
     tip: opt.Tip = None,
     hold: opt.Hold = None,
     dwell: Annotated[float, typer.Option(help="Time per target in seconds.", min=0.1)] = 4.0,
-    within: Annotated[float, typer.Option(help="Distance in mm at which a target counts as reached.", min=0.01)] = (
-        1e3 * REACHED
-    ),
+    within: Annotated[
+        float, typer.Option(help="Distance in mm at which a target counts as reached.", min=0.01, max=100.0)
+    ] = (1e3 * REACHED),
     calibration: opt.Calibration = None,
     payload: opt.Payload = None,
     tool: opt.Tool = None,
@@ -299,7 +299,8 @@ def follow(
         float | None, typer.Option(help="Tell the path as it goes, so many times a second, instead of ahead.")
     ] = None,
     within: Annotated[
-        float, typer.Option(help="Root mean square in mm within which the path counts as followed.", min=0.01)
+        float,
+        typer.Option(help="Root mean square in mm within which the path counts as followed.", min=0.01, max=100.0),
     ] = 1e3 * WITHIN,
     calibration: opt.Calibration = None,
     payload: opt.Payload = None,

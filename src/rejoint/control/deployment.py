@@ -27,6 +27,7 @@ from rejoint.control.robot import Robot
 from rejoint.control.start import Stance, begin
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
+from rejoint.system.numbers import as_within
 
 Rows = NDArray[np.intp]
 
@@ -53,8 +54,7 @@ class Deployment:
     def __post_init__(self) -> None:
         if not 0.0 < self.dwell < np.inf:
             raise InputError(f"deployment: a target has a positive, finite time in seconds, got {self.dwell}")
-        if not 0.0 < self.within < np.inf:
-            raise InputError(f"deployment: a target is reached within a positive distance, got {self.within} m")
+        as_within("deployment", self.within)
 
 
 @dataclass(frozen=True, kw_only=True)

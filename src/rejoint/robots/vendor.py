@@ -8,11 +8,12 @@ is set back meanwhile it would wait for as long as that, and hear no signal. It 
 from __future__ import annotations
 
 import contextlib
-import io
+import locale
 import logging
 import time
 import warnings
 from collections.abc import Iterator
+from contextvars import ContextVar
 from types import SimpleNamespace
 
 from rejoint.robots.address import SerialAddress, TcpAddress
@@ -22,6 +23,18 @@ with warnings.catch_warnings():
     from pymycobot import MyCobot280, MyCobot280Socket, common
     from pymycobot.robot_info import RobotLimit
 
+_silent: ContextVar[bool] = ContextVar("silent", default=False)
+
+
+def _print(*words: object) -> None:
+    """Print as the client does, but where it is `silenced`."""
+    if not _silent.get():
+        print(*words)  # noqa: T201 - for programs that use the client themselves
+
+
+# What the client prints is kept back at the client: standard output belongs to all threads of the user's program.
+common.print = _print
+common.locale = SimpleNamespace(getdefaultlocale=locale.getlocale)  # the same, without a deprecation at each question
 common.time = SimpleNamespace(time=time.monotonic, sleep=time.sleep)  # all that it uses of it
 
 LOWEST_DEG: tuple[float, ...] = tuple(RobotLimit.robot_limit["MyCobot280"]["angles_min"])
@@ -48,10 +61,12 @@ def make_client(address: TcpAddress | SerialAddress) -> MyCobot280 | MyCobot280S
 
 @contextlib.contextmanager
 def silenced() -> Iterator[None]:
-    """Keep what the client prints, and a deprecation that it raises, from the user."""
-    with contextlib.redirect_stdout(io.StringIO()), warnings.catch_warnings():
-        warnings.simplefilter("ignore", DeprecationWarning)
+    """Keep what the client prints in this thread from the user."""
+    before = _silent.set(True)
+    try:
         yield
+    finally:
+        _silent.reset(before)
 
 
 __all__ = ["HIGHEST_DEG", "LOWEST_DEG", "MyCobot280", "MyCobot280Socket", "make_client", "silenced"]

@@ -16,6 +16,10 @@ class RejointError(Exception):
 
     exit_code: ClassVar[int] = 2
 
+    def __reduce__(self) -> tuple[object, ...]:
+        """Travel between processes as it is: what a constructor is given differs from what it says (`args`)."""
+        return type(self).__new__, (type(self), *self.args), self.__dict__
+
 
 class InputError(RejointError, ValueError):
     """A value given by the user cannot be used."""

@@ -12,6 +12,8 @@ from rejoint.system.errors import InputError
 SHORTEST_PERIOD, LONGEST_PERIOD = 0.001, 1.0
 """[s] control periods (chosen: a servo bus answers at most a thousand times a second, and what is controlled less than
 once a second was given in milliseconds)"""
+FARTHEST = 0.1
+"""[m] within which a target or a path counts as reached at most (chosen: more is a number in millimetres)"""
 
 
 def as_seed(seed: int | None) -> int:
@@ -36,6 +38,16 @@ def as_period(period: ArrayLike | None) -> tuple[float, float] | None:
     raise InputError(
         f"period {period}: expected the shortest and the longest in seconds, such as (0.02, 0.03), between "
         f"{SHORTEST_PERIOD:g} and {LONGEST_PERIOD:g}"
+    )
+
+
+def as_within(what: str, given: object) -> float:
+    """Return the distance [m] within which ``what`` counts as reached; InputError where all or nothing would."""
+    found = as_floats(what, given, "a distance in metres")
+    if found.shape == () and 0.0 < found <= FARTHEST:
+        return float(found)
+    raise InputError(
+        f"{what}: to be reached within a positive distance in metres, at most {FARTHEST:g}, was expected, got {given}"
     )
 
 

@@ -17,6 +17,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
+from typing import ClassVar
 
 SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 """What asks a program to end; nobody can ask SIGKILL to wait."""
@@ -31,8 +32,12 @@ class Interrupted(KeyboardInterrupt):
     """Somebody asked for the end: Ctrl-C, a signal such as SIGTERM, or what called `ask`."""
 
     def __init__(self, signum: int, by: str = "") -> None:
-        self.signum = signum
+        self.signum, self.by = signum, by
         super().__init__(f"interrupted by {by or signal.Signals(signum).name}")
+
+    def __reduce__(self) -> tuple[object, ...]:
+        """Travel between processes, as from one of a pool."""
+        return type(self), (self.signum, self.by), self.__dict__
 
     @property
     def exit_code(self) -> int:
@@ -46,6 +51,8 @@ class _Note:
     signum = 0
     by = ""
     raised: Interrupted | None = None
+    heard: ClassVar[set[int]] = set()
+    """threads that have raised it: each that drives an arm is to bring its own to rest"""
     noted = 0
     shielded = 0
     hook: Callable[[sys.UnraisableHookArgs], object] = staticmethod(sys.__unraisablehook__)
@@ -86,10 +93,12 @@ def ending() -> bool:
 
 
 def check() -> None:
-    """Raise `Interrupted` if an end was asked for, unless inside `shielded`."""
-    if _note.signum and not _note.shielded:
+    """Raise `Interrupted` if an end was asked for, once in each thread that drives an arm; not inside `shielded`."""
+    if _note.signum and not _note.shielded and threading.get_ident() not in _note.heard:
         _note.raised = Interrupted(_note.signum, _note.by)
-        _drop()
+        _note.heard.add(threading.get_ident())
+        if not _note.noted:
+            _drop()
         raise _note.raised
 
 
@@ -101,13 +110,15 @@ def ask(by: str) -> None:
     """
     if not _note.signum:
         _note.by, _note.signum = by, signal.SIGINT
-    heard = [signum for signum in SIGNALS if signal.getsignal(signum) is _handle]
-    if not _note.noted and heard:
-        os.kill(os.getpid(), heard[0])
+    _note.heard.clear()
+    handled = [signum for signum in SIGNALS if signal.getsignal(signum) is _handle]
+    if not _note.noted and handled:
+        os.kill(os.getpid(), handled[0])
 
 
 def _drop() -> None:
     _note.signum, _note.by = 0, ""
+    _note.heard.clear()
 
 
 def raise_again() -> None:
@@ -136,11 +147,11 @@ def pause(duration: float) -> None:
 
 @contextmanager
 def noted() -> Iterator[None]:
-    """Keep signals to a note inside; what nobody looked at is raised at the end.
+    """Keep signals to a note inside; what this thread did not look at is raised when the last one comes to its end.
 
     Where `install` was not called, as in a notebook, handlers are set for the time being.
     """
-    before = _set_handlers() if not _note.noted else {}
+    before = _set_handlers()
     _note.noted += 1
     try:
         yield
@@ -153,7 +164,10 @@ def noted() -> Iterator[None]:
         for signum, handler in before.items():
             signal.signal(signum, handler)
     if not _note.noted:
-        check()
+        try:
+            check()
+        finally:
+            _drop()
 
 
 @contextmanager
@@ -169,6 +183,7 @@ def shielded() -> Iterator[None]:
 
 def _handle(signum: int, frame: FrameType | None) -> None:  # noqa: ARG001 - as `signal` calls it
     _note.signum = _note.signum or signum
+    _note.heard.clear()
     if not _note.noted:
         check()
 

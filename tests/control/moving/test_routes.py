@@ -111,6 +111,8 @@ def test_what_is_no_target_or_comes_late_is_refused():
         stream.place(0.0)
     with pytest.raises(InputError, match="three finite numbers"):
         stream.put([0.1, np.nan, 0.2], 0.0)
+    with pytest.raises(InputError, match=r"in metres, got \[180.0, 0.0, 200.0\]"):
+        stream.put([180, 0, 200], 0.0)
     stream.put([0.18, 0.0, 0.2], 1.0)
     with pytest.raises(InputError, match="came after"):
         stream.put([0.18, 0.0, 0.2], 0.5)

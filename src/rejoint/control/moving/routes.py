@@ -30,6 +30,7 @@ EXTRAPOLATED = 0.2
 """[s] for which a stream that pauses is taken to go on as it went; then it is held (chosen)"""
 _MOST_TURN = float(np.radians(120.0))
 """[rad] from one target of a stream to the next (chosen, as on a path: farther, the way between them is not certain)"""
+_FARTHEST = 10.0  # [m] from the base that a target lies at most (chosen: what is farther is in millimetres)
 _RECENT = 2.0  # [s] of a stream that are looked at (chosen: more than the longest lag and what follows look back)
 
 
@@ -78,7 +79,7 @@ class Stream:
     """A target that arrives as it goes, at 10 to 100 Hz, with jitter and gaps: places, or poses.
 
     The arm goes `LAG` behind it: between targets the way is straight, after the last one it goes on for `EXTRAPOLATED`
-    and is then held. `put` may be called by another thread.
+    and is then held. `put` may be called by another thread. One stream is followed once.
     """
 
     lag: float = LAG
@@ -110,6 +111,8 @@ class Stream:
         place = as_floats("stream", target if pose is None else pose.place_m, "three finite numbers in metres")
         if place.shape != (3,) or not np.isfinite(place).all() or not np.isfinite(time):
             raise InputError(f"stream: a target is three finite numbers in metres, got {target} at {time} s")
+        if np.abs(place).max() > _FARTHEST:
+            raise InputError(f"stream: a target is in metres, got {place.tolist()}")
         knot = None if pose is None or not pose.turned else turn_knot(pose)
         with self._lock:
             if self.time and time < self.time[-1]:
@@ -122,6 +125,11 @@ class Stream:
             if pose is not None and knot is not None:
                 self._knots.append(same_side(np.stack([*self._knots[-1:], knot]))[-1] if len(knot) == 4 else knot)
                 self._weight = pose.weight_m
+
+    @property
+    def followed(self) -> bool:
+        """Whether an arm has been driven behind it: its targets would be gone through again."""
+        return self._now > 0.0
 
     def place(self, now: float) -> Array:
         """Return the target (3,) [m] in force: the last one that came."""

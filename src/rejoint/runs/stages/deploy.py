@@ -117,7 +117,7 @@ def deploy(
     dwell
         [s] per target
     within
-        [m] of encoder error at the end within which a target counts as reached
+        [m] of encoder error at the end within which a target counts as reached, at most 0.1
     period
         [s] interval of the control periods; by default what the robot suits
     seed

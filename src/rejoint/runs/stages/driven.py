@@ -37,14 +37,12 @@ from rejoint.runs.stages.motions import AlongPath, MotionThread, MoveTo
 from rejoint.runs.stages.pathdrive import TRACKER, WITHIN, PathLike, followable, follower, require_repeatable
 from rejoint.system.errors import InputError, NotReachedError, NotReadyError
 from rejoint.system.files import require_space
-from rejoint.system.numbers import as_floats
+from rejoint.system.numbers import as_floats, as_within
 from rejoint.system.stopping import noted, pause
 
 WITHIN_TURN = float(np.radians(1.0))
 """[rad] within which an orientation counts as reached where an arm is sent to a pose (chosen: as the vendor's)"""
-FARTHEST = 0.1
-"""[m] within which a point counts as reached at most (chosen: more is a number in millimetres)"""
-_BOUNDS = "positive numbers as within_m, within_rad and timeout_s"
+_BOUNDS = "positive numbers as within_rad and timeout_s, the latter finite"
 _POINT = "a point (3,) in metres"
 _LOOK = 0.01  # [s] between two looks at whether a motion has ended (chosen)
 
@@ -156,13 +154,11 @@ class DrivenArm:
         target = as_floats("move_to", target_m if pose is None else pose.place_m, _POINT)
         if target.shape != (3,) or not np.isfinite(target).all():
             raise InputError(f"move_to: expected {_POINT}, got {target_m!r}")
-        given = (within_m, within_rad, timeout_s)
+        within_m, given = as_within("move_to", within_m), (within_rad, timeout_s)
         bounds = as_floats("move_to", given, _BOUNDS)
-        if bounds.shape != (3,) or not (bounds > 0.0).all():
+        if bounds.shape != (2,) or not (bounds > 0.0).all() or np.isinf(bounds[1]):
             raise InputError(f"move_to: expected {_BOUNDS}, got {given}")
-        within_m, within_rad, timeout_s = bounds.tolist()
-        if within_m > FARTHEST:
-            raise InputError(f"move_to: within_m is in metres and at most {FARTHEST:g}, got {within_m:g}")
+        within_rad, timeout_s = bounds.tolist()
         turns = None if pose is None else placed(self.arm, [pose])[1]
         require_reachable(self.arm, target[None, None], turns and turns[None])
         self._require_free()

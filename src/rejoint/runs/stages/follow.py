@@ -119,9 +119,9 @@ def follow(
     rate
         [Hz] at which the path is given to the arm as it goes, instead of being known ahead; then it goes 0.08 s behind
     duration
-        [s] for which a stream is followed
+        [s] for which a stream is followed; of no path
     within
-        [m] root mean square within which the path counts as followed
+        [m] root mean square within which the path counts as followed, at most 0.1
     period
         [s] interval of the control periods; by default what the robot suits
     seed

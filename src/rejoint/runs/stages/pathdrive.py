@@ -16,6 +16,7 @@ import numpy as np
 from rejoint.arms import Arm, Array
 from rejoint.arms.orientation import tool_axis
 from rejoint.control.accuracy import ToolModel
+from rejoint.control.comparison.targets import require_reachable
 from rejoint.control.controller import Controller
 from rejoint.control.correction import Modelled
 from rejoint.control.moving.drive import Followed, Pass, corrected_path, corrector, judge, missed
@@ -31,7 +32,7 @@ from rejoint.runs.given import Period
 from rejoint.runs.run import Run
 from rejoint.runs.stages.driving import ControllerLike, make_factories
 from rejoint.system.errors import InputError
-from rejoint.system.numbers import as_floats
+from rejoint.system.numbers import as_floats, as_within
 
 if TYPE_CHECKING:
     from rejoint.arms.orientation import Orientation
@@ -108,7 +109,6 @@ class PathDrive:
 
     def behind(self, stream: Stream, duration: float, sent: Array) -> Followed:
         """Go behind a stream for ``duration`` [s], from the command ``sent`` (1, n) [rad]."""
-        stream.axis = tool_axis(self.arm)
         at_once = np.zeros(1)
         start, turns = stream.place(0.0), stream.turns(0.0, at_once)
         turn = None if turns is None else turns[0]
@@ -155,11 +155,24 @@ def as_path(given: PathLike, arm: Arm, seed: int) -> Path:
 
 
 def followable(given: PathLike | Stream, arm: Arm, seed: int, duration: float | None) -> Path | Stream:
-    """Return the stream, or the path that ``arm`` is able to follow; InputError where it cannot."""
+    """Return the stream, or the path that ``arm`` is able to follow; InputError where it cannot.
+
+    Of a stream only the first target can be looked at ahead.
+    """
     if isinstance(given, Stream):
-        if duration is None or not 0.0 < duration < np.inf:
+        seconds = as_floats("follow", np.nan if duration is None else duration, "a duration in seconds")
+        if seconds.shape != () or not 0.0 < seconds < np.inf:
             raise InputError("follow: a stream needs a duration in seconds for which it is followed")
+        if given.followed:
+            raise InputError(
+                "follow: this stream was followed already, up to its last target; put targets into another"
+            )
+        given.axis = tool_axis(arm)
+        turns = given.turns(0.0, np.zeros(1))
+        require_reachable(arm, given.place(0.0)[None, None], turns and turns[None])
         return given
+    if duration is not None:
+        raise InputError("follow: a duration is of a stream; a path takes as long as its times say")
     path = as_path(given, arm, seed).on(arm)
     path.require_followable(arm)
     return path
@@ -169,10 +182,15 @@ def require_repeatable(path: PathLike | Stream, repeat: int, rate: float | None,
     """Raise InputError where a path cannot be gone along ``repeat`` times, told at a ``rate``, ``within`` a length."""
     if rate is not None:
         require_rate(rate)
-    if not 0.0 < within < np.inf:
-        raise InputError(f"follow: a path is followed within a positive distance, got {within} m")
-    if repeat < 1 or (repeat > 1 and (rate is not None or isinstance(path, Stream))):
+    as_within("follow", within)
+    if (
+        not isinstance(repeat, int | np.integer)
+        or repeat < 1
+        or (repeat > 1 and (rate is not None or isinstance(path, Stream)))
+    ):
         raise InputError("follow: to be repeated at least once, and more often only where the path is known ahead")
+    if rate is not None and isinstance(path, Stream):
+        raise InputError("follow: a rate is of a path that is told as it goes; a stream has that of its targets")
 
 
 def servos_of(twin: Twin) -> Servos:
