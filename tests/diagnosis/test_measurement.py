@@ -25,6 +25,11 @@ INERTIA = np.array([0.020, 0.020, 0.016, 0.016, 0.016, 0.016])
 
 @pytest.fixture(scope="module")
 def log() -> RunLog:
+    """The log of servos that turn as fast as they should."""
+    return simulated(ARM.max_speed)
+
+
+def simulated(top_speed) -> RunLog:
     """Six joints, each a PD servo with an inertia, Coulomb friction and gravity, behind a channel with jitter."""
     excitation = plan_excitation(ARM, seed=7)
     rng = np.random.default_rng(7)
@@ -40,7 +45,7 @@ def log() -> RunLog:
             gravity = gravity_torque(ARM, q)
             next_row = k + int(rng.integers(8, 13))
         goal = due.pop(k, goal)
-        reference = reference + np.clip(goal - reference, -STEP * ARM.max_speed, STEP * ARM.max_speed)
+        reference = reference + np.clip(goal - reference, -STEP * top_speed, STEP * top_speed)
         free = (v + STEP * (STIFFNESS * (reference - q) - gravity) / inertia) / (1 + STEP * DAMPING / inertia)
         v = np.sign(free) * np.maximum(np.abs(free) - STEP * COULOMB / inertia, 0.0)
         q = q + STEP * v
@@ -118,6 +123,12 @@ def test_a_pause_in_the_readings_is_no_torque_limit(log):
         kept &= (since < 0.1) | (since > 0.6)
     arrays = {name: getattr(log, name)[kept] for name in ("time", "position", "command", "target", "true_tcp")}
     found = measure(ARM, dataclasses.replace(log, **arrays))
+    assert [row.torque_limit_nm for row in found.joints] == [None] * ARM.joints
+
+
+def test_a_joint_that_turns_slowly_is_not_at_its_torque_limit():
+    slow = np.array([1.0, 1.0, 0.17, 1.0, 1.0, 0.17]) * ARM.max_speed  # 25 deg/s
+    found = measure(ARM, simulated(slow))
     assert [row.torque_limit_nm for row in found.joints] == [None] * ARM.joints
 
 

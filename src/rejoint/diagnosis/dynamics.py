@@ -52,6 +52,10 @@ _STEADY = 1.5
 """[rad/s^2] up to which acceleration takes no torque worth counting: 0.05 N m of a joint of 0.03 kg m^2 (chosen; a
 longer arm has more inertia for its load, so it goes with one over the reach)."""
 
+_STANDING = 0.2
+"""[rad/s] from which a joint that is behind and does not accelerate is on its way at its top speed (chosen: half of the
+25 deg/s of a servo at a sixth of its speed; one whose load takes all of its torque stands, or creeps)"""
+
 _MIN_RATIO = 5e-5
 """[s^2] J/k below which a fit is not believed: an oscillation at 22 Hz, stiffer than such a servo is (chosen)."""
 
@@ -162,8 +166,8 @@ class Torque:
 def torque_given(data: ExcitationLog, joint: int, law: Law) -> Torque:
     """Compare what a joint's law asks for with what its load shows that it gave, while it hardly accelerates.
 
-    A joint counts as behind where the demand is more than twice what it gave, and exceeds it by more than
-    twice its friction, `_EXCESS`, and what 10 ms of wrong timing make of a moving command. It is at its
+    A joint counts as behind where it hardly turns and the demand is more than twice what it gave, and exceeds it by
+    more than twice its friction, `_EXCESS`, and what 10 ms of wrong timing make of a moving command. It is at its
     limit if that happens in `_MIN_SHARE` of the time, and with near the largest torque that it ever gave.
     """
     segments = [s for s in data.segments if s.kind in ("sweep", "step", "multisine", "hold")]
@@ -178,6 +182,7 @@ def torque_given(data: ExcitationLog, joint: int, law: Law) -> Torque:
         (excess > np.abs(given))
         & (demand * given > 0)
         & (excess > law.stiffness * margin + _EXCESS * torque_size(data.arm))
+        & (np.abs(averages.speed[steady]) < _STANDING)
     )
     cluster = averages.cluster[steady]
     seen = float(np.quantile(np.abs(given), 0.995))
