@@ -9,7 +9,9 @@ from rejoint.arms import mycobot280
 from rejoint.diagnosis.diagnosis import Diagnosis, diagnose, judge, ringing_most
 from rejoint.diagnosis.excitation import SHORT
 from rejoint.diagnosis.healthy import load_healthy, reference_from
+from rejoint.diagnosis.postures import Postures
 from rejoint.diagnosis.record import DiagnosisLogs, record
+from rejoint.diagnosis.verdict import find
 from rejoint.logs.runlog import read_log, write_log
 from rejoint.robots.emulated import EmulatedRobot
 from rejoint.robots.lab.plant.wear import Wear, load_wear
@@ -120,6 +122,34 @@ def test_one_wear_is_named_and_nothing_else(found, name, expected):
     assert expected[0] in diagnosis.verdict
     assert diagnosis.findings[0].sentence.startswith(expected[0])
     assert all(finding.felt == ("nothing that" not in finding.sentence) for finding in diagnosis.findings)
+
+
+@pytest.mark.parametrize(("off_deg", "expected"), [(11.0, {("joint3", "stuck")}), (5.0, set())])
+def test_a_joint_that_sticks_though_it_comes_near_its_targets_is_named(found, off_deg, expected):
+    """It breaks loose where it is sent far, and in a slow sweep and in held postures it stands."""
+    measurement = found["healthy 1"].measurement
+    sticks = dataclasses.replace(
+        measurement.joints[2], sweep_gain=0.01, stuck_rad=np.radians(off_deg), lag_s=None, hysteresis_rad=None,
+        coulomb_nm=None,
+    )  # fmt: skip
+    rows = (*measurement.joints[:2], sticks, *measurement.joints[3:])
+    position = np.tile(ARM.rest, (10, 1))
+    postures = Postures(position=position, command=position + 0.02)
+    wrong = find(ARM, dataclasses.replace(measurement, joints=rows), postures, load_healthy(ARM))
+    assert {(finding.joint, finding.kind) for finding in wrong} == expected
+    assert all("stood up to 11 deg off where it was sent" in finding.sentence for finding in wrong)
+
+
+def test_a_joint_that_moves_too_little_is_said_and_its_torque_limit_not_called_unreached(found):
+    blind = {name: [row.joint for row in d.measurement.joints if row.lag_s is None] for name, d in found.items()}
+    assert "joint2" in blind["failing joint 2"]
+    assert blind["healthy 1"] == []
+    for name, joints in blind.items():
+        little = [line for line in found[name].unseen if "moved too little for friction, lag and torque limit" in line]
+        limits = [line for line in found[name].unseen if "was not reached" in line]
+        assert len(little) == bool(joints)
+        assert all(joint in line for joint in joints for line in little)
+        assert not any(joint in line for joint in joints for line in limits)
 
 
 @pytest.mark.parametrize("name", ["offset joints", "worn, with offsets"])

@@ -170,7 +170,13 @@ def _unseen(
         "Play inside the servo loop shows only where the load on a joint changes its side; a joint that always "
         "carries weight rests on one flank."
     )
-    free = [row.joint for row in measurement.joints if row.torque_limit_nm is None]
+    blind = [row.joint for row in measurement.joints if row.lag_s is None]
+    if blind:
+        lines.append(
+            f"In the slow sweeps {', '.join(blind)} moved too little for friction, lag and torque limit to show, as a "
+            "joint does that sticks or is too weak."
+        )
+    free = [row.joint for row in measurement.joints if row.torque_limit_nm is None and row.lag_s is not None]
     if free:
         lines.append(f"The torque limit of {', '.join(free)} was not reached.")
     return tuple(lines)

@@ -47,8 +47,8 @@ FOLLOWS = 0.3
 """Share of a slow sweep below which a joint counts as stuck (chosen: a worn one makes 0.7 of it)."""
 
 STUCK_ERROR = 0.17
-"""[rad] of following error at a target from which a joint that does not sweep is stuck (chosen: 10 deg, twice the sag
-of a worn joint)."""
+"""[rad] of following error at a target, or in a posture that is held, from which a joint that does not sweep is stuck
+(chosen: 10 deg, twice the sag of a worn joint)."""
 
 STUCK_COUNTS = 10.0
 """Encoder counts off what stiffness explains from which a joint is called stuck: a degree (chosen)."""
@@ -169,12 +169,14 @@ def find(
 
 def stuck(case: _Case) -> Iterator[Finding]:
     """Tell whether the joint stands still although it is told to move, or was too far off to be told at all."""
-    gain = case.row.sweep_gain
-    if (gain is not None and gain > FOLLOWS) or case.errors.max() < STUCK_ERROR:
+    gain, far = case.row.sweep_gain, float(case.errors.max())
+    if gain is not None:  # one that breaks loose on a long way may come near its targets, and stick elsewhere
+        far = max(far, case.row.stuck_rad)
+    if (gain is not None and gain > FOLLOWS) or far < STUCK_ERROR:
         return
     yield case.finding(
         "stuck", "following_error_rad", mean_of(case.errors), float((case.levers * case.errors).mean()),
-        f"does not follow: it stood up to {np.degrees(case.errors.max()):.0f} deg off where it was sent, so it is "
+        f"does not follow: it stood up to {np.degrees(far):.0f} deg off where it was sent, so it is "
         "blocked, or too weak to lift the arm; at its targets this costs",
     )  # fmt: skip
 
