@@ -47,6 +47,12 @@ def test_every_name_is_there_for_python_and_for_type_checkers() -> None:
         rejoint.repare  # noqa: B018
 
 
+def test_every_name_stands_in_the_reference_by_itself_or_with_its_module() -> None:
+    page = (Path(__file__).parent.parent / "docs" / "api.md").read_text(encoding="utf-8")
+    shown = set(re.findall(r"^::: rejoint\.([\w.]+)$", page, re.MULTILINE))
+    assert {name for name, home in rejoint._HOME.items() if not shown & {name, home}} == {"__version__"}
+
+
 @pytest.mark.parametrize("name", FUNCTIONS)
 def test_every_function_says_what_it_takes_returns_and_raises(name: str) -> None:
     function = getattr(rejoint, name)

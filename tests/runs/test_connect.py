@@ -94,6 +94,53 @@ def test_what_cannot_be_reached_is_an_error_with_a_name_and_the_arm_goes_on(run:
     assert issubclass(rejoint.NotReachedError, TimeoutError)
 
 
+def test_what_ended_a_motion_that_nobody_waited_for_is_told(run: Path) -> None:
+    def fail(arm: rejoint.DrivenArm) -> None:
+        arm.move_to([0.18, 0.03, 0.21], within_m=1e-5, timeout_s=0.2, wait=False)
+        while arm.state.moving:
+            time.sleep(0.01)
+
+    arm = rejoint.connect("emulated:worn", run=run)
+    fail(arm)
+    with pytest.raises(rejoint.NotReachedError, match=r"within 0\.01 mm of \(180, 30, 210\)"):
+        arm.move_to([0.17, 0.0, 0.2])
+    arm.move_to([0.17, 0.0, 0.2], within_m=0.01)
+    fail(arm)
+    arm.stop()
+    arm.move_to([0.17, 0.0, 0.2], within_m=0.01)
+    fail(arm)
+    with pytest.raises(rejoint.NotReachedError):
+        arm.close()
+    arm.close()
+
+
+def test_the_error_of_a_block_goes_before_that_of_its_last_motion(run: Path) -> None:
+    arm = rejoint.connect("emulated:worn", run=run)
+    arm.move_to([0.18, 0.03, 0.21], within_m=1e-5, timeout_s=0.2, wait=False)
+    while arm.state.moving:
+        time.sleep(0.01)
+    with pytest.raises(ZeroDivisionError), arm:
+        raise ZeroDivisionError
+
+
+def test_while_an_arm_moves_its_motion_alone_asks_the_robot(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with rejoint.connect("emulated:worn", run=run) as arm:
+        robot, asked = arm._drive.robot, list[str]()
+        monkeypatch.setattr(
+            robot, "read", lambda read=robot.read: asked.append(threading.current_thread().name) or read()
+        )
+        arm.move_to([0.18, 0.03, 0.21], within_m=0.01, wait=False)
+        while arm.state.moving:
+            assert "MainThread" not in asked
+        assert "MainThread" in asked, "the state at the end is read"
+
+
+def test_what_is_done_with_a_state_changes_no_log(run: Path) -> None:
+    with rejoint.connect("emulated:worn", run=run) as arm:
+        arm.move_to([0.17, 0.0, 0.2], within_m=0.01).target_m[:] = 5.0
+        np.testing.assert_array_equal(arm.state.target_m, [0.17, 0.0, 0.2])
+
+
 def test_an_arm_that_is_closed_takes_no_orders(run: Path) -> None:
     with rejoint.connect("emulated:worn", run=run) as arm:
         before = arm.state.joints_rad

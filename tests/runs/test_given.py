@@ -9,6 +9,7 @@ import rejoint
 from rejoint.arms import mycobot280
 from rejoint.arms.loaded import loaded
 from rejoint.robots import open_robot
+from rejoint.runs.given import as_targets
 from rejoint.runs.stages.driving import listed
 from rejoint.system.errors import InputError
 from rejoint.system.numbers import as_floats, as_seed
@@ -72,6 +73,15 @@ def test_none_of_something_is_not_the_usual_number_of_it(how_many) -> None:
 def test_targets_that_are_none_are_named(targets, said) -> None:
     with pytest.raises(InputError, match=said):
         rejoint.deploy(WORN, "default", targets)
+
+
+def test_targets_that_come_one_by_one_are_all_taken() -> None:
+    places = ((0.17, 0.0, 0.2), (0.18, 0.03, 0.21))
+    wanted, _ = as_targets(places, mycobot280(), sets=1, seed=0)
+    for given in (iter(places), (rejoint.Pose(place_m=place) for place in places)):
+        np.testing.assert_array_equal(as_targets(given, mycobot280(), sets=1, seed=0)[0], wanted)
+    with pytest.raises(rejoint.InputError, match=r"expected .* in metres"):
+        as_targets(5, mycobot280(), sets=1, seed=0)
 
 
 def test_one_controller_needs_no_list() -> None:

@@ -9,7 +9,7 @@ import numpy as np
 from rejoint.arms import Arm, Array, gravity_torque
 from rejoint.control.guard import GuardLimits
 from rejoint.control.loop import move
-from rejoint.control.recording import Recording
+from rejoint.control.recording import OnCycle, Recording
 from rejoint.control.robot import JointState, Robot
 from rejoint.control.trips import say_faulty, say_hot
 from rejoint.system.errors import NotReadyError
@@ -63,13 +63,15 @@ class Stance:
             )
 
 
-def begin(robot: Robot, limits: GuardLimits | None = None, stance: Stance | None = None) -> Recording:
+def begin(
+    robot: Robot, limits: GuardLimits | None = None, stance: Stance | None = None, on_cycle: OnCycle | None = None
+) -> Recording:
     """Look at the robot, bring it slowly to its rest posture, and look whether it stands as its ``stance`` says.
 
     NotReadyError where it had better not be driven: before it moves, or at rest where the twin expects it elsewhere.
     """
     check_ready(robot)
-    motion = move(robot, robot.arm.rest, limits=limits)
+    motion = move(robot, robot.arm.rest, limits=limits, on_cycle=on_cycle)
     if stance is not None:
         stance.check(robot.arm, robot.read(), motion.command[-1])
     return motion

@@ -11,6 +11,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, Protocol, TypeAlias, cast
 
+from numpy.typing import ArrayLike
+
 from rejoint.arms import CATALOGUE, Arm, Array, load_arm
 from rejoint.control.comparison.targets import draw_targets, read_targets, require_reachable
 from rejoint.control.poses import Pose, placed
@@ -52,7 +54,7 @@ NO_GAUGE: Literal["none"] = "none"
 RunLike: TypeAlias = "Run | Path | str"
 """A run, or its folder"""
 
-Targets: TypeAlias = "Array | Sequence[Pose] | Path | str"
+Targets: TypeAlias = "ArrayLike | Sequence[Pose] | Path"
 """(K, 3) or (S, K, 3) [m], or poses, or a CSV file in millimetres with the header x,y,z and perhaps an orientation"""
 
 Period: TypeAlias = "tuple[float, float]"
@@ -276,7 +278,8 @@ def as_targets(given: Targets | None, arm: Arm, *, sets: int, seed: int) -> tupl
     if isinstance(given, Path | str):
         points, turns = read_targets(Path(given), arm)
         return points[None], turns and turns[None]
-    kinds = {isinstance(one, Pose) for one in given}
+    given = list(given) if isinstance(given, Iterator) else given  # else looking at them would leave none
+    kinds = {isinstance(one, Pose) for one in given} if isinstance(given, Iterable) else set()
     if len(kinds) > 1:
         raise InputError("targets: some are poses and some are points; give a rejoint.Pose for each, or for none")
     if kinds == {True}:

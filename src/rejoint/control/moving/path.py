@@ -273,22 +273,13 @@ def _through(time: Array, poses: Sequence[Pose], name: str) -> Path:
         raise InputError("path: orientations, of one weight, are on every line or on none")
     if turned != {True}:
         return Path(time=time, place=place, name=name)
-    if poses[0].direction is not None:
-        return Path(
-            time=time,
-            place=place,
-            name=name,
-            weight=poses[0].weight_m,
-            direction=np.array([pose.direction for pose in poses]),
-        )
-    rotations = [pose.rotation(np.array([0.0, 0.0, 1.0])) for pose in poses]  # whole ones need no axis
+    whole = poses[0].direction is None
+    rotations = [pose.rotation(np.array([0.0, 0.0, 1.0])) for pose in poses] if whole else []  # they need no axis
     return Path(
-        time=time,
-        place=place,
-        name=name,
-        weight=poses[0].weight_m,
-        quaternion=np.array([quaternion_of(one) for one in rotations]),
-    )
+        time=time, place=place, name=name, weight=poses[0].weight_m,
+        direction=None if whole else np.array([pose.direction for pose in poses]),
+        quaternion=np.array([quaternion_of(one) for one in rotations]) if whole else None,
+    )  # fmt: skip
 
 
 def _point(place: Array) -> str:

@@ -66,7 +66,7 @@ class ArmDrive:
         Before the first motion the arm is looked at, and goes slowly to its rest posture.
         """
         if self._sent is None:
-            start = begin(self.robot, self.limits, self.stance)
+            start = begin(self.robot, self.limits, self.stance, self.see)
             self._usual = start.usual_period()
             check_controller_period(self.controller, self._usual)
             self._sent = start.command[-1]

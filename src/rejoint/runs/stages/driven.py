@@ -110,6 +110,7 @@ class DrivenArm:
                 stance=stance_of(self._twin, run),
                 correction=None if correct is None else correct(arm), say=say,
             )  # fmt: skip
+            self._seen = robot.read()
             self._stack = stack.pop_all()
         self._motion: MotionThread | None = None
         self._followed: Followed | None = None
@@ -123,19 +124,29 @@ class DrivenArm:
 
     @property
     def state(self) -> ArmState:
-        """What is known now: during a motion of its last control cycle, else read from the arm."""
+        """What is known now: during a motion that of its last control cycle, else read from the arm."""
         self._require_open()
-        cycle, motion = self._drive.last, self._motion
-        if motion is not None and motion.is_alive() and cycle is not None:
-            return self._state(float(cycle.time[0]), cycle.position[0], moving=True)
-        read = self._drive.robot.read()
-        return self._state(float(read.time[0]), read.position[0], moving=False)
+        moving = self._motion is not None and self._motion.is_alive()
+        if not moving:  # else the robot is the motion's to ask
+            self._seen = self._drive.robot.read()
+        newest = self._drive.last if moving and self._drive.last is not None else self._seen
+        return self._state(float(newest.time[0]), newest.position[0], moving=moving)
 
     @property
     def followed(self) -> Followed | None:
         """How well the last path was followed; None while the first one is under way."""
         return self._followed
 
+    @overload
+    def move_to(
+        self, target_m: ArrayLike | Pose, *, within_m: float = 0.002, within_rad: float = WITHIN_TURN,
+        timeout_s: float = 10.0, wait: Literal[True] = True,
+    ) -> ArmState: ...  # fmt: skip
+    @overload
+    def move_to(
+        self, target_m: ArrayLike | Pose, *, within_m: float = 0.002, within_rad: float = WITHIN_TURN,
+        timeout_s: float = 10.0, wait: bool,
+    ) -> ArmState | None: ...  # fmt: skip
     def move_to(
         self, target_m: ArrayLike | Pose, *, within_m: float = 0.002, within_rad: float = WITHIN_TURN,
         timeout_s: float = 10.0, wait: bool = True,
@@ -144,11 +155,11 @@ class DrivenArm:
 
         It counts as reached once the tool stays ``within_m`` of where it is sent, by the encoders, and where the target
         has an orientation ``within_rad`` of that. To poses the feed-forward drives, where the controller of the run
-        does not turn the tool. With ``wait`` this
-        returns the state at the end; without, it returns None at once: then `wait`, `state` and `stop` tell and end the
-        motion. InputError for a target out of reach, before anything moves; NotReadyError while a motion is under way,
-        and once the arm is closed; NotReachedError after ``timeout_s``; GuardTripError or RobotError where the motion
-        had to be ended. In any case the arm then holds.
+        does not turn the tool. With ``wait`` this returns the state at the end; without, it returns None at once: then
+        `wait`, `state` and `stop` tell and end the motion, and what ended one that nobody waited for is raised by the
+        next order, or by `close`. InputError for a target out of reach, before anything moves; NotReadyError while a
+        motion is under way, and once the arm is closed; NotReachedError after ``timeout_s``; GuardTripError or
+        RobotError where the motion had to be ended. In any case the arm then holds.
         """
         pose = target_m if isinstance(target_m, Pose) else None
         target = as_floats("move_to", target_m if pose is None else pose.place_m, _POINT)
@@ -227,13 +238,11 @@ class DrivenArm:
             raise
         if motion.is_alive():
             raise NotReachedError(f"the arm is still on its way to {motion.goal} after {timeout_s} s of waiting")
-        self._motion = None
-        if motion.error is not None:
-            raise motion.error
+        self._tell_last()
         return self.state
 
     def stop(self) -> None:
-        """End the motion under way; the arm holds where it is. One that is closed holds already."""
+        """End the motion under way, however it went; the arm holds where it is. One that is closed holds already."""
         if self._closed and self._motion is None:
             return
         motion, self._motion = self._motion, None
@@ -243,7 +252,16 @@ class DrivenArm:
         self._drive.robot.stop()
 
     def close(self) -> None:
-        """End the motion under way, keep the log, and let go of the arm, which holds; it takes no orders any more."""
+        """End the motion under way, keep the log, and let go of the arm, which holds; it takes no orders any more.
+
+        Then raises what ended the last motion, where nobody has waited for it.
+        """
+        motion = self._motion
+        self._let_go()
+        if motion is not None and motion.error is not None:
+            raise motion.error
+
+    def _let_go(self) -> None:
         if self._closed:
             return
         self._closed = True
@@ -260,7 +278,10 @@ class DrivenArm:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self.close()
+        if error is None:
+            self.close()
+        else:
+            self._let_go()
 
     def _require_open(self) -> None:
         if self._closed:
@@ -270,6 +291,13 @@ class DrivenArm:
         self._require_open()
         if self._motion is not None and self._motion.is_alive():
             raise NotReadyError("the arm is still on its way; wait() for it, or stop() it first")
+        self._tell_last()
+
+    def _tell_last(self) -> None:
+        """Raise what ended the last motion, once."""
+        motion, self._motion = self._motion, None
+        if motion is not None and motion.error is not None:
+            raise motion.error
 
     def _start(self, motion: MotionThread) -> None:
         with self._starting:  # two threads may have looked before either started
@@ -286,7 +314,7 @@ class DrivenArm:
         aimed = cycle is not None and bool(np.isfinite(cycle.aim[0]).all())
         return ArmState(
             time_s=time, joints_rad=joints.copy(), tool_m=tool, moving=moving,
-            target_m=cycle.target[0] if cycle is not None and aimed else None,
+            target_m=cycle.target[0].copy() if cycle is not None and aimed else None,
             error_m=float(np.linalg.norm(cycle.aim[0] - tool)) if cycle is not None and aimed else None,
             turned_rad=None if cycle is None or np.isnan(cycle.turned[0]) else float(cycle.turned[0]),
         )  # fmt: skip

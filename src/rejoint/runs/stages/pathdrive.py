@@ -12,6 +12,7 @@ from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, Protocol, TypeAlias
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from rejoint.arms import Arm, Array
 from rejoint.arms.orientation import tool_axis
@@ -38,7 +39,7 @@ if TYPE_CHECKING:
     from rejoint.arms.orientation import Orientation
     from rejoint.twin.twin import Twin
 
-PathLike: TypeAlias = "Path | FilePath | str | Array"
+PathLike: TypeAlias = "Path | FilePath | ArrayLike"
 """A path, its CSV file, the name of a standard one, or (T, 4) times [s] and places [m]"""
 
 TRACKER, SENT = "tracker", "default"
