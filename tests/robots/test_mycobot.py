@@ -499,3 +499,13 @@ def test_a_clock_that_is_set_back_does_not_keep_a_silent_line_waiting(awake, mon
     bus.close()
     os.close(line)
     os.close(far)
+
+
+def test_two_programs_do_not_drive_one_arm_on_a_serial_line(awake):
+    with serve_pty(build_firmware(ARM, "healthy")) as server:
+        robot = open_robot(server.address, period=(0.05, 0.05))
+        with pytest.raises(AddressError, match="another program drives the arm there; end it first"):
+            open_robot(server.address, period=(0.05, 0.05))
+        assert np.isfinite(robot.step(robot.read().position).position).all()
+        robot.close()
+        open_robot(server.address, period=(0.05, 0.05)).close()

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from rejoint.logs.runlog import RunLog
+from rejoint.system.extras import installed
 
 PRELUDE = """
 import ctypes, os, signal, sys, time
@@ -181,3 +182,17 @@ def test_whoever_drives_hears_signals_also_where_another_thread_drives_already()
         "other.join()\nprint(*ended, signal.getsignal(signal.SIGTERM) == signal.SIG_DFL, flush=True)\n"
     )
     assert ended.stdout.splitlines() == ["interrupted by SIGTERM", "other interrupted by SIGTERM True"], ended.stderr
+
+
+@pytest.mark.skipif(not installed("ray"), reason="needs the extra fleet")
+def test_what_the_handler_of_another_library_hears_while_it_begins_ends_as_interrupted():
+    """SIGTERM while Ray started ended a fleet with the exit code 15, and without a line."""
+    ended = run(
+        "import rejoint.cli as cli\nfrom rejoint.runs.fleet import rayexecutor\n"
+        "def started(*_):\n    signal.signal(signal.SIGTERM, lambda signum, _: sys.exit(signum))\n"
+        "    os.kill(os.getpid(), signal.SIGTERM)\n    time.sleep(30)\n"
+        "rayexecutor._started = started\n"
+        "def app(**_):\n    rayexecutor.RayTasks()\n"
+        "cli.app = app\nsys.argv = ['rejoint']\ncli.main()\n"
+    )
+    assert (ended.returncode, ended.stderr) == (143, "error: interrupted by SIGTERM\n")

@@ -8,6 +8,7 @@ is set back meanwhile it would wait for as long as that, and hear no signal. It 
 from __future__ import annotations
 
 import contextlib
+import errno
 import locale
 import logging
 import time
@@ -46,17 +47,26 @@ HIGHEST_DEG: tuple[float, ...] = tuple(RobotLimit.robot_limit["MyCobot280"]["ang
 def make_client(address: TcpAddress | SerialAddress) -> MyCobot280 | MyCobot280Socket:
     """Construct the vendor's client, and take back what it does to the logging of the whole process.
 
-    Its constructor connects, and then sleeps for 1.5 s.
+    Its constructor connects, and then sleeps for 1.5 s. OSError where another program of ours has the serial port: it
+    would let both drive the arm.
     """
     root = logging.getLogger()
     handlers, level = root.handlers[:], root.level
     try:
         if isinstance(address, TcpAddress):
             return MyCobot280Socket(address.host, address.port)
-        return MyCobot280(address.device, address.baud)
+        client = MyCobot280(address.device, address.baud)
     finally:
         root.handlers[:], root.level = handlers, level
         logging.getLogger("pymycobot").setLevel(logging.CRITICAL)  # failures become errors in `rejoint.robots.link`
+    try:
+        client._serial_port.exclusive = True  # it opens the port for everybody
+    except OSError as error:
+        client.close()
+        if error.errno != errno.EWOULDBLOCK:
+            raise
+        raise OSError("another program drives the arm there; end it first") from error
+    return client
 
 
 @contextlib.contextmanager

@@ -235,16 +235,26 @@ def _started(address: str | None, cpus: int | None, resources: dict[str, float])
 
 @contextmanager
 def _own_signals() -> Iterator[None]:
-    """Keep the handlers of signals, which Ray replaces."""
+    """Keep the handlers of signals, which Ray replaces; what its own heard meanwhile is heard by them."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
     before = {signum: signal.getsignal(signum) for signum in SIGNALS}
-    try:
-        yield
-    finally:
+
+    def give_back() -> None:
         for signum, handler in before.items():
             signal.signal(signum, handler)
+
+    try:
+        yield
+    except SystemExit as ended:
+        give_back()
+        if ended.code == signal.SIGTERM:
+            signal.raise_signal(signal.SIGTERM)
+            check()
+        raise
+    finally:
+        give_back()
 
 
 def _last_line(error: BaseException) -> str:
