@@ -24,7 +24,7 @@ import pyarrow.parquet as pq
 
 from rejoint.arms import Arm, Array
 from rejoint.arms.size import in_metres
-from rejoint.diagnosis.calibration.measurements import NOISE, Measurements, Session
+from rejoint.diagnosis.calibration.measurements import NOISE, Measurements, MeasuringSession
 from rejoint.diagnosis.calibration.sheets import ANGLES, COUNT, LENGTHS, read_columns
 from rejoint.logs.runlog import AXES, read_parquet
 from rejoint.system.errors import FileError, InputError, first_line
@@ -36,7 +36,7 @@ _REMEDY = "measure again, or take another file"
 _DEG, _MM = np.pi / 180.0, 1e-3
 
 
-def write_measurements(path: Path, arm: Arm, measured: Measurements, session: Session | None = None) -> None:
+def write_measurements(path: Path, arm: Arm, measured: Measurements, session: MeasuringSession | None = None) -> None:
     """Write measurements of ``arm`` as Parquet, or as CSV where the name ends in ``.csv``.
 
     ``session`` tells how far they have come; without it they are all, and nothing goes on from them.
@@ -73,7 +73,7 @@ def read_measurements(path: Path, arm: Arm, *, frame: str = "base", source: str 
         raise FileError(path, f"not readable measurements ({first_line(error)})", _REMEDY) from error
 
 
-def read_interrupted(path: Path, arm: Arm) -> tuple[Measurements, Session] | None:
+def read_interrupted(path: Path, arm: Arm) -> tuple[Measurements, MeasuringSession] | None:
     """Read measurements in Parquet that were interrupted, and how far they had come; None where they came to the end.
 
     FileError as `read_measurements`.
@@ -81,7 +81,7 @@ def read_interrupted(path: Path, arm: Arm) -> tuple[Measurements, Session] | Non
     measured = read_measurements(path, arm)
     try:
         session = json.loads((pq.read_schema(path).metadata or {}).get(_KEY, b"{}")).get("session")
-        return None if session is None else (measured, msgspec.convert(session, Session))
+        return None if session is None else (measured, msgspec.convert(session, MeasuringSession))
     except (OSError, pa.ArrowException, ValueError, msgspec.MsgspecError) as error:
         raise FileError(path, f"not readable measurements ({first_line(error)})", _REMEDY) from error
 

@@ -71,7 +71,7 @@ class Measurements:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Session:
+class MeasuringSession:
     """How far a measuring drive had come when it was interrupted."""
 
     plan: str

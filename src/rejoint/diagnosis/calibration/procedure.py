@@ -15,7 +15,7 @@ from rejoint.control.recording import Recording
 from rejoint.control.robot import Robot
 from rejoint.control.start import Stance, begin
 from rejoint.diagnosis.calibration.gauges import Gauge, Stop
-from rejoint.diagnosis.calibration.measurements import Measurements, Session
+from rejoint.diagnosis.calibration.measurements import Measurements, MeasuringSession
 from rejoint.diagnosis.calibration.postures import Suggestion
 from rejoint.system.errors import InputError, NotReadyError
 from rejoint.system.progress import Progress, no_progress
@@ -63,7 +63,7 @@ class _Rows:
 def measure(
     robot: Robot, gauge: Gauge, plan: Suggestion, *, limits: GuardLimits | None = None,
     stance: Stance | None = None, on_progress: Progress = no_progress, on_measured: OnMeasured | None = None,
-    begun: tuple[Measurements, Session] | None = None,
+    begun: tuple[Measurements, MeasuringSession] | None = None,
 ) -> Measurements:  # fmt: skip
     """Bring one arm to the postures of ``plan``, each from where it says, and measure the tool there.
 

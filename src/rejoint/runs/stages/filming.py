@@ -14,7 +14,7 @@ from rejoint.diagnosis.calibration.camera.filmfile import POSTURES, read_film, w
 from rejoint.diagnosis.calibration.camera.filming import CameraGauge, FilmDrive, Picture, UnseenBoardError
 from rejoint.runs.run import Run
 from rejoint.runs.stages.driving import guard_limits, stance_of
-from rejoint.runs.stages.measuring import same, told
+from rejoint.runs.stages.measuring import log_resumed, same
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import set_aside, write_whole
 from rejoint.system.progress import Progress
@@ -38,7 +38,7 @@ def film_of(
     if begun is None:
         _set_aside(run)
     elif run is not None:
-        told(run.folder.views, f"{len(film)} pictures are there")
+        log_resumed(run.folder.views, f"{len(film)} pictures are there")
 
     def keep(film: Film, name: str, picture: Picture) -> None:
         if run is not None:

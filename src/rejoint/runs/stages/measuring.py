@@ -12,7 +12,7 @@ from rejoint.control.servogains import limits_under
 from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.diagnosis.calibration.gauges import EmulatedGauge, Gauge
 from rejoint.diagnosis.calibration.measurementfile import read_interrupted, write_measurements
-from rejoint.diagnosis.calibration.measurements import Measurements, Session
+from rejoint.diagnosis.calibration.measurements import Measurements, MeasuringSession
 from rejoint.diagnosis.calibration.postures import Suggestion, suggest
 from rejoint.diagnosis.calibration.procedure import measure
 from rejoint.runs.run import Run
@@ -44,11 +44,11 @@ def measured_of(
         set_aside(run.folder.measurements)
     elif run is not None and begun is not None:
         _require_same(run, gauge, plan, *begun)
-        told(run.folder.measurements, f"{begun[1].answered} of {len(plan.posture)} postures are done")
+        log_resumed(run.folder.measurements, f"{begun[1].answered} of {len(plan.posture)} postures are done")
 
     def keep(measured: Measurements, answered: int) -> None:
         if run is not None:
-            session = Session(plan=plan.digest, answered=answered, afresh=afresh)
+            session = MeasuringSession(plan=plan.digest, answered=answered, afresh=afresh)
             write_measurements(run.folder.measurements, robot.arm, measured, session)
 
     try:
@@ -63,7 +63,7 @@ def measured_of(
     return found, prior
 
 
-def interrupted(run: Run, gauge: Gauge) -> tuple[Measurements, Session] | None:
+def interrupted(run: Run, gauge: Gauge) -> tuple[Measurements, MeasuringSession] | None:
     """Return what was measured in a run that was interrupted, and how far it had come; None where a new one begins.
 
     What an emulator tells is measured anew: it takes nobody's time, and the same seed is to give the same again.
@@ -77,7 +77,7 @@ def interrupted(run: Run, gauge: Gauge) -> tuple[Measurements, Session] | None:
         raise
 
 
-def _require_same(run: Run, gauge: Gauge, plan: Suggestion, measured: Measurements, session: Session) -> None:
+def _require_same(run: Run, gauge: Gauge, plan: Suggestion, measured: Measurements, session: MeasuringSession) -> None:
     """Raise InputError where what was interrupted was measured in other postures, or by something else."""
     if (session.plan, measured.source, measured.frame) != (plan.digest, gauge.source, gauge.frame):
         raise InputError(
@@ -102,7 +102,7 @@ def same(*, afresh: bool) -> str:
     return "the same command without --afresh" if afresh else "the same command"
 
 
-def told(file: Path, done: str) -> None:
+def log_resumed(file: Path, done: str) -> None:
     """Tell that an interrupted session goes on, whose ``file`` is the newest of it, and how it would not."""
     written = datetime.fromtimestamp(file.stat().st_mtime)
     _LOGGER.warning(
