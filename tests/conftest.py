@@ -1,6 +1,11 @@
 """What holds for all tests."""
 
+import os
 import signal
+
+# As many tests run side by side as there are cores: threads of one would only wait for those of the others. Small
+# matrices gain nothing from threads either.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from hypothesis import HealthCheck, settings
 
