@@ -42,10 +42,10 @@ def servos(twins: Sequence[TwinParameters]) -> Servos:
 
 
 def drive(profiles: Sequence[str], twins: Sequence[TwinParameters], period: tuple[float, float], guides) -> Recording:
-    start = PathPostures(ARM, np.stack([path.place[0] for _ in profiles for path in PATHS])).last
+    controller = Tracker(ARM, servos(twins), period=sum(period) / 2)
+    start = PathPostures(ARM, np.stack([path.place[0] for _ in profiles for path in PATHS]), home=controller.home).last
     wears = [load_wear(profile, ARM) for profile in profiles for _ in PATHS]
     robot = EmulatedRobot(ARM, wears, start=start, period=period)
-    controller = Tracker(ARM, servos(twins), period=sum(period) / 2)
     dwell = LEAD_IN + LAG + max(path.duration for path in PATHS)
     return follow(robot, controller, Routes(guides), Schedule(dwell=dwell, sent=start, keep_going=True))
 

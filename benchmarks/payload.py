@@ -27,6 +27,7 @@ from rejoint.control.controller import Controller
 from rejoint.control.feedforward import FeedforwardController
 from rejoint.control.loop import Schedule, follow, run
 from rejoint.control.moving.drive import approach, judge
+from rejoint.control.moving.posture import PathPostures
 from rejoint.control.moving.routes import LEAD_IN, Ahead, Routes
 from rejoint.control.moving.standard import standard_path
 from rejoint.control.moving.tracker import Tracker
@@ -133,9 +134,10 @@ def _follow(arm: Arm, seed: int, twin: Twin, true: float, told: float) -> float:
     path = standard_path(PATH, arm)
     robot, sent = _robot(arm, seed, true, told)
     guide = Ahead(path=path)
-    sent = approach(robot, path.at(0.0), sent).command[-1]
+    tracker = Tracker(robot.arm, servos_of(twin))
+    sent = approach(robot, PathPostures(robot.arm, path.place[:1], home=tracker.home).last[0], sent).command[-1]
     schedule = Schedule(dwell=LEAD_IN + path.duration, sent=sent)
-    recording = follow(robot, Tracker(robot.arm, servos_of(twin)), Routes([guide]), schedule)
+    recording = follow(robot, tracker, Routes([guide]), schedule)
     return judge(arm, recording, guide).encoder.rms
 
 

@@ -31,6 +31,7 @@ from rejoint.control.integrator import IntegratorController
 from rejoint.control.loop import Schedule, follow, run
 from rejoint.control.moving.drive import approach, judge
 from rejoint.control.moving.path import Path
+from rejoint.control.moving.posture import PathPostures
 from rejoint.control.moving.routes import LEAD_IN, Ahead, Routes
 from rejoint.control.moving.tracker import Tracker
 from rejoint.control.posture import PostureController, Wanted
@@ -133,10 +134,12 @@ def followed(arm: Arm, seed: int, twin: Twin, *, turned: bool) -> tuple[float, f
     swing = np.stack([0.17 * np.sin(round_once), 0.17 * np.cos(round_once), -np.ones_like(time)], axis=-1)
     path = Path(time=time, place=centre + wave, direction=swing if turned else None).on(arm)
     robot = EmulatedRobot(arm, [load_wear(f"worn?seed={seed}", arm)], seed=seed)
-    sent = approach(robot, path.at(0.0), begin(robot).command[-1], turn=path.turn_at(0.0)).command[-1]
+    tracker = Tracker(arm, servos_of(twin))
+    posture = PathPostures(arm, path.place[:1], path.turn_at(np.zeros(1)), tracker.home).last[0]
+    sent = approach(robot, posture, begin(robot).command[-1]).command[-1]
     guide = Ahead(path=path)
     schedule = Schedule(dwell=LEAD_IN + LENGTH, sent=sent)
-    done = judge(arm, follow(robot, Tracker(arm, servos_of(twin)), Routes([guide]), schedule), guide)
+    done = judge(arm, follow(robot, tracker, Routes([guide]), schedule), guide)
     return 1e3 * done.encoder.rms, float(np.degrees(np.nan if done.turned is None else done.turned))
 
 

@@ -67,13 +67,13 @@ class Followed:
         return last is not None and last.encoder.rms_after <= self.within and (last.turned or 0.0) <= REACHED_TURN
 
 
-def corrected_path(arm: Arm, path: Path, correction: Modelled) -> Path:
-    """Return the aims of a path, so that the tool itself is on it."""
+def corrected_path(arm: Arm, path: Path, correction: Modelled, home: Array | None = None) -> Path:
+    """Return the aims of a path, so that the tool itself is on it where the arm keeps near to ``home`` (n,) [rad]."""
     time = np.linspace(0.0, path.duration, max(2, round(path.duration / _STEP) + 1))
     places = path.at(time)
     aims = places
     wanted = turns = path.turn_at(time)
-    postures = PathPostures(arm, places[:1], turns and turns[:1])
+    postures = PathPostures(arm, places[:1], turns and turns[:1], home)
     for _ in range(2):  # the second changes it by less than 0.1 mm
         way = postures.along(aims[:, None], turns and turns[:, None])[:, 0]
         came = np.concatenate([way[:1].repeat(_APPROACH, axis=0), way[:-_APPROACH]])[: len(way)]
@@ -83,9 +83,11 @@ def corrected_path(arm: Arm, path: Path, correction: Modelled) -> Path:
     return path_of(time, aims, turns, path.name)
 
 
-def corrector(arm: Arm, correction: Modelled, start: Array, turn: Orientation | None = None) -> Corrected:
-    """Return what turns targets of a stream into aims, from ``start`` (3,) [m] and ``turn`` () on."""
-    postures = PathPostures(arm, start[None], turn and turn[None])
+def corrector(
+    arm: Arm, correction: Modelled, start: Array, turn: Orientation | None = None, home: Array | None = None
+) -> Corrected:
+    """Return what turns targets of a stream into aims, from ``start`` (3,) [m] and ``turn`` () on, near ``home``."""
+    postures = PathPostures(arm, start[None], turn and turn[None], home)
 
     def correct(places: Array, turns: Orientation | None) -> tuple[Array, Orientation | None]:
         way = postures.at(places[:, None], turns and turns[:, None])[:, 0]
@@ -96,11 +98,10 @@ def corrector(arm: Arm, correction: Modelled, start: Array, turn: Orientation | 
 
 
 def approach(
-    robot: Robot, start: Array, sent: Array, limits: GuardLimits | None = None, *, give_up: GiveUp | None = None,
-    on_cycle: OnCycle | None = None, turn: Orientation | None = None,
+    robot: Robot, posture: Array, sent: Array, limits: GuardLimits | None = None, *, give_up: GiveUp | None = None,
+    on_cycle: OnCycle | None = None,
 ) -> Recording:  # fmt: skip
-    """Bring the arm slowly from the command ``sent`` (1, n) [rad] to the posture of ``start`` (3,) [m] and ``turn``."""
-    posture = PathPostures(robot.arm, start[None], turn and turn[None]).last[0]
+    """Bring the arm slowly from the command ``sent`` (1, n) [rad] to the ``posture`` (n,) [rad] of a path's start."""
     return move(robot, posture, sent=sent, settle=0.5, limits=limits, give_up=give_up, on_cycle=on_cycle)
 
 

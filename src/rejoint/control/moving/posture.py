@@ -1,8 +1,8 @@
 """Which posture an arm takes on a path: one that depends on the place alone, and that spares the light joints.
 
-Of all postures with the tool at a place, the one nearest to rest is taken, where joints that carry little count for
-more: they are weak, stick, and turn round often, and an arm with six joints can do without them. So a path that comes
-back finds the same postures, and nothing drifts.
+Of all postures with the tool at a place, the one nearest to home is taken, which is rest unless said otherwise. Joints
+that carry little count for more: they are weak, stick, and turn round often, and an arm with six joints can do without
+them. So a path that comes back finds the same postures, and nothing drifts.
 """
 
 from __future__ import annotations
@@ -46,10 +46,16 @@ def spread(arm: Arm, jacobian: Array, way: Array) -> Array:
 class PathPostures:
     """PathPostures of B arms; the search goes on from the last one."""
 
-    def __init__(self, arm: Arm, place: Array, turn: Orientation | None = None) -> None:
-        """Begin at ``place`` (B, 3) [m], with the tools turned as in ``turn`` (B,)."""
+    def __init__(
+        self, arm: Arm, place: Array, turn: Orientation | None = None, home: Array | None = None
+    ) -> None:  # fmt: skip
+        """Begin at ``place`` (B, 3) [m], with the tools turned as in ``turn`` (B,).
+
+        They keep near to ``home`` (n,) or (B, n) [rad] where no turn is given; by default to rest.
+        """
         self._arm = arm
-        start = np.broadcast_to(arm.rest, (len(place), arm.joints))
+        self._home = arm.rest if home is None or turn is not None else home
+        start = np.broadcast_to(self._home, (len(place), arm.joints))
         start = start if turn is None else find_postures(arm, place, start, turn)
         self.last = self._search(place, start, _FIRST, turn)
         """(B, n) [rad]"""
@@ -72,7 +78,7 @@ class PathPostures:
         arm = self._arm
         for _ in range(rounds):
             missed, jacobian = task(arm, q, place, turn)
-            home = arm.rest - q
+            home = self._home - q
             way = missed - (jacobian @ home[..., None])[..., 0]
             step = home + spread(arm, jacobian, way)
             largest = np.abs(step).max(axis=-1, keepdims=True)

@@ -14,6 +14,7 @@ import numpy as np
 from rejoint.arms import Arm, Array, dls, position_kinematics
 from rejoint.control.controller import ControlInput
 from rejoint.control.law import limit_position
+from rejoint.control.moving.folding import home_of
 from rejoint.control.moving.observer import PushObserver, Trust
 from rejoint.control.moving.posture import PathPostures, joint_weights
 from rejoint.control.moving.servos import Moment, Servos, command_for
@@ -68,6 +69,8 @@ class Tracker:
         """``period`` [s] is the usual one of the control cycles, which the gains must suit."""
         self._arm, self._servos, self._gains = arm, servos, gains or TrackerGains()
         self._usual = period
+        self.home = home_of(arm, servos)
+        """(B, n) [rad] that its postures keep near to; arms begin there"""
         self._begun = False
 
     def reset(self, inputs: ControlInput, where: Mask) -> None:  # noqa: ARG002 - a gap in the answers forgets nothing
@@ -79,7 +82,7 @@ class Tracker:
         now = np.zeros(1)
         turns = inputs.turns(now)
         begin = inputs.aims(now)[0], turns and turns[0]
-        self._postures, self._seen = (PathPostures(self._arm, *begin) for _ in range(2))
+        self._postures, self._seen = (PathPostures(self._arm, *begin, home=self.home) for _ in range(2))
         self._observer = PushObserver(self._arm, self._servos, self._gains.trust, self._usual)
         self._pace, self._firmness = Pace(), self._firm(self._observer.mass)
         self._pace.begin(inputs.state.time, np.ones(count, dtype=bool))

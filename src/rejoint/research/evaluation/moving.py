@@ -157,7 +157,8 @@ class _Block:
     ) -> tuple[list[MovingLine], Recording]:
         """Return the lines of a case, and its recording; ``time`` is another noise."""
         paths = self.paths
-        start = PathPostures(self.arm, np.stack([path.place[0] for path in paths])).last
+        home = controller.home if isinstance(controller, Tracker) else None
+        start = PathPostures(self.arm, np.stack([path.place[0] for path in paths]), home=home).last
         robot = EmulatedRobot(self.arm, wears, seed=self.seeds[0] + time, start=start, threads=self.threads)
         dwell = LEAD_IN + LAG + max(path.duration for path in paths)
         recording = follow(robot, controller, Routes(list(guides)), Schedule(dwell=dwell, sent=start, keep_going=True))

@@ -123,11 +123,11 @@ class ArmCarrier:
     drive: ArmDrive
     ended: threading.Event
 
-    def approach(self, start: Array, sent: Array, turn: Orientation | None = None) -> Recording:
+    def approach(self, posture: Array, sent: Array) -> Recording:
         """See `rejoint.runs.stages.pathdrive.Carrier`."""
         return self._piece(
             lambda see: approach(
-                self.drive.robot, start, sent, self.drive.limits, give_up=self._give_up, on_cycle=see, turn=turn
+                self.drive.robot, posture, sent, self.drive.limits, give_up=self._give_up, on_cycle=see
             )
         )  # fmt: skip
 

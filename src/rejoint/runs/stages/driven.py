@@ -203,11 +203,11 @@ class DrivenArm:
         self._require_free()
         require_repeatable(path, repeat, rate_hz, within_m)
         given = followable(path, self.arm, self._run.seed, duration_s)
-        name, make = follower(TRACKER, self.arm, self._period, self._run, self._twin)
+        tracker = follower(TRACKER, self.arm, self._period, self._run, self._twin)
         self._followed = None
         self._start(
             AlongPath(
-                self._drive, given, make, name, repeat=repeat, rate=rate_hz, duration=duration_s, within=within_m,
+                self._drive, given, tracker, repeat=repeat, rate=rate_hz, duration=duration_s, within=within_m,
                 keep=self._keep_followed,
             )
         )  # fmt: skip

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from numpy.typing import ArrayLike
 
 from rejoint.arms import Array
-from rejoint.arms.orientation import Orientation
 from rejoint.control.controller import Controller
 from rejoint.control.guard import GuardLimits
 from rejoint.control.moving.drive import Followed, approach, follow_guide
@@ -173,7 +172,7 @@ def follow(
             limits = limits_under(guard_limits(about, chosen, connection.address), connection, None)
             known = twin_in_force(about, connection) if about is not None and twin is None else known
             connection = shown(live, connection, twin=known, within=within)
-            name, make = follower(controller, chosen, usual, about, known)
+            goes = follower(controller, chosen, usual, about, known)
             with kept_if_stopped(about, "follow"):
                 start = begin(connection, limits, stance_of(known, about))
             carrier = _Logged(
@@ -181,7 +180,7 @@ def follow(
                 on_progress=on_progress, period=0.02 if usual is None else min(usual),
             )  # fmt: skip
             drive = PathDrive(
-                arm=chosen, name=name, make=make, usual=start.usual_period(), within=within, carrier=carrier,
+                arm=chosen, follower=goes, usual=start.usual_period(), within=within, carrier=carrier,
                 correction=None if correct is None else correct(chosen),
                 model=calibration_of(calibration, about, chosen, address_of(robot)),
             )  # fmt: skip
@@ -203,9 +202,9 @@ class _Logged:
     on_progress: Progress
     period: float
 
-    def approach(self, start: Array, sent: Array, turn: Orientation | None = None) -> Recording:
+    def approach(self, posture: Array, sent: Array) -> Recording:
         with kept_if_stopped(self.run, "follow"):
-            return approach(self.robot, start, sent, self.limits, turn=turn)
+            return approach(self.robot, posture, sent, self.limits)
 
     def carry(self, guide: Ahead | Stream, controller: Controller, sent: Array, piece: Piece) -> Recording:
         rows, number, total = int(piece.duration / self.period), piece.number, piece.total

@@ -17,7 +17,7 @@ from rejoint.control.moving.routes import Stream
 from rejoint.control.robot import Mask
 from rejoint.robots.serving.served import CALM
 from rejoint.runs.stages.armdrive import ArmCarrier, ArmDrive, EndedError
-from rejoint.runs.stages.pathdrive import Factory, PathDrive
+from rejoint.runs.stages.pathdrive import Follower, PathDrive
 from rejoint.system.errors import NotReachedError
 
 
@@ -84,18 +84,18 @@ class AlongPath(MotionThread):
     """A motion along a path, or behind a stream for ``duration`` [s]."""
 
     def __init__(
-        self, drive: ArmDrive, path: Path | Stream, make: Factory, name: str, *, repeat: int, rate: float | None,
+        self, drive: ArmDrive, path: Path | Stream, follower: Follower, *, repeat: int, rate: float | None,
         duration: float | None, within: float, keep: Callable[[Followed], None],
     ) -> None:  # fmt: skip
         super().__init__("the end of its path")
-        self._drive, self._path, self._make, self._name = drive, path, make, name
+        self._drive, self._path, self._follower = drive, path, follower
         self._repeat, self._rate, self._duration, self._within, self._keep = repeat, rate, duration, within, keep
 
     def _go(self) -> None:
         drive = self._drive
         sent, usual = drive.begin()
         along = PathDrive(
-            arm=drive.robot.arm, name=self._name, make=self._make, usual=usual, correction=drive.correction,
+            arm=drive.robot.arm, follower=self._follower, usual=usual, correction=drive.correction,
             within=self._within, carrier=ArmCarrier(drive=drive, ended=self.ended),
         )  # fmt: skip
         if isinstance(self._path, Stream):

@@ -21,7 +21,9 @@ from rejoint.control.comparison.targets import require_reachable
 from rejoint.control.controller import Controller
 from rejoint.control.correction import Modelled
 from rejoint.control.moving.drive import Followed, Pass, corrected_path, corrector, judge, missed
+from rejoint.control.moving.folding import home_of
 from rejoint.control.moving.path import Path, read_path
+from rejoint.control.moving.posture import PathPostures
 from rejoint.control.moving.repeating import Repetition
 from rejoint.control.moving.routes import LAG, LEAD_IN, Ahead, Stream, played, require_rate
 from rejoint.control.moving.sender import Sender
@@ -52,6 +54,18 @@ Factory = Callable[[Arm, float], Controller]
 """Makes a controller for an arm and the usual length [s] of its control periods"""
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Follower:
+    """What follows a path."""
+
+    name: str
+    """of the controller"""
+    make: Factory
+    """makes it, for each time along the path"""
+    home: Array | None = None
+    """(n,) [rad] posture that it keeps near to; None: rest"""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Piece:
     """One time along a path."""
@@ -67,8 +81,8 @@ class Piece:
 class Carrier(Protocol):
     """Drives the arm, and keeps what it does."""
 
-    def approach(self, start: Array, sent: Array, turn: Orientation | None = None) -> Recording:
-        """Bring the arm slowly from the command ``sent`` (1, n) [rad] to the place ``start`` (3,) [m] and ``turn``."""
+    def approach(self, posture: Array, sent: Array) -> Recording:
+        """Bring the arm slowly from the command ``sent`` (1, n) [rad] to the ``posture`` (n,) [rad] of a start."""
 
     def carry(self, guide: Ahead | Stream, controller: Controller, sent: Array, piece: Piece) -> Recording:
         """Drive the arm behind a guide; ``sent`` (1, n) [rad] is the command in force."""
@@ -79,9 +93,7 @@ class PathDrive:
     """What an arm is driven along paths by."""
 
     arm: Arm
-    name: str
-    """of the controller"""
-    make: Factory
+    follower: Follower
     usual: float
     """[s] usual length of the control periods"""
     correction: Modelled | None
@@ -93,16 +105,18 @@ class PathDrive:
 
     def along(self, path: Path, repeat: int, rate: float | None, sent: Array) -> Followed:
         """Go along a path, ``repeat`` times, from the command ``sent`` (1, n) [rad]; at a ``rate`` [Hz] it is told."""
-        wanted = path if self.correction is None else corrected_path(self.arm, path, self.correction)
+        wanted = (
+            path if self.correction is None else corrected_path(self.arm, path, self.correction, self.follower.home)
+        )
         duration = LEAD_IN + path.duration + (0.0 if rate is None else LAG)
         aim, passes, repetition = wanted, list[Pass](), Repetition(wanted)
         last: Recording | None = None
         for number in range(repeat):
-            sent = self.carrier.approach(wanted.at(0.0), sent, wanted.turn_at(0.0)).command[-1]
+            sent = self._approach(wanted.at(0.0), wanted.turn_at(0.0), sent)
             guide = Ahead(path=path, aim=aim)
             piece = Piece(label=self._label(path.name), duration=duration, number=number, total=repeat)
             told = guide if rate is None else played(wanted, rate)
-            last = self.carrier.carry(told, self.make(self.arm, self.usual), sent, piece)
+            last = self.carrier.carry(told, self.follower.make(self.arm, self.usual), sent, piece)
             done = judge(self.arm, last, Ahead(path=path, aim=wanted), model=self.model)
             passes.append(replace(done, log=last.log(0, piece.label)))
             aim, sent = repetition.learn(aim, *missed(self.arm, last, guide, wanted)), last.command[-1]
@@ -114,23 +128,28 @@ class PathDrive:
         start, turns = stream.place(0.0), stream.turns(0.0, at_once)
         turn = None if turns is None else turns[0]
         if self.correction is not None and stream.corrected is None:
-            stream.corrected = corrector(self.arm, self.correction, start, turn)
+            stream.corrected = corrector(self.arm, self.correction, start, turn, self.follower.home)
             turns = stream.turns(0.0, at_once)
             turn = None if turns is None else turns[0]
-        sent = self.carrier.approach(start, sent, turn).command[-1]
+        sent = self._approach(start, turn, sent)
         piece = Piece(label=self._label("stream"), duration=duration, number=0, total=1)
-        last = self.carrier.carry(stream, self.make(self.arm, self.usual), sent, piece)
+        last = self.carrier.carry(stream, self.follower.make(self.arm, self.usual), sent, piece)
         done = replace(judge(self.arm, last, stream, model=self.model), log=last.log(0, piece.label))
         return self._followed("stream", [done], last)
 
+    def _approach(self, start: Array, turn: Orientation | None, sent: Array) -> Array:
+        """Bring the arm to the place ``start`` (3,) [m] and ``turn`` (); returns the command (1, n) [rad] in force."""
+        posture = PathPostures(self.arm, start[None], turn and turn[None], self.follower.home).last[0]
+        return self.carrier.approach(posture, sent).command[-1]
+
     def _label(self, path: str) -> str:
-        return f"follow/{self.name}/{path}"
+        return f"follow/{self.follower.name}/{path}"
 
     def _followed(self, path: str, passes: list[Pass], last: Recording | None) -> Followed:
         period = float("nan") if last is None else last.usual_period()
         gaps = () if last is None else tuple(float(gap) for gap in last.gaps() if gap > 0.0)
         return Followed(
-            path=path, controller=self.name, within=self.within, passes=tuple(passes),
+            path=path, controller=self.follower.name, within=self.within, passes=tuple(passes),
             period=period if np.isfinite(period) else None, gaps=gaps,
         )  # fmt: skip
 
@@ -205,17 +224,20 @@ def servos_of(twin: Twin) -> Servos:
 
 def follower(
     given: ControllerLike, arm: Arm, usual: Period | None, run: Run | None, twin: Twin | None
-) -> tuple[str, Factory]:
-    """Return the name of a controller and what makes it, for each time along the path."""
+) -> Follower:  # fmt: skip
+    """Return what follows under the name of a controller, or what is given."""
     if given == SENT:
-        return SENT, lambda arm, period: Sender(arm)  # noqa: ARG005 - it knows no time
+        return Follower(name=SENT, make=lambda arm, period: Sender(arm))  # noqa: ARG005 - it knows no time
     if given == TRACKER:
         if twin is None:
             raise InputError(
                 "follow: the tracker needs a twin; run `rejoint identify` first, or take --controller default"
             )
-        return TRACKER, lambda arm, period: Tracker(arm, servos_of(twin), period=period)
+        servos = servos_of(twin)
+        return Follower(
+            name=TRACKER, make=lambda arm, period: Tracker(arm, servos, period=period), home=home_of(arm, servos)[0]
+        )
     if isinstance(given, str) and not given.endswith(".onnx"):
         raise InputError(f"no controller called {given!r} follows paths; known: {TRACKER}, {SENT}")
     ((name, make),) = make_factories([given], arm, usual, run=run, twin=twin).items()
-    return name, lambda arm, period: make(arm)  # noqa: ARG005 - its own affair
+    return Follower(name=name, make=lambda arm, period: make(arm))  # noqa: ARG005 - its own affair

@@ -1,0 +1,70 @@
+"""Arms whose motors hardly lift them fold; all others follow near to rest."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from rejoint.arms import gravity_torque, load_arm, tcp_position
+from rejoint.control.moving.folding import home_of
+from rejoint.control.moving.posture import PathPostures
+from rejoint.control.moving.servos import Servos
+from rejoint.control.moving.tracker import Tracker
+
+
+def servos_with(arm, limits):
+    """Servos of arms whose motors have these torque limits (B, n) [N m]."""
+    some = np.ones_like(limits)
+    return Servos(
+        stiffness=5.0 * some, damping=0.2 * some, coulomb=0.05 * some, armature=0.01 * some, torque_limit=limits,
+        offset=0.0 * some, delay=np.full(len(limits), 0.02),
+    )  # fmt: skip
+
+
+def loads(arm, home):
+    """Usual torques (n,) [N m] of gravity in the region of targets."""
+    places = arm.targets.sample(np.random.default_rng(5), (200,))
+    return np.abs(gravity_torque(arm, PathPostures(arm, places, home=home).last)).mean(axis=0)
+
+
+@pytest.mark.parametrize(("name", "heavy"), [("mycobot280", 2), ("so101", 1)])
+def test_only_arms_that_are_too_weak_for_rest_fold(name, heavy):
+    arm = load_arm(name)
+    need = loads(arm, arm.rest)
+    strong = 4.0 * need.max() * np.ones(arm.joints)
+    weak = strong.copy()
+    weak[heavy] = 1.3 * need[heavy] + 0.05
+    home = home_of(arm, servos_with(arm, np.stack([strong, weak, strong])))
+    np.testing.assert_array_equal(home[[0, 2]], np.tile(arm.rest, (2, 1)))
+    assert (home[1] != arm.rest).sum() == 1
+    assert ((home > arm.lower) & (home < arm.upper)).all()
+    assert loads(arm, home[1])[heavy] < 0.95 * need[heavy]
+
+
+def test_an_arm_that_no_fold_helps_stays_at_rest():
+    arm = load_arm("so101")
+    limits = 4.0 * loads(arm, arm.rest).max() * np.ones((1, arm.joints))
+    limits[0, 2] = 1.3 * loads(arm, arm.rest)[2] + 0.05  # its elbow, which the wrist does not help
+    np.testing.assert_array_equal(home_of(arm, servos_with(arm, limits))[0], arm.rest)
+
+
+def test_a_folded_arm_has_its_tool_at_the_same_places():
+    arm = load_arm("mycobot280")
+    places = arm.targets.sample(np.random.default_rng(1), (50,))
+    home = arm.rest - np.radians([0.0, 0.0, 0.0, 60.0, 0.0, 0.0])
+    folded, plain = PathPostures(arm, places, home=home).last, PathPostures(arm, places).last
+    np.testing.assert_allclose(tcp_position(arm, folded), places, atol=1e-5)
+    assert np.degrees(np.abs(folded - plain)[:, 3]).min() > 30.0
+    turned = PathPostures(arm, places, home=arm.rest)
+    np.testing.assert_array_equal(turned.last, plain)
+
+
+def test_a_tracker_begins_and_stays_where_it_is_at_home():
+    arm = load_arm("mycobot280")
+    limits = 4.0 * loads(arm, arm.rest).max() * np.ones((1, arm.joints))
+    limits[0, 2] = 0.45
+    servos = servos_with(arm, limits)
+    np.testing.assert_array_equal(Tracker(arm, servos).home, home_of(arm, servos))
+    # Stiffer or slower servos are no weaker ones.
+    other = replace(servos, stiffness=2.0 * servos.stiffness, damping=3.0 * servos.damping)
+    np.testing.assert_array_equal(home_of(arm, other), home_of(arm, servos))
