@@ -6,7 +6,8 @@
     python -m benchmarks.fleet --checks 0 --repairs 0 --memory 12,300
 
 Every check and every repair must end as one by one, to the bit, with nothing left and nothing done twice. Training is
-cut down (`--quick` of `rejoint repair`), so that what Ray adds counts for more than it does in a real repair. Beside
+cut down (`--quick` of `rejoint repair`), so that what Ray adds counts for more than it does in a real repair; with
+`--whole` repairs are as `rejoint repair` does them by default. Beside
 the time by the clock stands that of the processors, which others on the machine do not lengthen, and the share of time
 in which a call had work for both. `--disturbed` leaves the undisturbed call out, `--alone 6`
 does six arms plainly instead of all.
@@ -22,7 +23,7 @@ import tempfile
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -38,7 +39,8 @@ LOOK = 75.0
 REJOINT = [sys.executable, "-m", "rejoint"]
 CODES = (0, 5, 6, 7)
 """Exit codes of calls in which nothing failed"""
-FEW = ["--quick", "--sets", "1", "--repetitions", "1", "--controllers", "integrator,policy"]
+FEW = {"quick": True, "sets": 1, "repetitions": 1, "controllers": ("integrator", "policy")}
+"""Arguments of repairs that are cut down"""
 STEPS = ("diagnosis.json", "twin.toml", "policy.onnx", "comparison.json", "finished.json")
 """Files that the steps of a repair leave"""
 FILES = ("diagnosis.json", "twin.toml", "policy.onnx", "logs/excitation.parquet", "logs/targets.parquet")
@@ -113,11 +115,28 @@ class Watch(threading.Thread):
         return 100.0 * float(np.mean(np.minimum(self.at_work, PROCESSES))) / PROCESSES
 
 
+def as_words(given: Mapping[str, object]) -> list[str]:
+    """Return arguments of a repair as the command line takes them."""
+    words = []
+    for name, value in given.items():
+        words += (
+            [f"--{name}"]
+            if value is True
+            else [f"--{name}", ",".join(value) if isinstance(value, tuple) else str(value)]
+        )
+    return words
+
+
 def call(
-    verb: str, file: Path, kills: list[float], end: float | None = None, limit: float | None = None
+    verb: str,
+    given: Mapping[str, object],
+    file: Path,
+    kills: list[float],
+    end: float | None = None,
+    limit: float | None = None,
 ) -> tuple[float, Watch, str]:
     """Run the command and kill as `Watch` says, or after ``limit`` [s]; returns its time [s] and output."""
-    words = [*REJOINT, "fleet", verb, str(file), *(FEW if verb == "repair" else [])]
+    words = [*REJOINT, "fleet", verb, str(file), *as_words(given)]
     arms = file.read_text().count("[[arm]]")
     steps = [f"checks/*/*/{SUMMARY}"] if verb == "check" else [f"repairs/*/*/{file}" for file in STEPS]
     began = time.monotonic()
@@ -142,7 +161,7 @@ def call(
     return time.monotonic() - began, watch, text
 
 
-def plain(folder: Path, verb: str, count: int, of: int) -> tuple[float, float]:
+def plain(folder: Path, verb: str, given: Mapping[str, object], count: int, of: int) -> tuple[float, float]:
     """Do the same in two processes, one arm after the other in each, and what that would be for ``of`` arms.
 
     Returns the time [s] and that of processors [s]. Where fewer than all arms are done, the first of each process has
@@ -151,8 +170,7 @@ def plain(folder: Path, verb: str, count: int, of: int) -> tuple[float, float]:
     code = "import os, sys, time, rejoint\nfor words in sys.argv[1:]:\n name, robot = words.split('=', 1)\n"
     code += {
         "check": f" rejoint.check(robot, history={str(folder)!r}, name=name)\n",
-        "repair": f" rejoint.repair(robot, run={str(folder)!r} + '/' + name, quick=True, sets=1, repetitions=1, "
-        "controllers=('integrator', 'policy'))\n",
+        "repair": f" rejoint.repair(robot, run={str(folder)!r} + '/' + name, **{dict(given)!r})\n",
     }[verb]
     code += " print(time.monotonic(), sum(os.times()[:4]))\n"
     given = [f"{name}={address(number)}" for number, name in enumerate(names(count))]
@@ -197,16 +215,19 @@ def check_same(verb: str, fleet: Path, alone: Path, count: int, same: int) -> No
                 raise WrongError(f"{file} of {name} is another than alone")
 
 
-def bench(verb: str, count: int, same: int, kills: int, work: Path, rng: np.random.Generator, *, quiet: bool) -> None:
+def bench(
+    verb: str, given: Mapping[str, object], count: int, same: int, kills: int, work: Path, rng: np.random.Generator, *,
+    quiet: bool,
+) -> None:  # fmt: skip
     """Do ``same`` arms plainly, all undisturbed, then with kills; print what that took."""
-    alone, spent = plain(work / f"plain-{verb}", verb, same, count)
+    alone, spent = plain(work / f"plain-{verb}", verb, given, same, count)
     print(
         f"{verb} of {count} arms: {PROCESSES} plain processes {alone:.0f} s, {spent:.0f} s of processor"
         f"{'' if same == count else f' (by {same} of the arms)'}", flush=True,
     )  # fmt: skip
     if quiet:
         file = write_fleet(work / f"quiet-{verb}", count)
-        took, watch, _ = call(verb, file, [])
+        took, watch, _ = call(verb, given, file, [])
         check_same(verb, file.parent, work / f"plain-{verb}", count, same)
         print(
             f"  one fleet {took:.0f} s ({100 * alone / took:.0f} % of their throughput), {watch.processor:.0f} s of "
@@ -217,8 +238,8 @@ def bench(verb: str, count: int, same: int, kills: int, work: Path, rng: np.rand
     if not kills:
         return
     file, began = write_fleet(work / f"killed-{verb}", count), time.monotonic()
-    _, first, before = call(verb, file, list(rng.uniform(0.0, 0.5, kills - kills // 2)), end=0.6)
-    _, second, text = call(verb, file, list(rng.uniform(0.6, 0.9, kills // 2)))
+    _, first, before = call(verb, given, file, list(rng.uniform(0.0, 0.5, kills - kills // 2)), end=0.6)
+    _, second, text = call(verb, given, file, list(rng.uniform(0.6, 0.9, kills // 2)))
     took = time.monotonic() - began
     check_same(verb, file.parent, work / f"plain-{verb}", count, same)
     twice = [
@@ -238,20 +259,21 @@ def bench(verb: str, count: int, same: int, kills: int, work: Path, rng: np.rand
 
 def look(count: int, work: Path) -> None:
     """Print what memory a call for so many arms takes while it checks the first of them."""
-    _, watch, text = call("check", write_fleet(work / f"look-{count}", count), [], limit=LOOK)
+    _, watch, text = call("check", {}, write_fleet(work / f"look-{count}", count), [], limit=LOOK)
     done = len(re.findall(r"^arm-\d+: check done", text, re.MULTILINE))
     print(f"a call for {count} arms: {watch.most:.0f} MB in all in its first {LOOK:.0f} s, in which it checked {done}")
 
 
 def main(
     checks: int = CHECKS, repairs: int = REPAIRS, kills: int = KILLS, seed: int = 0, memory_of: tuple[int, ...] = (),
-    *, alone: int | None = None, quiet: bool = True,
+    *, alone: int | None = None, quiet: bool = True, whole: bool = False,
 ) -> None:  # fmt: skip
     rng = np.random.default_rng(seed)
     with tempfile.TemporaryDirectory() as name:
         for verb, count in (("check", checks), ("repair", repairs)):
             if count:
-                bench(verb, count, min(alone or count, count), kills, Path(name), rng, quiet=quiet)
+                given = {} if whole or verb == "check" else FEW
+                bench(verb, given, count, min(alone or count, count), kills, Path(name), rng, quiet=quiet)
         for count in memory_of:
             look(count, Path(name))
 
@@ -263,11 +285,12 @@ if __name__ == "__main__":
     parser.add_argument("--kills", type=int, default=KILLS)
     parser.add_argument("--alone", type=int, help="arms that are done plainly as well; all by default")
     parser.add_argument("--disturbed", action="store_true", help="leave out the call in which nothing is killed")
+    parser.add_argument("--whole", action="store_true", help="repair as the command does by default")
     parser.add_argument("--memory", default="", help="numbers of arms whose calls are only looked at: 12,300")
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     sizes = tuple(int(one) for one in options.memory.split(",") if one)
     main(
         options.checks, options.repairs, options.kills, options.seed, sizes,
-        alone=options.alone, quiet=not options.disturbed,
+        alone=options.alone, quiet=not options.disturbed, whole=options.whole,
     )  # fmt: skip
