@@ -86,15 +86,8 @@ def run(
         raise InputError(f"targets have shape {targets.shape}, expected ({robot.count}, K, 3) with K > 0")
     if turns is not None and turns.weight.shape != targets.shape[:2]:
         raise InputError(f"orientations have shape {turns.weight.shape}, expected that of the targets")
-    limits = GuardLimits.of(robot.arm) if limits is None else limits
-    recorder = Recorder(robot=robot, controller=controller.name)
-    loop = _Loop(
-        robot=robot, controller=controller, schedule=schedule, limits=limits, recorder=recorder, on_cycle=on_cycle,
-        correction=correction, turns=turns, look=look_of(robot, controller.name, limits),
-    )  # fmt: skip
-    _warm_up(limits)
-    with noted():
-        return _drive(loop, targets)
+    loop = _Loop.of(robot, controller, schedule, limits, on_cycle, correction=correction, turns=turns)
+    return _drive(loop, targets)
 
 
 def follow(
@@ -112,15 +105,8 @@ def follow(
     """
     if route.count != robot.count:
         raise InputError(f"a route of {route.count} targets, expected one for each of {robot.count} arms")
-    limits = GuardLimits.of(robot.arm) if limits is None else limits
-    recorder = Recorder(robot=robot, controller=controller.name)
-    loop = _Loop(
-        robot=robot, controller=controller, schedule=schedule, limits=limits, recorder=recorder, on_cycle=on_cycle,
-        correction=None, route=route, look=look_of(robot, controller.name, limits),
-    )  # fmt: skip
-    _warm_up(limits)
-    with noted():
-        return _drive(loop, np.full((robot.count, 1, 3), np.nan))
+    loop = _Loop.of(robot, controller, schedule, limits, on_cycle, route=route)
+    return _drive(loop, np.full((robot.count, 1, 3), np.nan))
 
 
 def _warm_up(limits: GuardLimits) -> None:
@@ -132,6 +118,12 @@ def _warm_up(limits: GuardLimits) -> None:
 
 
 def _drive(loop: _Loop, targets: Array) -> Recording:
+    _warm_up(loop.limits)
+    with noted():
+        return _cycles(loop, targets)
+
+
+def _cycles(loop: _Loop, targets: Array) -> Recording:
     robot, recorder = loop.robot, loop.recorder
     run_state: RunState | None = None
     try:
@@ -244,10 +236,24 @@ class _Loop:
     limits: GuardLimits
     recorder: Recorder
     on_cycle: OnCycle | None
-    correction: Correction | None
     look: Look | None
+    correction: Correction | None = None
     route: Route | None = None
     turns: Orientation | None = None
+
+    @classmethod
+    def of(
+        cls, robot: Robot, controller: Controller, schedule: Schedule, limits: GuardLimits | None,
+        on_cycle: OnCycle | None, *, correction: Correction | None = None, route: Route | None = None,
+        turns: Orientation | None = None,
+    ) -> _Loop:  # fmt: skip
+        """Return the loop of a robot, within the limits of its arm where none are given."""
+        limits = GuardLimits.of(robot.arm) if limits is None else limits
+        return cls(
+            robot=robot, controller=controller, schedule=schedule, limits=limits, on_cycle=on_cycle,
+            recorder=Recorder(robot=robot, controller=controller.name), look=look_of(robot, controller.name, limits),
+            correction=correction, route=route, turns=turns,
+        )  # fmt: skip
 
     def cycle(self, run_state: RunState) -> bool:
         """Do one control cycle; returns whether there is another one."""
