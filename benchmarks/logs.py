@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from rejoint.arms import Arm
-from rejoint.control.loop import move, play
+from rejoint.control.playback import move, play
 from rejoint.logs import import_logs
 from rejoint.logs.runlog import RunLog
 from rejoint.robots.emulated import EmulatedRobot

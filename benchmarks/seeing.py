@@ -18,7 +18,8 @@ from rejoint.arms import Arm, Displacement, mycobot280
 from rejoint.control.catalogue import make_controller
 from rejoint.control.controller import Controller
 from rejoint.control.correction import Modelled
-from rejoint.control.loop import Schedule, move, run
+from rejoint.control.loop import Schedule, run
+from rejoint.control.playback import move
 from rejoint.control.recording import Recording
 from rejoint.robots.eye import EmulatedEye
 from rejoint.runs.stages.eyes import watched

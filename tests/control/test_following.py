@@ -11,7 +11,8 @@ from rejoint.control.catalogue import make_controller
 from rejoint.control.following import EXCUSED, TRAVEL, Bands, Following, Knowledge
 from rejoint.control.guard import GuardLimits, Reason
 from rejoint.control.integrator import IntegratorController
-from rejoint.control.loop import RELEASE_CYCLES, Schedule, play, run
+from rejoint.control.loop import RELEASE_CYCLES, Schedule, run
+from rejoint.control.playback import play
 from rejoint.control.recording import recording_of
 from rejoint.control.robot import JointState
 from rejoint.robots.emulated import EmulatedRobot

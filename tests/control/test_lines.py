@@ -9,7 +9,7 @@ from rejoint.arms import mycobot280
 from rejoint.control import watching
 from rejoint.control.following import Bands, Following, Knowledge
 from rejoint.control.lines import FEWEST, servo_lines
-from rejoint.control.loop import play
+from rejoint.control.playback import play
 from rejoint.control.robot import JointState
 from rejoint.diagnosis.record import record
 from rejoint.logs.runlog import RunLog, read_log, write_log

@@ -10,7 +10,8 @@ import pytest
 from rejoint.arms import mycobot280, tcp_position
 from rejoint.control.guard import RAMP, GuardLimits, Reason
 from rejoint.control.integrator import IntegratorController
-from rejoint.control.loop import Schedule, move, play, run
+from rejoint.control.loop import Schedule, run
+from rejoint.control.playback import move, play
 from rejoint.control.recording import recording_of
 from rejoint.control.robot import JointState, Robot
 from rejoint.system.errors import GuardTripError, InputError, NoReplyError

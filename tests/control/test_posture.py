@@ -8,7 +8,8 @@ import pytest
 from rejoint.arms import frames, mycobot280, tcp_position
 from rejoint.control.controller import ControlInput
 from rejoint.control.guard import GuardLimits
-from rejoint.control.loop import Schedule, move, run
+from rejoint.control.loop import Schedule, run
+from rejoint.control.playback import move
 from rejoint.control.posture import PostureController, PostureGains, Wanted, _without
 from rejoint.control.robot import JointState
 from rejoint.robots import open_robot

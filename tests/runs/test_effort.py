@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from rejoint.arms import mycobot280
-from rejoint.control.loop import move
+from rejoint.control.playback import move
 from rejoint.logs.runfolder.effort import Effort, StageCost, add, cost, read_effort
 from rejoint.logs.runfolder.folder import RunFolder
 from rejoint.robots import open_robot

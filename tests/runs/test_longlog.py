@@ -10,7 +10,7 @@ import pytest
 import rejoint
 from rejoint.arms import mycobot280
 from rejoint.control.guard import GuardLimits
-from rejoint.control.loop import move
+from rejoint.control.playback import move
 from rejoint.control.posture import PostureController
 from rejoint.control.recording import Recording
 from rejoint.robots import open_robot

@@ -69,7 +69,7 @@ def test_a_fit_that_is_missing_is_made_without_moving_the_arm(run, monkeypatch):
         broken.setattr("rejoint.runs.stages.calibrate.fit", lambda *_, **__: (_ for _ in ()).throw(MemoryError))
         with pytest.raises(MemoryError):
             calibrate(run, Hand())
-    monkeypatch.setattr("rejoint.control.loop.move", None)
+    monkeypatch.setattr("rejoint.diagnosis.calibration.procedure.move", None)
     assert calibrate(run, hand := Hand()).calibration.points == TOTAL - 1
     assert hand.asked == []
 

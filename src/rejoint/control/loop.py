@@ -22,7 +22,7 @@ from rejoint.control.guard import TRIPS, Guarded, GuardLimits, Reason, Reasons, 
 from rejoint.control.recording import Cycle, Look, OnCycle, Recorder, Recording, attach, look_of
 from rejoint.control.robot import JointState, Mask, Robot
 from rejoint.control.route import Route
-from rejoint.control.runstate import RunState, in_force, own, reported_load
+from rejoint.control.runstate import RunState, own, reported_load
 from rejoint.control.trips import trip_error
 from rejoint.system.errors import InputError, PowerLostError, RejointError, first_line
 from rejoint.system.stopping import check, noted, shielded
@@ -161,69 +161,6 @@ def _hold(robot: Robot, *, limp: bool = False) -> str:
             "What has no torque does not hold; the rest of the arm was stopped and holds. Look at it before you go on."
         )
     return "The arm was stopped and holds its position; nothing was powered off. Look at it before you go on."
-
-
-def play(
-    robot: Robot,
-    trajectory: Callable[[Array], Array],
-    duration: float,
-    *,
-    limits: GuardLimits | None = None,
-    on_cycle: OnCycle | None = None,
-) -> Recording:
-    """Send ``trajectory(time)`` for ``duration`` [s], without a target.
-
-    ``trajectory`` turns times since the start (B,) [s] into commands (B, n) [rad]. Loop and guard
-    are those of `run`: a trajectory faster than the guard allows is slowed down, not followed.
-    """
-    targets = np.full((robot.count, 1, 3), np.nan)
-    return run(robot, Playback(trajectory), targets, Schedule(dwell=duration), limits=limits, on_cycle=on_cycle)
-
-
-def move(
-    robot: Robot,
-    posture: Array,
-    *,
-    sent: Array | None = None,
-    speed: float = 0.5,
-    settle: float = 1.0,
-    limits: GuardLimits | None = None,
-    give_up: Callable[[ControlInput], Mask] | None = None,
-    on_cycle: OnCycle | None = None,
-) -> Recording:
-    """Bring every arm to ``posture`` (n,) [rad] at ``speed`` [rad/s] of its farthest joint and wait ``settle`` [s].
-
-    The way starts at the last command ``sent`` (B, n) [rad], by default at the measured position, as it does for an
-    arm that is no longer where that command left it.
-    The default speed is chosen: a fifth of what the joints can do. ``give_up`` is that of a `Schedule`.
-    """
-    state = robot.read()
-    start = np.array(state.position if sent is None else in_force(state, sent), dtype=float)
-    way = posture - start
-    duration = max(float(np.abs(way).max()) / speed, 1e-3)
-
-    def trajectory(time: Array) -> Array:
-        return start + np.minimum(time / duration, 1.0)[:, None] * way
-
-    schedule = Schedule(dwell=duration + settle, sent=start, give_up=give_up)
-    nowhere = np.full((robot.count, 1, 3), np.nan)
-    return run(robot, Playback(trajectory), nowhere, schedule, limits=limits, on_cycle=on_cycle)
-
-
-class Playback:
-    """Controller that follows a trajectory by the clock."""
-
-    name = "playback"
-
-    def __init__(self, trajectory: Callable[[Array], Array]) -> None:
-        self._trajectory = trajectory
-
-    def reset(self, inputs: ControlInput, where: Mask) -> None:
-        """Do nothing: the clock is that of the inputs."""
-
-    def command(self, inputs: ControlInput) -> Array:
-        """Return the trajectory's posture (B, n) [rad] at this time."""
-        return self._trajectory(inputs.since_target)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

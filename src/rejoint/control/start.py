@@ -8,7 +8,7 @@ import numpy as np
 
 from rejoint.arms import Arm, Array, gravity_torque
 from rejoint.control.guard import GuardLimits
-from rejoint.control.loop import move
+from rejoint.control.playback import move
 from rejoint.control.recording import OnCycle, Recording
 from rejoint.control.robot import JointState, Robot
 from rejoint.control.trips import say_faulty, say_hot

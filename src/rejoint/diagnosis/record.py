@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from rejoint.control.default import DefaultController
-from rejoint.control.loop import Schedule, move, play, run
+from rejoint.control.loop import Schedule, run
+from rejoint.control.playback import move, play
 from rejoint.control.recording import Cycle, OnCycle
 from rejoint.control.robot import Robot
 from rejoint.control.start import begin

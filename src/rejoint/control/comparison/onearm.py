@@ -20,7 +20,7 @@ from rejoint.control.comparison.protocols import KINDS, Kind
 from rejoint.control.comparison.racing import Race, Results
 from rejoint.control.comparison.recommend import complexity
 from rejoint.control.contract import check_controller_period
-from rejoint.control.loop import move
+from rejoint.control.playback import move
 from rejoint.control.robot import Robot
 from rejoint.control.servogains import require_gains
 from rejoint.control.start import begin

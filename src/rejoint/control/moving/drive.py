@@ -14,11 +14,12 @@ from rejoint.control.accuracy import NOT_KNOWN, ToolModel, TrueError, modelled
 from rejoint.control.controller import ControlInput, Controller
 from rejoint.control.correction import Modelled, checked
 from rejoint.control.guard import GuardLimits
-from rejoint.control.loop import Schedule, follow, move
+from rejoint.control.loop import Schedule, follow
 from rejoint.control.moving.errors import Along, along, interpolated
 from rejoint.control.moving.path import Path, path_of
 from rejoint.control.moving.posture import PathPostures
 from rejoint.control.moving.routes import Ahead, Corrected, Guide, Routes, Stream
+from rejoint.control.playback import move
 from rejoint.control.recording import OnCycle, Recording
 from rejoint.control.robot import Mask, Robot
 from rejoint.logs.runlog import RunLog

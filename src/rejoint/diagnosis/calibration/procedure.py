@@ -10,7 +10,7 @@ import numpy as np
 from rejoint.arms import Arm, Array, tcp_position
 from rejoint.control.comparison.iso import reversal
 from rejoint.control.guard import GuardLimits
-from rejoint.control.loop import move
+from rejoint.control.playback import move
 from rejoint.control.recording import Recording
 from rejoint.control.robot import Robot
 from rejoint.control.start import Stance, begin

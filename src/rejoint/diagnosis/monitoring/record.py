@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from rejoint.arms import Array
-from rejoint.control.loop import play
+from rejoint.control.playback import play
 from rejoint.control.recording import Cycle, OnCycle
 from rejoint.control.robot import Robot
 from rejoint.control.start import begin

@@ -10,7 +10,7 @@ import numpy as np
 from rejoint.arms import Arm, Array
 from rejoint.arms.workspace import reach
 from rejoint.control.guard import GuardLimits
-from rejoint.control.loop import Playback
+from rejoint.control.playback import Playback
 from rejoint.pages.live import panel
 from rejoint.pages.live.ring import Records, Ring
 from rejoint.pages.live.skeleton import GHOST, LINKS, TARGET, TRAIL, TRUE, Skeleton, cell_of, css

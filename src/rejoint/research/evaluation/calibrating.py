@@ -17,7 +17,8 @@ from rejoint.arms.kinematics import GRAVITY
 from rejoint.arms.rotations import rotation_about
 from rejoint.control.comparison.targets import draw_targets
 from rejoint.control.controller import Controller
-from rejoint.control.loop import Schedule, play, run
+from rejoint.control.loop import Schedule, run
+from rejoint.control.playback import play
 from rejoint.control.recording import Recording
 from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.diagnosis.calibration.fit import fit

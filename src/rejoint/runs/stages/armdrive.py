@@ -13,10 +13,11 @@ from rejoint.control.contract import check_controller_period
 from rejoint.control.controller import ControlInput, Controller
 from rejoint.control.correction import Modelled
 from rejoint.control.guard import GuardLimits
-from rejoint.control.loop import Playback, Schedule
+from rejoint.control.loop import Schedule
 from rejoint.control.loop import run as drive
 from rejoint.control.moving.drive import GiveUp, approach, follow_guide
 from rejoint.control.moving.routes import Ahead, Stream
+from rejoint.control.playback import Playback
 from rejoint.control.recording import PIECE, Cycle, Recording, recording_of
 from rejoint.control.robot import Mask, Robot
 from rejoint.control.start import Stance, begin

@@ -25,7 +25,7 @@ from rejoint.control.gainsearch import GainsFound
 from rejoint.control.geared import GEARED, GEARED_POLICY, GEARED_PREDICTIVE, GEARED_PUSH, RIVALS, Geared, inner_name
 from rejoint.control.guard import GuardLimits
 from rejoint.control.lines import servo_lines
-from rejoint.control.loop import Playback
+from rejoint.control.playback import Playback
 from rejoint.control.recording import recording_of
 from rejoint.control.robot import Robot
 from rejoint.control.servogains import ServoGains, differing, gains_in_force, in_words, stiffness_under
