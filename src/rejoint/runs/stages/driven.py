@@ -233,7 +233,7 @@ class DrivenArm:
                 while motion.is_alive() and (timeout_s is None or waited < timeout_s):
                     pause(_LOOK)
                     waited += _LOOK
-        except KeyboardInterrupt:
+        except BaseException:  # Ctrl-C, or what the program's own handler of a signal raises
             self.stop()
             raise
         if motion.is_alive():
