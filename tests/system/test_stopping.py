@@ -198,6 +198,17 @@ def test_what_the_handler_of_another_library_hears_while_it_begins_ends_as_inter
     assert (ended.returncode, ended.stderr) == (143, "error: interrupted by SIGTERM\n")
 
 
+def test_a_thread_that_drives_is_interrupted_from_another_one_and_nothing_else():
+    ended = run(
+        f"{DRIVES}\nprint(stopping.interrupt())\n(other,) = threads('thread')\nbegun.wait()\n"
+        "print(stopping.interrupt('a button'))\nother.join()\nprint(*ended, stopping.interrupt())\n"
+        "with stopping.noted(): stopping.pause(0.01)\nprint('goes on', flush=True)\n"
+    )
+    assert ended.stdout.splitlines() == [
+        "False", "True", "thread interrupted by a button False", "goes on",
+    ], ended.stderr  # fmt: skip
+
+
 SWALLOWING = """
 def driven(error=BaseException):
     with stopping.noted():

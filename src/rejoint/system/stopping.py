@@ -131,6 +131,23 @@ def ask(by: str) -> None:
         os.kill(os.getpid(), handled[0])
 
 
+def interrupt(by: str = "the program") -> bool:
+    """Bring all arms that this process drives to a hold, from any thread, as Ctrl-C does in the main one.
+
+    The calls that drive them then raise `Interrupted`; ``by`` says there in a few words who asked. Returns whether
+    anything was driven: where nothing was, nothing happens, and a call that is only about to begin goes on.
+
+    Examples
+    --------
+    >>> threading.Thread(target=rejoint.deploy, args=("tcp://192.168.1.20:9000",)).start()
+    >>> rejoint.interrupt("the button")
+    """
+    if not _note.noted:
+        return False
+    ask(by)
+    return True
+
+
 def _drop() -> None:
     _note.signum, _note.by, _note.hosts = 0, "", None
     _note.heard.clear()
