@@ -236,7 +236,7 @@ def test_arguments_that_do_not_go_together_are_refused(run: Path) -> None:
         rejoint.connect("emulated:worn", controller="default")
     with pytest.raises(rejoint.InputError, match="leave arm and count out"):
         rejoint.connect("emulated:worn", run=run, count=2)
-    with rejoint.connect("emulated:worn", run=run), pytest.raises(rejoint.FileError, match="another rejoint"):
+    with rejoint.connect("emulated:worn", run=run), pytest.raises(rejoint.FileError, match="this program is working"):
         rejoint.connect("emulated:worn", run=run)
 
 
