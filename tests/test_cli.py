@@ -3,6 +3,7 @@
 import io
 import json
 import os
+import pty
 import re
 import shlex
 import signal
@@ -559,6 +560,16 @@ def test_a_reader_who_leaves_decides_nothing(stream: str) -> None:
     assert not done.stderr
     if stream == "stderr":
         assert json.loads(done.stdout.splitlines()[-1])["controller"] == "shelf"
+
+
+def test_a_terminal_that_was_closed_decides_nothing() -> None:
+    """A deployment, or a repair, ended at its first result with an input/output error, and exit code 2."""
+    mine, its = pty.openpty()
+    words = ("deploy", "emulated:worn", "--dwell", "0.1", "--within", "0.01", "--json")
+    process = subprocess.Popen([sys.executable, "-m", "rejoint", *words], stdout=its, stderr=its)
+    os.close(its)
+    os.close(mine)
+    assert process.wait(timeout=120) == 5
 
 
 def test_progress_that_nobody_reads_ends_no_motion(monkeypatch: pytest.MonkeyPatch) -> None:

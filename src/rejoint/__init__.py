@@ -67,7 +67,7 @@ if TYPE_CHECKING:
         UnsavedError,
     )
     from rejoint.system.progress import Progress
-    from rejoint.system.stopping import Interrupted
+    from rejoint.system.stopping import Interrupted, interrupt
     from rejoint.system.version import __version__
     from rejoint.twin.judgement import Judgement
     from rejoint.twin.twin import Twin
@@ -116,7 +116,7 @@ _HOMES = {
         "UnsavedError",
     ),
     "system.progress": ("Progress",),
-    "system.stopping": ("Interrupted",),
+    "system.stopping": ("Interrupted", "interrupt"),
     "system.version": ("__version__",),
     "twin.judgement": ("Judgement",),
     "twin.twin": ("Twin",),
@@ -133,7 +133,8 @@ __all__ = [
     "Path", "Policy", "Pose", "PowerLostError", "ProfileError", "Progress", "Recommendation", "RejointError",
     "Repaired", "Replayed", "Robot", "RobotError", "Run", "RunLog", "Serving", "Stage", "StaleReplyError", "Stream",
     "TrainedPolicy", "Twin", "UnsavedError", "__version__", "calibrate", "check", "compare", "connect", "deploy",
-    "diagnose", "follow", "gains", "identify", "load_arm", "read_arm", "repair", "replay", "report", "serve", "train",
+    "diagnose", "follow", "gains", "identify", "interrupt", "load_arm", "read_arm", "repair", "replay", "report",
+    "serve", "train",
 ]  # fmt: skip
 
 

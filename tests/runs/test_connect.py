@@ -180,12 +180,63 @@ def test_of_two_threads_one_drives_the_arm(run: Path) -> None:
     assert "still on its way" in str(refused[0])
 
 
+def test_the_state_of_a_motion_never_tells_the_target_of_the_one_before(run: Path) -> None:
+    """Whoever waited for a small error was told that the arm is there before it had moved."""
+    with rejoint.connect("emulated:worn", run=run) as arm:
+        before = arm.move_to([0.18, 0.03, 0.21], within_m=0.003).time_s
+        held, drive = threading.Event(), arm._drive.to_target
+        arm._drive.to_target = lambda *given: (held.wait(10.0), drive(*given))  # its first cycle takes a while
+        arm.move_to([0.17, 0.0, 0.2], within_m=0.003, wait=False)
+        state = arm.state
+        assert state.moving
+        assert (state.target_m, state.error_m) == (None, None)
+        assert state.time_s >= before
+        held.set()
+        np.testing.assert_array_equal(arm.wait().target_m, [0.17, 0.0, 0.2])
+
+
+def test_what_looks_at_the_arm_and_what_orders_ask_one_after_the_other(run: Path) -> None:
+    """Questions of two threads on one wire had their answers mixed up, and the connection was made anew."""
+    over, asking, mixed = threading.Event(), list[tuple[int, str]](), list[str]()
+
+    def alone(robot: rejoint.Robot, name: str) -> None:
+        ask = getattr(robot, name)
+
+        def question(*given: object) -> object:
+            me = threading.get_ident()
+            mixed.extend(f"{name} during {other}" for thread, other in tuple(asking) if thread != me)
+            asking.append((me, name))
+            time.sleep(0.001)
+            try:
+                return ask(*given)
+            finally:
+                asking.remove((me, name))
+
+        setattr(robot, name, question)
+
+    def look() -> None:
+        while not over.is_set():
+            arm.state  # noqa: B018
+
+    with rejoint.connect("emulated:worn", run=run, controller="default") as arm:
+        for name in ("read", "step", "stop"):
+            alone(arm._drive.robot, name)
+        looks = threading.Thread(target=look)
+        looks.start()
+        for number in range(10):
+            arm.move_to([0.18, 0.01 * (number % 2), 0.2], within_m=0.05, wait=bool(number % 3))
+            arm.stop()
+        over.set()
+        looks.join()
+    assert not mixed
+
+
 def test_arguments_that_do_not_go_together_are_refused(run: Path) -> None:
     with pytest.raises(rejoint.InputError, match="need a run"):
         rejoint.connect("emulated:worn", controller="default")
     with pytest.raises(rejoint.InputError, match="leave arm and count out"):
         rejoint.connect("emulated:worn", run=run, count=2)
-    with rejoint.connect("emulated:worn", run=run), pytest.raises(rejoint.FileError, match="another rejoint"):
+    with rejoint.connect("emulated:worn", run=run), pytest.raises(rejoint.FileError, match="this program is working"):
         rejoint.connect("emulated:worn", run=run)
 
 

@@ -21,7 +21,7 @@ from rejoint.diagnosis.monitoring.words import cause_of, say
 from rejoint.logs.history import index
 from rejoint.logs.history.identity import hours_of, name_of
 from rejoint.logs.history.index import INDEX, find_rows
-from rejoint.logs.history.rows import SCHEMA, SUMMARY, HistoryRow, read_rows, write_rows
+from rejoint.logs.history.rows import SCHEMA, SUMMARY, HistoryRow, read_rows, utc_now, write_rows
 from rejoint.logs.history.sql import ask
 from rejoint.logs.runfolder.folder import RunFolder
 from rejoint.runs.history import summary
@@ -407,6 +407,23 @@ def test_rows_are_asked_in_sql_where_they_lie(tmp_path: Path) -> None:
         ask(tmp_path, f"copy history to '{tmp_path}/out.csv'")
     with pytest.raises(FileError, match="rejoint check"):
         ask(tmp_path / "none", "select 1")
+
+
+@pytest.mark.parametrize("zone", ["Pacific/Auckland", "America/Los_Angeles"])
+def test_a_query_takes_now_in_utc_as_rows_are_wherever_it_is_asked(
+    zone: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A check of just now lay half a day in the past or in the future."""
+    pytest.importorskip("duckdb")
+    put(tmp_path, "a1", rows_of(replace(head(), time=utc_now()), measures()))
+    monkeypatch.setenv("TZ", zone)
+    time.tzset()
+    try:
+        _, ((off,),) = ask(tmp_path, "select abs(epoch(now() - time)) from history limit 1")
+    finally:
+        monkeypatch.undo()
+        time.tzset()
+    assert off < 600.0
 
 
 def test_a_query_without_end_can_be_interrupted(tmp_path: Path) -> None:

@@ -163,8 +163,27 @@ def test_every_command_that_writes_in_a_run_waits_for_nobody(
         with pytest.raises(SystemExit) as stopped:
             main()
         assert stopped.value.code == 2
-        assert f"another rejoint (process {os.getpid()}) is working there" in capsys.readouterr().err
+        assert "this program is working there already; close what it has open there" in capsys.readouterr().err
         assert {file: file.read_bytes() for file in path.rglob("*") if file.is_file()} == before
+
+
+def test_a_folder_is_free_at_the_end_also_where_a_process_was_forked_meanwhile(tmp_path: Path) -> None:
+    """What a forked process inherits is the lock itself: a pool of workers kept the folder."""
+    folder = folder_of(tmp_path)
+    hears, says = os.pipe()
+    with locked(folder):
+        child = os.fork()
+        if not child:
+            os.close(says)
+            os.read(hears, 1)  # until the other end is closed
+            os._exit(0)
+    try:
+        with locked(folder):
+            pass
+    finally:
+        os.close(says)
+        os.close(hears)
+        os.waitpid(child, 0)
 
 
 def test_a_stage_that_fails_leaves_no_folder_that_it_has_not_begun(tmp_path: Path) -> None:

@@ -196,3 +196,64 @@ def test_what_the_handler_of_another_library_hears_while_it_begins_ends_as_inter
         "cli.app = app\nsys.argv = ['rejoint']\ncli.main()\n"
     )
     assert (ended.returncode, ended.stderr) == (143, "error: interrupted by SIGTERM\n")
+
+
+def test_a_thread_that_drives_is_interrupted_from_another_one_and_nothing_else():
+    ended = run(
+        f"{DRIVES}\nprint(stopping.interrupt())\n(other,) = threads('thread')\nbegun.wait()\n"
+        "print(stopping.interrupt('a button'))\nother.join()\nprint(*ended, stopping.interrupt())\n"
+        "with stopping.noted(): stopping.pause(0.01)\nprint('goes on', flush=True)\n"
+    )
+    assert ended.stdout.splitlines() == [
+        "False", "True", "thread interrupted by a button False", "goes on",
+    ], ended.stderr  # fmt: skip
+
+
+SWALLOWING = """
+def driven(error=BaseException):
+    with stopping.noted():
+        try:  # as in the vendor's client
+            os.kill(os.getpid(), signal.SIGINT)
+            time.sleep(0.01)
+        except BaseException: print('swallowed', flush=True)
+        try: stopping.pause(30)
+        except error as met: print(repr(met), flush=True)
+"""
+
+
+@pytest.mark.parametrize("raised", ["SystemExit(3)", "ValueError('mine')", "KeyboardInterrupt()"])
+def test_what_the_programs_own_handler_raises_waits_for_where_it_is_safe(raised):
+    """The vendor's client swallowed five of eight, and the arm was driven on."""
+    ended = run(
+        f"{SWALLOWING}\ndef mine(signum, frame):\n    print('called', flush=True)\n    raise {raised}\n"
+        "signal.signal(signal.SIGINT, mine)\ndriven()\nprint(signal.getsignal(signal.SIGINT) is mine)\n"
+    )
+    assert ended.stdout.splitlines() == ["called", raised, "True"], ended.stderr
+
+
+def test_what_the_programs_own_handler_does_not_end_goes_on():
+    ended = run(
+        "heard = []\nsignal.signal(signal.SIGINT, lambda signum, frame: heard.append(signum))\n"
+        "with stopping.noted(), stopping.noted():\n"
+        "    os.kill(os.getpid(), signal.SIGINT)\n    stopping.pause(0.05)\nprint(len(heard))\n"
+    )
+    assert ended.stdout == "1\n", ended.stderr
+
+
+def test_ctrl_c_ends_a_drive_within_a_task_of_asyncio():
+    """asyncio's handler only cancels the task at its next await: the arm was driven to its end."""
+    ended = run(
+        f"{SWALLOWING}\nimport asyncio\nsignal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        "async def task():\n    driven(stopping.Interrupted)\n    await asyncio.sleep(0)\n    print('goes on')\n"
+        "asyncio.run(task())\n"
+    )
+    assert ended.stdout.splitlines() == ["Interrupted('interrupted by SIGINT')", "goes on"], ended.stderr
+
+
+def test_the_stop_button_of_a_notebook_ends_a_drive_in_a_cell_that_awaits():
+    ended = run(
+        f"{SWALLOWING}\nkernel = {{'__name__': 'ipykernel.ipkernel'}}\n"
+        "exec('def handle_sigint(*args): pass', kernel)\nsignal.signal(signal.SIGINT, kernel['handle_sigint'])\n"
+        "driven(stopping.Interrupted)\n"
+    )
+    assert ended.stdout == "Interrupted('interrupted by SIGINT')\n", ended.stderr

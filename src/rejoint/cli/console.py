@@ -5,6 +5,7 @@ Results go to standard output, everything else to standard error, so that result
 
 from __future__ import annotations
 
+import errno
 import os
 import sys
 import time
@@ -60,6 +61,31 @@ class _NoteFile:
         return getattr(self._file, name)
 
 
+class _ResultFile(_NoteFile):
+    """Standard output, which a terminal that was closed leaves as a pipe that nobody reads."""
+
+    def write(self, text: str) -> int:
+        """Write ``text``; BrokenPipeError where nobody reads any more."""
+        with _left():
+            return self._file.write(text)
+
+    def flush(self) -> None:
+        """Flush; BrokenPipeError where nobody reads any more."""
+        with _left():
+            self._file.flush()
+
+
+@contextmanager
+def _left() -> Iterator[None]:
+    """Raise BrokenPipeError where a terminal was closed, which is an input/output error to the system."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno == errno.EIO:
+            raise BrokenPipeError(error.errno, error.strerror) from error
+        raise
+
+
 class _Output(Console):
     """A console whose reader may leave, as ``head`` does: the rest is lost, and the command goes on to its own end."""
 
@@ -80,12 +106,17 @@ def notes() -> Console:
     return _Output(file=cast(TextIO, _NoteFile(sys.stderr)), highlight=False, soft_wrap=True)
 
 
+def _results() -> TextIO:
+    """Return standard output; while Rich shows a bar, what it puts there leads to the bar's own console."""
+    return cast(TextIO, _ResultFile(getattr(sys.stdout, "rich_proxied_file", sys.stdout)))
+
+
 class Terminal:
     """Where a command writes. One per command."""
 
     def __init__(self, *, json: bool = False) -> None:
         self.json = json
-        self.results = _Output(file=sys.stdout, highlight=False, soft_wrap=True)
+        self.results = _Output(file=_results(), highlight=False, soft_wrap=True)
         self.notes = notes()
 
     def say(self, text: str) -> None:
@@ -103,7 +134,7 @@ class Terminal:
     def table(self, title: str, headers: Sequence[str], rows: Sequence[Sequence[str]], bold: int | None = None) -> None:
         """Print a table; the row ``bold`` is set off. One that is too wide is parted, its first column in each part."""
         width = self.results.width if self.results.is_terminal else WIDTH
-        page = _Output(file=sys.stdout, width=width, highlight=False)
+        page = _Output(file=_results(), width=width, highlight=False)
         for part, widths in _parts(headers, rows, width):
             table = Table(title=Text(title), title_justify="left", header_style="bold")
             for index, wide in zip(part, widths, strict=True):
@@ -119,8 +150,9 @@ class Terminal:
         """Print ``value`` as one JSON object on the last line, if ``--json`` was given."""
         if self.json:
             try:
-                sys.stdout.write(msgspec.json.encode(value, enc_hook=_plain).decode() + "\n")
-                sys.stdout.flush()
+                with _left():
+                    sys.stdout.write(msgspec.json.encode(value, enc_hook=_plain).decode() + "\n")
+                    sys.stdout.flush()
             except BrokenPipeError:
                 into_nothing(sys.stdout)
 

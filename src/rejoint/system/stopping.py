@@ -5,6 +5,10 @@ An exception raised by a handler lands wherever the program happens to be: insid
 the control loop, the link and every wait look at it (`check`, `pause`) and raise `Interrupted` where it is safe. At all
 other times the handler raises it at once, as Python does for Ctrl-C; where that is in the middle of a callback from
 compiled code, which swallows exceptions, the signal is sent once more.
+
+A program that we are a part of may have handlers of its own. They are called as ever, and what they raise while an arm
+is driven waits for the next look as well. asyncio's and the Jupyter kernel's only cancel the task at its next await,
+which a call that drives an arm does not reach: they are taken for Python's own.
 """
 
 from __future__ import annotations
@@ -17,7 +21,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
-from typing import ClassVar
+from typing import ClassVar, TypeAlias
 
 SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 """What asks a program to end; nobody can ask SIGKILL to wait."""
@@ -26,6 +30,12 @@ _AGAIN = 0.1
 """[s] after which a signal is sent again whose exception was swallowed (chosen: the callback is over by then)"""
 _SLICE = 0.005
 """[s] between two looks at the note during a wait (chosen: a tenth of the usual control period)"""
+_CANCELLING = ("asyncio.runners", "ipykernel.ipkernel")
+"""Modules whose handler of Ctrl-C only cancels a task at its next await"""
+
+
+Handler: TypeAlias = "Callable[[int, FrameType | None], object] | int | None"
+"""As `signal.getsignal` returns it"""
 
 
 class Interrupted(KeyboardInterrupt):
@@ -50,6 +60,8 @@ class _Note:
 
     signum = 0
     by = ""
+    hosts: BaseException | None = None
+    """what the handler of the program that we are a part of raised; for the main thread"""
     raised: Interrupted | None = None
     heard: ClassVar[set[int]] = set()
     """threads that have raised it: each that drives an arm is to bring its own to rest"""
@@ -95,10 +107,13 @@ def ending() -> bool:
 def check() -> None:
     """Raise `Interrupted` if an end was asked for, once in each thread that drives an arm; not inside `shielded`."""
     if _note.signum and not _note.shielded and threading.get_ident() not in _note.heard:
-        _note.raised = Interrupted(_note.signum, _note.by)
+        _note.raised, hosts = Interrupted(_note.signum, _note.by), _note.hosts
         _note.heard.add(threading.get_ident())
         if not _note.noted:
             _drop()
+        if hosts is not None and threading.current_thread() is threading.main_thread():
+            _note.raised = None
+            raise hosts
         raise _note.raised
 
 
@@ -116,8 +131,25 @@ def ask(by: str) -> None:
         os.kill(os.getpid(), handled[0])
 
 
+def interrupt(by: str = "the program") -> bool:
+    """Bring all arms that this process drives to a hold, from any thread, as Ctrl-C does in the main one.
+
+    The calls that drive them then raise `Interrupted`; ``by`` says there in a few words who asked. Returns whether
+    anything was driven: where nothing was, nothing happens, and a call that is only about to begin goes on.
+
+    Examples
+    --------
+    >>> threading.Thread(target=rejoint.deploy, args=("tcp://192.168.1.20:9000",)).start()
+    >>> rejoint.interrupt("the button")
+    """
+    if not _note.noted:
+        return False
+    ask(by)
+    return True
+
+
 def _drop() -> None:
-    _note.signum, _note.by = 0, ""
+    _note.signum, _note.by, _note.hosts = 0, "", None
     _note.heard.clear()
 
 
@@ -149,7 +181,8 @@ def pause(duration: float) -> None:
 def noted() -> Iterator[None]:
     """Keep signals to a note inside; what this thread did not look at is raised when the last one comes to its end.
 
-    Where `install` was not called, as in a notebook, handlers are set for the time being.
+    Where `install` was not called, as in a notebook, handlers are set for the time being. One that the program has of
+    its own goes on to be called, and what it raises is noted.
     """
     before = _set_handlers()
     _note.noted += 1
@@ -202,13 +235,37 @@ def _unraisable(unraisable: sys.UnraisableHookArgs) -> None:
         _note.hook(unraisable)
 
 
-def _set_handlers() -> dict[int, signal.Handlers]:
-    """Handle what Python handles by default; returns what to restore. Only the main thread may do so."""
+class _Hosts:
+    """The handler of the program that we are a part of; what it raises waits for where it is safe."""
+
+    def __init__(self, handler: Callable[[int, FrameType | None], object]) -> None:
+        self._handler = handler
+
+    def __call__(self, signum: int, frame: FrameType | None) -> None:
+        try:
+            self._handler(signum, frame)
+        except BaseException as error:  # noqa: BLE001 - raised again by `check`
+            _note.hosts = error
+            _handle(signum, frame)
+
+
+def _set_handlers() -> dict[int, Handler]:
+    """Handle what Python handles by default, and wrap what the program does; returns what to restore.
+
+    Only the main thread may do so.
+    """
     if threading.current_thread() is not threading.main_thread():
         return {}
-    before = {}
+    before: dict[int, Handler] = {}
     for signum in SIGNALS:
         handler = signal.getsignal(signum)
-        if handler in (signal.SIG_DFL, signal.default_int_handler):
+        if handler in (signal.SIG_DFL, signal.default_int_handler) or _cancels(handler):
             before[signum] = signal.signal(signum, _handle)
-    return before  # type: ignore[return-value]
+        elif callable(handler) and handler not in (_handle, _pass_over) and not isinstance(handler, _Hosts):
+            before[signum] = signal.signal(signum, _Hosts(handler))
+    return before
+
+
+def _cancels(handler: object) -> bool:
+    """Tell whether a handler only cancels a task; asyncio's is a `functools.partial`."""
+    return getattr(getattr(handler, "func", handler), "__module__", None) in _CANCELLING

@@ -375,7 +375,7 @@ def test_two_calls_do_not_lead_at_once_and_arms_are_named_right(tmp_path: Path) 
     fleet = Fleet(path=tmp_path / "FLEET.toml", folder=tmp_path / "lab", arms=(arm("a"),))
 
     def second() -> WorkOutcome:
-        with pytest.raises(FileError, match="another rejoint"):
+        with pytest.raises(FileError, match="this program is working"):
             call(tmp_path, fleet.arms, PlayedExecutor())
         return DONE
 

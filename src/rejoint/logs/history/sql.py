@@ -17,9 +17,9 @@ if TYPE_CHECKING:
 def ask(folder: Path, query: str) -> tuple[list[str], list[tuple[Any, ...]]]:
     """Answer a query over the table ``history``: names of the columns, and rows.
 
-    The columns are those of `rejoint.logs.history.rows.HistoryRow`. A damaged file is left out. Nothing but the rows
-    can be read, and nothing written. InputError for a query that DuckDB refuses, FileError if there are no rows,
-    MissingExtraError without DuckDB.
+    The columns are those of `rejoint.logs.history.rows.HistoryRow`, times in UTC, also that of ``now()``. A damaged
+    file is left out. Nothing but the rows can be read, and nothing written. InputError for a query that DuckDB refuses,
+    FileError if there are no rows, MissingExtraError without DuckDB.
     """
     require("rejoint history --sql", "history")
     import duckdb
@@ -30,6 +30,7 @@ def ask(folder: Path, query: str) -> tuple[list[str], list[tuple[Any, ...]]]:
     with duckdb.connect() as connection:
         connection.from_arrow(table).to_table("history")
         connection.execute("set enable_external_access = false")
+        connection.execute("set TimeZone = 'UTC'")  # as rows have it: now() would be off by the zone of this place
         with ThreadPoolExecutor(1) as pool:  # DuckDB hears no signal while it is at work
             answer = pool.submit(_answer, connection, query)
             try:

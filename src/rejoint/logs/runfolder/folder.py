@@ -229,7 +229,12 @@ def locked(folder: RunFolder) -> Iterator[None]:
                 _put_right(folder)
         except OSError as error:
             raise unwritable(path, error) from error
-        yield
+        mine = os.getpid()
+        try:
+            yield
+        finally:
+            if has_locks and os.getpid() == mine:  # a process that was forked meanwhile has the file open as well
+                fcntl.flock(file, fcntl.LOCK_UN)
 
 
 def _lock(handle: int, folder: RunFolder) -> bool:
@@ -240,6 +245,9 @@ def _lock(handle: int, folder: RunFolder) -> bool:
             return True
         except BlockingIOError as error:
             holder = (folder.path / ".lock").read_text(encoding="utf-8", errors="replace").strip() or "unknown"
+            if holder == str(os.getpid()):
+                own = "this program is working there already"
+                raise FileError(folder.path, own, "close what it has open there, or choose another folder") from error
             other = f"another rejoint (process {holder}) is working there"
             raise FileError(folder.path, other, "wait until it is done, or choose another folder") from error
         except OSError:

@@ -85,7 +85,7 @@ def deploy(
 
     The arm is looked at first, goes slowly to its rest posture, and then to one target after the other. While it
     moves, Ctrl-C and SIGTERM bring it to a hold; then `Interrupted` is raised, which is a KeyboardInterrupt. In
-    threads other than the main one Python hears no signal.
+    threads other than the main one Python hears no signal; there `rejoint.interrupt` does the same.
 
     Parameters
     ----------

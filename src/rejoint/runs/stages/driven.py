@@ -17,6 +17,8 @@ from rejoint.control.controller import heeds_turn
 from rejoint.control.moving.drive import Followed
 from rejoint.control.moving.routes import Stream
 from rejoint.control.poses import Pose, placed
+from rejoint.control.recording import Cycle
+from rejoint.control.robot import JointState
 from rejoint.control.servogains import limits_under, under_gains
 from rejoint.robots import open_robot
 from rejoint.runs.given import CalibrationLike, Period
@@ -60,7 +62,7 @@ class ArmState:
     moving: bool
     """whether a motion is under way"""
     target_m: Array | None = None
-    """(3,) where the arm was sent last"""
+    """(3,) where the arm was sent last; None until the first control cycle towards it"""
     error_m: float | None = None
     """of the tool from where it was sent, by the encoders"""
     turned_rad: float | None = None
@@ -110,11 +112,12 @@ class DrivenArm:
                 stance=stance_of(self._twin, run),
                 correction=None if correct is None else correct(arm), say=say,
             )  # fmt: skip
-            self._seen = robot.read()
+            self._seen: JointState | Cycle = robot.read()
             self._stack = stack.pop_all()
         self._motion: MotionThread | None = None
         self._followed: Followed | None = None
-        self._starting = threading.Lock()
+        self._asking = threading.RLock()
+        """of who asks the arm outside of a motion, or begins one: programs look and order in several threads"""
         self._closed = False
 
     @property
@@ -125,12 +128,13 @@ class DrivenArm:
     @property
     def state(self) -> ArmState:
         """What is known now: during a motion that of its last control cycle, else read from the arm."""
-        self._require_open()
-        moving = self._motion is not None and self._motion.is_alive()
-        if not moving:  # else the robot is the motion's to ask
-            self._seen = self._drive.robot.read()
-        newest = self._drive.last if moving and self._drive.last is not None else self._seen
-        return self._state(float(newest.time[0]), newest.position[0], moving=moving)
+        with self._asking:
+            self._require_open()
+            moving = self._motion is not None and self._motion.is_alive()
+            if not moving:  # else the robot is the motion's to ask
+                self._seen = self._drive.robot.read()
+            newest = self._drive.last if moving and self._drive.last is not None else self._seen
+            return self._state(float(newest.time[0]), newest.position[0], moving=moving)
 
     @property
     def followed(self) -> Followed | None:
@@ -233,7 +237,7 @@ class DrivenArm:
                 while motion.is_alive() and (timeout_s is None or waited < timeout_s):
                     pause(_LOOK)
                     waited += _LOOK
-        except KeyboardInterrupt:
+        except BaseException:  # Ctrl-C, or what the program's own handler of a signal raises
             self.stop()
             raise
         if motion.is_alive():
@@ -243,13 +247,17 @@ class DrivenArm:
 
     def stop(self) -> None:
         """End the motion under way, however it went; the arm holds where it is. One that is closed holds already."""
-        if self._closed and self._motion is None:
-            return
-        motion, self._motion = self._motion, None
+        motion = self._motion
         if motion is not None:
-            motion.ended.set()
-            motion.join()
-        self._drive.robot.stop()
+            motion.ended.set()  # at once: whoever asks the arm may have to wait for its answer
+        with self._asking:
+            motion, self._motion = self._motion, None
+            if self._closed and motion is None:
+                return
+            if motion is not None:
+                motion.ended.set()
+                motion.join()
+            self._drive.robot.stop()
 
     def close(self) -> None:
         """End the motion under way, keep the log, and let go of the arm, which holds; it takes no orders any more.
@@ -262,15 +270,19 @@ class DrivenArm:
             raise motion.error
 
     def _let_go(self) -> None:
-        if self._closed:
-            return
-        self._closed = True
-        try:
-            if self._motion is not None:
-                self.stop()
-            self._drive.keep()
-        finally:
-            self._stack.close()
+        motion = self._motion
+        if motion is not None:
+            motion.ended.set()
+        with self._asking:
+            if self._closed:
+                return
+            self._closed = True
+            try:
+                if self._motion is not None:
+                    self.stop()
+                self._drive.keep()
+            finally:
+                self._stack.close()
 
     def __enter__(self) -> Self:
         return self
@@ -300,8 +312,11 @@ class DrivenArm:
             raise motion.error
 
     def _start(self, motion: MotionThread) -> None:
-        with self._starting:  # two threads may have looked before either started
+        with self._asking:  # two threads may have looked before either started
             self._require_free()
+            last, self._drive.last = self._drive.last, None  # its target is not where the arm is sent now
+            if last is not None and last.time[0] > self._seen.time[0]:
+                self._seen = last
             self._motion = motion
             motion.start()
 
