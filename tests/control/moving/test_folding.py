@@ -10,6 +10,7 @@ from rejoint.control.moving.folding import home_of
 from rejoint.control.moving.posture import PathPostures
 from rejoint.control.moving.servos import Servos
 from rejoint.control.moving.tracker import Tracker
+from rejoint.runs.stages.loads import say_folded
 
 
 def servos_with(arm, limits):
@@ -68,3 +69,13 @@ def test_a_tracker_begins_and_stays_where_it_is_at_home():
     # Stiffer or slower servos are no weaker ones.
     other = replace(servos, stiffness=2.0 * servos.stiffness, damping=3.0 * servos.damping)
     np.testing.assert_array_equal(home_of(arm, other), home_of(arm, servos))
+
+
+def test_it_is_said_which_joint_is_kept_turned():
+    arm = load_arm("mycobot280")
+    lines: list[str] = []
+    say_folded(arm, None, lines.append)
+    say_folded(arm, arm.rest, lines.append)
+    assert lines == []
+    say_folded(arm, arm.rest - np.radians([0.0, 0.0, 0.0, 60.0, 0.0, 0.0]), lines.append)
+    assert "joint4 is kept about -60 deg" in lines[0]

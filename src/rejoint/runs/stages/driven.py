@@ -34,9 +34,9 @@ from rejoint.runs.stages.driving import (
     twin_in_force,
     usual_controller,
 )
-from rejoint.runs.stages.loads import Say, say_heavy
+from rejoint.runs.stages.loads import Say, say_folded, say_heavy
 from rejoint.runs.stages.motions import AlongPath, MotionThread, MoveTo
-from rejoint.runs.stages.pathdrive import TRACKER, WITHIN, PathLike, followable, follower, require_repeatable
+from rejoint.runs.stages.pathdrive import TRACKER, WITHIN, PathLike, followable, follower, require_repeatable, turned
 from rejoint.system.errors import InputError, NotReachedError, NotReadyError
 from rejoint.system.files import require_space
 from rejoint.system.numbers import as_floats, as_within
@@ -208,6 +208,8 @@ class DrivenArm:
         require_repeatable(path, repeat, rate_hz, within_m)
         given = followable(path, self.arm, self._run.seed, duration_s)
         tracker = follower(TRACKER, self.arm, self._period, self._run, self._twin)
+        if not turned(given):
+            say_folded(self.arm, tracker.home, self._say)
         self._followed = None
         self._start(
             AlongPath(

@@ -43,7 +43,7 @@ from rejoint.runs.stages.driving import (
     start_journal,
     twin_in_force,
 )
-from rejoint.runs.stages.loads import PayloadLike, Say, say_heavy, say_noticed, silent, with_load
+from rejoint.runs.stages.loads import PayloadLike, Say, say_folded, say_heavy, say_noticed, silent, with_load
 from rejoint.runs.stages.pathdrive import (
     TRACKER,
     WITHIN,
@@ -53,6 +53,7 @@ from rejoint.runs.stages.pathdrive import (
     followable,
     follower,
     require_repeatable,
+    turned,
 )
 from rejoint.system.files import require_space, saving
 from rejoint.system.numbers import as_seed
@@ -173,6 +174,8 @@ def follow(
             known = twin_in_force(about, connection) if about is not None and twin is None else known
             connection = shown(live, connection, twin=known, within=within)
             goes = follower(controller, chosen, usual, about, known)
+            if not turned(given):
+                say_folded(chosen, goes.home, say)
             with kept_if_stopped(about, "follow"):
                 start = begin(connection, limits, stance_of(known, about))
             carrier = _Logged(

@@ -120,6 +120,17 @@ def noticed_load(arm: Arm, twin: Twin, log: RunLog) -> tuple[float, float]:
     return float((lever * weight**2 * missing).sum() / total), float(doubtful)
 
 
+def say_folded(arm: Arm, home: Array | None, say: Say) -> None:
+    """Say that the arm keeps a joint turned on its way, where its ``home`` (n,) [rad] is not rest."""
+    away = np.zeros(arm.joints) if home is None else home - arm.rest
+    joint = int(np.abs(away).argmax())
+    if away[joint] != 0.0:
+        say(
+            f"A motor of this arm hardly lifts what hangs on it: {arm.joint_names[joint]} is kept about "
+            f"{np.degrees(away[joint]):+.0f} deg from rest on the way, so that less does."
+        )
+
+
 def say_noticed(arm: Arm, twin: Twin | None, log: RunLog | None, say: Say) -> None:
     """Say that the arm carries something else than it was told, where the sag of a ``log`` shows it."""
     if twin is None or log is None:

@@ -198,6 +198,12 @@ def followable(given: PathLike | Stream, arm: Arm, seed: int, duration: float | 
     return path
 
 
+def turned(given: Path | Stream) -> bool:
+    """Tell whether a path, or the first target of a stream, says how the tool is to be turned."""
+    start = np.zeros(1)
+    return (given.turn_at(start) if isinstance(given, Path) else given.turns(0.0, start)) is not None
+
+
 def require_repeatable(path: PathLike | Stream, repeat: int, rate: float | None, within: float = WITHIN) -> None:
     """Raise InputError where a path cannot be gone along ``repeat`` times, told at a ``rate``, ``within`` a length."""
     if rate is not None:
