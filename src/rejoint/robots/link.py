@@ -64,12 +64,16 @@ class Link:
             raise AddressError(str(error)) from error
         try:
             self._once(self._bus.prepare)
-        except RobotError as error:
+        except _AGAIN as error:
             self.close()
+            found = str(error).removeprefix(f"{self.address}: ")
             raise AddressError(
-                f"something listens at {self.address}, but no {self._bus.name} answers ({error}); "
+                f"something listens at {self.address}, but no {self._bus.name} answers ({found}); "
                 "is it switched on, and is no other client connected?"
             ) from error
+        except RobotError as error:  # it answers, and is not to be driven as it is
+            self.close()
+            raise AddressError(f"{self.address}: {error}") from error
 
     def ask(self, question: Callable[[], T]) -> T:
         """Ask a ``question`` that may safely be repeated, and return its answer.

@@ -89,7 +89,10 @@ class FeetechBus(Bus):
                 continue
             if model not in MODELS:
                 raise RobotError(f"{self._call(servo)} is of model {model}, expected {_listed(MODELS)}")
-        self._require(missing, strangers=() if self._was_ready or not missing else self._strangers())
+        try:
+            self._require(missing, strangers=() if self._was_ready or not missing else self._strangers())
+        except TimeoutError as error:  # the others do answer
+            raise RobotError(str(error)) from error
         for servo in self.ids:
             if self._register(servo, MODE, 1, until) != 0:
                 raise RobotError(f"{self._call(servo)} is not in position mode; set its register {MODE} to 0")
