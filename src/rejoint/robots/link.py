@@ -111,7 +111,7 @@ class Link:
             until = min(deadline, self._bus.clock.now() + SILENCE)
             try:
                 self._once(lambda: self._bus.resynchronise(until))
-            except ConnectionLostError as broken:
+            except _AGAIN as broken:  # silent again, as a wire is that stalls twice
                 error = broken
             else:
                 return
