@@ -344,7 +344,10 @@ def test_torque_comes_on_where_the_arm_is_and_locks_are_shut():
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        ({"ID": 9}, "elbow_flex .servo 3. is missing on the bus; check its cable and its ID; others that answer: 9"),
+        (
+            {"ID": 9},
+            "elbow_flex .servo 3. is missing on the bus; check its cable, its ID and its baud rate; others .*: 9",
+        ),
         ({"Model_Number": 1284}, "elbow_flex .servo 3. is of model 1284"),
         ({"Operating_Mode": 1}, "elbow_flex .servo 3. is not in position mode"),
     ],
@@ -433,8 +436,10 @@ def test_a_bus_on_which_nobody_answers_is_told_with_its_rate():
     arm = build_arm(ARM, "so101")
     for index, servo in enumerate(arm.servos):
         servo["ID"] = 20 + index
-    with serving(pty=True, arm=arm) as server, pytest.raises(AddressError, match="no servo answers at 1000000 baud"):
+    says = "but no SO-101 answers .no servo answers at 1000000 baud"
+    with serving(pty=True, arm=arm) as server, pytest.raises(AddressError, match=says) as caught:
         open_robot(server.address)
+    assert str(caught.value).count("feetech://") == 1
 
 
 def test_a_servo_that_confirms_nothing_is_named():
