@@ -1,6 +1,7 @@
 """What a deployment says of each target: reached, missed and why, never tried."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -128,7 +129,7 @@ def test_nothing_is_reached_within_no_distance():
         job(NEAR, within=0.0)
 
 
-def test_a_stage_that_drives_knows_at_which_pushes_the_joints_of_this_arm_stand(tmp_path):
+def test_a_stage_that_drives_knows_at_which_pushes_the_joints_of_this_arm_stand(tmp_path, monkeypatch):
     run = Run.create(tmp_path / "run", "emulated:worn", ARM, 0)
     assert guard_limits(run, ARM, "emulated:worn").bands is None, "no diagnosis, nothing known"
     recording, _ = drive(NEAR)
@@ -138,6 +139,10 @@ def test_a_stage_that_drives_knows_at_which_pushes_the_joints_of_this_arm_stand(
     assert bands.width.shape == (6,)
     assert (bands.width > np.radians(0.1)).all()
     assert guard_limits(run, ARM, "emulated:worn").servos is not None, "servos that tell loads"
+    monkeypatch.setattr(Run, "diagnosis", SimpleNamespace(servo_gains={"p": (16,) * 6}))
+    limits = guard_limits(run, ARM, "emulated:worn")
+    assert limits.servos is None, "a load that a servo makes of its own reading fits a dead encoder as well"
+    assert limits.bands is not None
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ import pytest
 from rejoint.control.contract import PolicyContract
 from rejoint.control.controller import ControlInput
 from rejoint.control.default import DefaultController
-from rejoint.control.following import Knowledge
+from rejoint.control.following import Bands, Knowledge
 from rejoint.control.gainsearch import SHAKES, _RoundWatch, search
 from rejoint.control.geared import Geared
 from rejoint.control.guard import GuardLimits
@@ -128,6 +128,20 @@ def test_what_a_diagnosis_tells_of_loads_holds_for_its_gains_alone():
     assert limits_under(limits, robot, Geared(DefaultController(ARM), {"p": (40,) * 5})).servos is None
     robot.tune({"p": (40,) * 5})
     assert limits_under(limits, robot, None).servos is None
+
+
+def test_under_stiffer_gains_a_joint_stands_in_its_band_as_it_sags_less():
+    """Without that a joint with a dead encoder ran from stop to stop in an arm that was diagnosed."""
+    robot = ServoRobot()
+    bands = Bands(slope=np.full(5, 0.1), offset=np.zeros(5), reach=np.full(5, 0.3), width=np.full(5, 0.03))
+    limits = replace(GuardLimits.of(ARM), bands=bands, gains=robot.servo_gains())
+    p = robot.servo_gains()["p"][0]
+    stiff = limits_under(limits, robot, Geared(DefaultController(ARM), {"p": (2 * p,) * 5})).bands
+    assert stiff.slope == pytest.approx(0.05)
+    assert stiff.width == pytest.approx(bands.width)
+    assert limits_under(limits, robot, Geared(DefaultController(ARM), {"p": (p // 2,) * 5})).bands is None
+    with_integral = {"p": (2 * p,) * 5, "i": (0, 0, 4, 0, 0)}
+    assert limits_under(limits, robot, Geared(DefaultController(ARM), with_integral)).bands is None
 
 
 class Trained:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rejoint.arms import mycobot280
-from rejoint.diagnosis.diagnosis import Diagnosis, diagnose, judge, ringing_most
+from rejoint.diagnosis.diagnosis import Diagnosis, _verdict, diagnose, judge, ringing_most
 from rejoint.diagnosis.excitation import SHORT
 from rejoint.diagnosis.healthy import load_healthy, reference_from
 from rejoint.diagnosis.postures import Postures
@@ -122,6 +122,15 @@ def test_one_wear_is_named_and_nothing_else(found, name, expected):
     assert expected[0] in diagnosis.verdict
     assert diagnosis.findings[0].sentence.startswith(expected[0])
     assert all(finding.felt == ("nothing that" not in finding.sentence) for finding in diagnosis.findings)
+
+
+def test_what_costs_nothing_at_the_tool_is_no_cause(found):
+    """A wrist that turns the tool about its tip, beside a joint that moves it."""
+    diagnosis = found["stiff joint 3"]
+    turning = dataclasses.replace(diagnosis.findings[0], joint="joint6", tcp_mm=0.01)
+    verdict = _verdict(diagnosis.open_loop, (*diagnosis.findings, turning), diagnosis.healthy)
+    assert "joint6" not in verdict
+    assert "1 more joint shows wear." in verdict
 
 
 @pytest.mark.parametrize(("off_deg", "expected"), [(11.0, {("joint3", "stuck")}), (5.0, set())])

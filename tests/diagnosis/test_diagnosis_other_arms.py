@@ -78,6 +78,7 @@ def test_a_new_so101_is_healthy_under_whatever_gains_and_supply_it_has():
     diagnosis = judge(arm, logs, as_set(arm, as_sold, gains, np.full(5, 12.0)))
     assert diagnosis.condition == "ok", diagnosis.verdict
     assert 20.0 < diagnosis.healthy.error_mm.value < 40.0
+    assert "a healthy arm of this kind with P = 16 and a supply of 12.0 V: " in diagnosis.verdict
 
 
 def test_what_a_healthy_so101_measures_goes_with_p_and_supply():
@@ -92,6 +93,7 @@ def test_what_a_healthy_so101_measures_goes_with_p_and_supply():
         assert stiffness.value == pytest.approx(factor * before.value)
         assert stiffness.low == pytest.approx(factor * before.low)
     assert 2.0 < soft.error_mm.value / as_sold.error_mm.value < 2.3
+    assert soft.setting == " with P = 32 (shoulder_pan 24) and a supply of 6.0 V"  # an owner sees what makes it soft
     errors = [as_set(arm, as_sold, {"p": (p,) * 5}, None).error_mm.value for p in (12, 16, 24, 32, 48, 64)]
     assert sorted(errors, reverse=True) == errors
     assert as_set(arm, as_sold, None, None) is as_sold

@@ -110,6 +110,14 @@ def test_a_lost_or_garbled_answer_is_asked_for_again_once_both_sides_are_in_step
     assert bus.done == ["read", "resynchronise", "read"]
 
 
+@pytest.mark.parametrize("fault", [TimeoutError("silent again"), ValueError("cut"), ConnectionLostError("silent")])
+def test_a_wire_that_fails_again_while_it_is_brought_into_step_is_connected_anew(fault):
+    robot, bus = opened()
+    bus.done, bus.faults = [], [TimeoutError("late"), fault]
+    np.testing.assert_array_equal(robot.read().position[0], ARM.rest)
+    assert bus.done == ["read", "resynchronise", "close", "open", "prepare", "read"]
+
+
 def test_a_broken_connection_is_made_anew():
     robot, bus = opened()
     bus.done, bus.faults = [], [OSError("gone"), OSError("still gone")]

@@ -277,6 +277,19 @@ def test_a_calibration_must_be_one_and_that_of_this_arm(tmp_path):
         read_calibration(tmp_path / "c.json", ARM)
 
 
+def test_an_arm_that_was_never_calibrated_is_refused_and_nothing_is_written():
+    whole = np.zeros(5, int), np.full(5, 4095)
+    with pytest.raises(RobotError, match=r"elbow_flex, wrist_flex may turn by a whole turn.*zero="):
+        zeros_of(ARM, None, np.zeros(5, int), *whole, ())
+    assert zeros_of(ARM, None, np.zeros(5, int), *whole, (0.0,) * 5).middle == (2047.5,) * 5
+    with serving() as server:
+        fresh = server.arm.servos[2]  # an elbow with a new servo
+        fresh["Min_Position_Limit"], fresh["Max_Position_Limit"] = 0, 4095
+        with pytest.raises(AddressError, match=r":\d+: elbow_flex may turn by a whole turn"):
+            open_robot(server.address)
+        assert fresh.writes == []
+
+
 @pytest.mark.parametrize("pty", [False, True])
 def test_an_arm_is_read_and_goes_where_it_is_sent(pty):
     with serving(pty=pty) as server, closing(open_robot(server.address)) as robot:
@@ -331,7 +344,10 @@ def test_torque_comes_on_where_the_arm_is_and_locks_are_shut():
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        ({"ID": 9}, "elbow_flex .servo 3. is missing on the bus; check its cable and its ID; others that answer: 9"),
+        (
+            {"ID": 9},
+            "elbow_flex .servo 3. is missing on the bus; check its cable, its ID and its baud rate; others .*: 9",
+        ),
         ({"Model_Number": 1284}, "elbow_flex .servo 3. is of model 1284"),
         ({"Operating_Mode": 1}, "elbow_flex .servo 3. is not in position mode"),
     ],
@@ -340,8 +356,9 @@ def test_a_servo_that_cannot_be_driven_is_named(change, says):
     arm = build_arm(ARM, "so101")
     for name, value in change.items():
         arm.servos[2][name] = value
-    with serving(arm=arm) as server, pytest.raises(AddressError, match=says):
+    with serving(arm=arm) as server, pytest.raises(AddressError, match=says) as caught:
         open_robot(server.address)
+    assert str(caught.value).startswith(f"{server.address}: elbow_flex")  # not that no SO-101 answers
     assert never_dropped(arm)
 
 
@@ -419,8 +436,10 @@ def test_a_bus_on_which_nobody_answers_is_told_with_its_rate():
     arm = build_arm(ARM, "so101")
     for index, servo in enumerate(arm.servos):
         servo["ID"] = 20 + index
-    with serving(pty=True, arm=arm) as server, pytest.raises(AddressError, match="no servo answers at 1000000 baud"):
+    says = "but no SO-101 answers .no servo answers at 1000000 baud"
+    with serving(pty=True, arm=arm) as server, pytest.raises(AddressError, match=says) as caught:
         open_robot(server.address)
+    assert str(caught.value).count("feetech://") == 1
 
 
 def test_a_servo_that_confirms_nothing_is_named():

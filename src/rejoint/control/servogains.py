@@ -104,11 +104,19 @@ def put_back(robot: Tunable, before: ServoGains) -> Iterator[None]:
 
 
 def limits_under(limits: GuardLimits | None, robot: Robot, controller: object) -> GuardLimits | None:
-    """Return what the guard allows while ``controller`` drives: what a diagnosis tells holds for the gains of then."""
+    """Return what the guard allows while ``controller`` drives: what a diagnosis tells holds for the gains of then.
+
+    Under stiffer ones a joint stands at smaller leads: its band is shifted, and as wide as it was at most. An I part
+    pushes without a lead, so that nothing is known under one.
+    """
     gains: ServoGains | None = getattr(controller, "servo_gains", None) or gains_in_force(robot)
     if limits is None or limits.gains is None or gains is None or not differing(gains, limits.gains):
         return limits
-    return replace(limits, servos=None, bands=None)
+    now = {**limits.gains, **gains}
+    stiffer = stiffness_under(np.ones(limits.arm.joints), limits.gains, now)
+    if limits.bands is None or "p" not in now or any(now.get("i", ())) or (stiffer < 1.0).any():
+        return replace(limits, servos=None, bands=None)
+    return replace(limits, servos=None, bands=replace(limits.bands, slope=limits.bands.slope / stiffer))
 
 
 def require_gains(robot: Robot, controller: object) -> None:

@@ -108,7 +108,9 @@ def condition_of(findings: tuple[Finding, ...]) -> str:
 
 def _verdict(open_loop: OpenLoop, findings: tuple[Finding, ...], healthy: HealthyReference | None) -> str:
     error = open_loop.error_mm
-    reference = "" if healthy is None else f"; a healthy arm of this kind: {healthy.error_mm.value:.1f} mm"
+    reference = (
+        "" if healthy is None else f"; a healthy arm of this kind{healthy.setting}: {healthy.error_mm.value:.1f} mm"
+    )
     first = (
         f"This arm misses its targets by {error.value:.1f} mm (mean of {len(open_loop.targets)}, spread "
         f"{open_loop.spread_mm:.1f} mm, by its own encoders{reference})."
@@ -121,7 +123,8 @@ def _verdict(open_loop: OpenLoop, findings: tuple[Finding, ...], healthy: Health
     if not findings:
         return f"{first} No joint shows wear that its encoder can see."
     joints = {finding.joint: finding for finding in reversed(findings)}  # the worst finding of a joint wins
-    causes = sorted(joints.values(), key=lambda f: -f.tcp_mm)[:3]
+    felt = [finding for finding in joints.values() if finding.felt]
+    causes = sorted(felt or joints.values(), key=lambda f: -f.tcp_mm)[:3]
     named = "; ".join(f"{f.joint} is {KINDS[f.kind]} ({f.tcp_mm:.1f} mm)" for f in causes)
     ringing = ringing_most(findings)
     others = len({*joints} - {f.joint for f in (*causes, *([ringing] if ringing else []))})

@@ -74,6 +74,8 @@ class HealthyReference:
     """of ten targets open loop, by encoder kinematics"""
     hidden_mm: Estimate | None
     """between the tool and where the encoders put it; None where nobody knew"""
+    setting: str = ""
+    """what of the arm at hand it was reckoned for, in words: the P of its servos and their supply"""
 
 
 def reference_path(arm: Arm, p: int = AS_SOLD) -> Path:
@@ -114,11 +116,20 @@ def as_set(
     rows = [_stiffer(entry.joints[joint], p[joint] / of * share[joint]) for joint, (of, entry) in enumerate(found)]
     typical = float(np.exp(np.log(p).mean()))
     of, whole = _nearest(arm, typical)
-    volts = "" if voltage is None else f" and {np.median(voltage):.1f} V"
+    setting = f" with P = {_told(gains['p'], arm.joint_names)}"
+    if voltage is not None:
+        setting += f" and a supply of {np.median(voltage):.1f} V"
     return replace(
         whole, joints=tuple(rows), error_mm=_times(whole.error_mm, of / typical / float(share.mean())),
-        source=f"{whole.source}, for P = {'/'.join(map(str, dict.fromkeys(gains['p'])))}{volts}",
+        source=f"{whole.source},{setting}", setting=setting,
     )  # fmt: skip
+
+
+def _told(values: Sequence[int], names: Sequence[str]) -> str:
+    """Tell a gain of each joint: what most of them have, then the others by name."""
+    most = max(dict.fromkeys(values), key=list(values).count)
+    others = [f"{name} {value}" for name, value in zip(names, values, strict=True) if value != most]
+    return f"{most} ({', '.join(others)})" if others else str(most)
 
 
 def _new(arm: Arm) -> str | None:

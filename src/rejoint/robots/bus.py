@@ -147,7 +147,7 @@ class Bus(ABC):
     def resynchronise(self, deadline: float) -> None:  # noqa: B027 - nothing is a sensible answer
         """Make sure by ``deadline`` [s] that no late answer is taken for that of a later question.
 
-        Called after every failed question. ConnectionLostError, or OSError, has the bus opened anew instead.
+        Called after every failed question. Where it fails as well, the bus is opened anew.
         """
 
     @abstractmethod

@@ -64,12 +64,16 @@ class Link:
             raise AddressError(str(error)) from error
         try:
             self._once(self._bus.prepare)
-        except RobotError as error:
+        except _AGAIN as error:
             self.close()
+            found = str(error).removeprefix(f"{self.address}: ")
             raise AddressError(
-                f"something listens at {self.address}, but no {self._bus.name} answers ({error}); "
+                f"something listens at {self.address}, but no {self._bus.name} answers ({found}); "
                 "is it switched on, and is no other client connected?"
             ) from error
+        except RobotError as error:  # it answers, and is not to be driven as it is
+            self.close()
+            raise AddressError(f"{self.address}: {error}") from error
 
     def ask(self, question: Callable[[], T]) -> T:
         """Ask a ``question`` that may safely be repeated, and return its answer.
@@ -107,7 +111,7 @@ class Link:
             until = min(deadline, self._bus.clock.now() + SILENCE)
             try:
                 self._once(lambda: self._bus.resynchronise(until))
-            except ConnectionLostError as broken:
+            except _AGAIN as broken:  # silent again, as a wire is that stalls twice
                 error = broken
             else:
                 return

@@ -89,7 +89,8 @@ class FeetechBus(Bus):
                 continue
             if model not in MODELS:
                 raise RobotError(f"{self._call(servo)} is of model {model}, expected {_listed(MODELS)}")
-        self._require(missing, strangers=() if self._was_ready or not missing else self._strangers())
+        strangers = () if self._was_ready or not missing else self._strangers()
+        self._require(missing, strangers, RobotError)  # the others do answer
         for servo in self.ids:
             if self._register(servo, MODE, 1, until) != 0:
                 raise RobotError(f"{self._call(servo)} is not in position mode; set its register {MODE} to 0")
@@ -266,8 +267,10 @@ class FeetechBus(Bus):
         if goals:
             self.wire.write_all(list(goals), GOAL, [count.to_bytes(2, "little") for count in goals.values()])
 
-    def _require(self, missing: Sequence[int], strangers: Sequence[int] = ()) -> None:
-        """Raise TimeoutError that names the ``missing`` servos, NoReplyError where there is none at all."""
+    def _require(
+        self, missing: Sequence[int], strangers: Sequence[int] = (), kind: type[Exception] = TimeoutError
+    ) -> None:
+        """Raise an error of a ``kind`` that names the ``missing`` servos, NoReplyError where there is none at all."""
         others = f"; others that answer: {_listed(strangers)}" if strangers else ""
         if len(missing) == len(self.ids):
             rate = f" at {self.address.baud} baud" if self.address.port.startswith("/") else ""
@@ -276,7 +279,7 @@ class FeetechBus(Bus):
             )
         if missing:
             names = _listed(map(self._call, missing))
-            raise TimeoutError(f"{names} is missing on the bus; check its cable and its ID{others}")
+            raise kind(f"{names} is missing on the bus; check its cable, its ID and its baud rate{others}")
 
     def _strangers(self) -> list[int]:
         """Return the IDs of servos that answer, but are neither a joint's nor, next to them, the gripper's."""

@@ -22,6 +22,9 @@ from rejoint.system.errors import InputError, RobotError
 Counts = NDArray[np.int64]
 
 _STEP = 2 * np.pi / COUNTS_PER_TURN
+TURNING = np.radians(300.0)
+"""[rad] range from which on a joint may be calibrated to a whole turn (chosen: LeRobot does so with a wrist, which
+rolls by 320 degrees; all other joints of an SO-101 have at most 220)"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -84,7 +87,10 @@ def read_calibration(path: Path, arm: Arm) -> MotorRanges:
 def zeros_of(
     arm: Arm, file: MotorRanges | None, homing: Counts, low: Counts, high: Counts, degrees: tuple[float, ...]
 ) -> Zeros:
-    """Zeros of an arm whose servos hold these offsets and limits (n,); RobotError where the file is not theirs."""
+    """Zeros of an arm whose servos hold these offsets and limits (n,).
+
+    RobotError where the file is not theirs, or where a servo was never told where its joint is.
+    """
     if degrees and len(degrees) != arm.joints:
         raise InputError(f"zero= of the address needs {arm.joints} angles, one per joint, got {len(degrees)}")
     if file is not None and (file.homing != homing).any():
@@ -96,8 +102,21 @@ def zeros_of(
     limited = low < high
     low, high = np.where(limited, low, 0), np.where(limited, high, COUNTS_PER_TURN - 1)
     ranges = (low, high) if file is None else (file.low, file.high)
+    if not degrees:
+        _require_swept(arm, *ranges)
     turned = np.radians(degrees) if degrees else np.zeros(arm.joints)
     return Zeros(
         middle=tuple(((ranges[0] + ranges[1]) / 2).tolist()), zero=tuple(turned.tolist()), low=tuple(low.tolist()),
         high=tuple(high.tolist()),
     )  # fmt: skip
+
+
+def _require_swept(arm: Arm, low: Counts, high: Counts) -> None:
+    """Raise RobotError where joints have no range of their own: its middle would be anywhere on the turn."""
+    whole = (high - low >= COUNTS_PER_TURN - 1) & (arm.upper - arm.lower < TURNING)
+    if whole.any():
+        names = ", ".join(name for name, bare in zip(arm.joint_names, whole, strict=True) if bare)
+        raise RobotError(
+            f"{names} may turn by a whole turn, as servos do that were never calibrated: nobody knows where zero is; "
+            "run lerobot-calibrate, or say by zero=DEG,DEG,... what angle each joint has in the middle of its range"
+        )

@@ -84,7 +84,8 @@ def kept_if_stopped(run: Run | None, name: str) -> Iterator[None]:
 def guard_limits(run: Run | None, arm: Arm, robot: str) -> GuardLimits:
     """Return what the guard allows, and, if ``robot`` is the run's own, what its diagnosis tells of its joints.
 
-    That is at which pushes they stand, and the lines of load over error of servos that tell loads.
+    That is at which pushes they stand, and the lines of load over error of servos that tell loads. One that tells the
+    gains of its own loop tells as load what that loop makes of its reading: from a dead encoder as from a live one.
     """
     limits, arm = GuardLimits.of(arm), bare(arm)  # the logs are of an empty hand
     paths = [] if run is None else [run.folder.log(name) for name in ("excitation", "targets")]
@@ -93,7 +94,8 @@ def guard_limits(run: Run | None, arm: Arm, robot: str) -> GuardLimits:
     logs = [read_log(path) for path in paths]
     told = run.diagnosis
     gains = None if told is None else told.servo_gains
-    return replace(limits, bands=standing_bands(arm, logs), servos=servo_lines(arm, logs), gains=gains)
+    lines = servo_lines(arm, logs) if gains is None else None  # else the load is the loop's, and fits any reading
+    return replace(limits, bands=standing_bands(arm, logs), servos=lines, gains=gains)
 
 
 def _is_own(run: Run, robot: str) -> bool:

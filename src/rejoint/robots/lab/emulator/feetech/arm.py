@@ -54,6 +54,7 @@ class ServoArm:
             servo["Homing_Offset"], servo["Torque_Enable"] = homing, 1
             servo["Acceleration"] = servo["Maximum_Acceleration"] = PROMPT
             servo["Min_Position_Limit"], servo["Max_Position_Limit"] = limits
+            servo.save()
         for index in range(len(self.servos)):
             self.settle(index)
 

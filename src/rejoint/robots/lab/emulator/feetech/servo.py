@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 from rejoint.robots.lab.emulator.feetech.packets import magnitude, signed
 from rejoint.robots.lab.emulator.feetech.registers import BY_NAME, SIZE, TABLE, Access, factory_settings
 
@@ -62,11 +64,7 @@ class Servo:
         for cell in cells:
             self.cells[cell] = data[cell - address]
         if self["Lock"] == 0:
-            kept = bytearray(self._kept)
-            for cell in cells:
-                if _SAVED[cell]:
-                    kept[cell] = self.cells[cell]
-            self._kept = bytes(kept)
+            self.save(cells)
         touched = {_NAME[cell] for cell in cells}
         if "Goal_Position" in touched and self["Torque_Enable"] == 0:
             self["Torque_Enable"] = 1
@@ -74,6 +72,14 @@ class Servo:
         if "Acceleration" in touched and self["Maximum_Acceleration"]:
             self["Acceleration"] = min(self["Acceleration"], self["Maximum_Acceleration"])
         return touched
+
+    def save(self, cells: Iterable[int] = range(SIZE)) -> None:
+        """Keep over a loss of power what stands in these ``cells``, as far as the servo keeps them at all."""
+        kept = bytearray(self._kept)
+        for cell in cells:
+            if _SAVED[cell]:
+                kept[cell] = self.cells[cell]
+        self._kept = bytes(kept)
 
     def put_off(self, address: int, data: bytes) -> None:
         """Keep a write for the next `act`."""
