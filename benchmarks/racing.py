@@ -39,7 +39,7 @@ from rejoint.robots import open_robot
 from rejoint.runs.metering import Meter
 from rejoint.runs.openloop import DEFAULT, trials
 from rejoint.runs.stages.compare import RACE_PROTOCOL, RACE_SETS
-from rejoint.runs.stages.driving import make_factories
+from rejoint.runs.stages.controllers import make_factories
 
 ARM = mycobot280()
 PERIOD = (0.045, 0.055)

@@ -27,7 +27,7 @@ from rejoint.diagnosis.record import record
 from rejoint.robots.emulated import EmulatedRobot
 from rejoint.robots.lab.plant.sts3215 import STALL_CURRENT
 from rejoint.robots.lab.plant.wear import load_wear
-from rejoint.runs.stages.driving import twin_under
+from rejoint.runs.stages.known import twin_under
 from rejoint.twin import loads as told_by_loads
 from rejoint.twin.identify import identify
 from rejoint.twin.parameters import Layout, pack

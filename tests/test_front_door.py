@@ -16,7 +16,7 @@ from rejoint.control.integrator import IntegratorController
 from rejoint.control.shelf import shelf_policy
 from rejoint.logs.runlog import write_log
 from rejoint.runs.given import is_robot
-from rejoint.runs.stages.driving import make_factories
+from rejoint.runs.stages.controllers import make_factories
 from rejoint.system.progress import INTERVAL, paced, part
 
 ARM = mycobot280()

@@ -18,7 +18,7 @@ from rejoint.logs.runlog import write_log
 from rejoint.robots import open_robot
 from rejoint.robots.emulated import EmulatedRobot
 from rejoint.runs.run import Run
-from rejoint.runs.stages.driving import guard_limits
+from rejoint.runs.stages.known import guard_limits
 from rejoint.system.errors import ContractError, GuardTripError, InputError, NotReadyError
 from rejoint.training.presets import DEFAULT
 from rejoint.training.train import policy_contract

@@ -13,7 +13,7 @@ from rejoint.control.shelf import SHELF, shelf_arms, shelf_path, shelf_policy
 from rejoint.research.evaluation.family import ArmFamily, find_variant
 from rejoint.research.evaluation.trials import TrialSettings, try_controller
 from rejoint.robots import place_of
-from rejoint.runs.stages.driving import make_factories
+from rejoint.runs.stages.controllers import make_factories
 from rejoint.system.errors import ContractError
 from rejoint.training.shelf import RECIPES
 

@@ -14,7 +14,7 @@ from rejoint.logs.runlog import RunLog, write_log
 from rejoint.robots import open_robot
 from rejoint.robots.lab.plant.wear import load_wear
 from rejoint.runs.run import Run
-from rejoint.runs.stages.driving import stance_of
+from rejoint.runs.stages.known import stance_of
 from rejoint.system.errors import NotReadyError
 
 ARM = mycobot280()

@@ -13,7 +13,7 @@ import rejoint
 from rejoint.arms import mycobot280, tcp_position
 from rejoint.robots.lab.plant.wear import load_wear
 from rejoint.runs.run import Run
-from rejoint.runs.stages.driving import twin_in_force
+from rejoint.runs.stages.known import twin_in_force
 from rejoint.twin.parameters import nominal_parameters, prior
 from rejoint.twin.twin import HeldOut, PredictionError, Twin
 

@@ -23,7 +23,7 @@ from rejoint.robots.lab.emulator.feetech.arm import build_arm
 from rejoint.robots.lab.emulator.feetech.emulate import serve_bus
 from rejoint.robots.lab.emulator.feetech.session import BusSession
 from rejoint.runs.run import Run
-from rejoint.runs.stages import driving
+from rejoint.runs.stages import controllers, known
 from rejoint.runs.stages import gains as stage
 from rejoint.runs.stages.gains import gains_to_keep
 from rejoint.system.errors import ContractError, FileError, InputError
@@ -150,7 +150,7 @@ def tuned_run(path, monkeypatch, policy=True):
     stiff = replace(nominal_parameters(ARM), stiffness=np.full(5, 20.0))
     twin = SimpleNamespace(parameters=stiff, digest=lambda: "0" * 16)
     monkeypatch.setattr(Run, "twin", twin)
-    monkeypatch.setattr(driving, "replace", lambda one, **changes: SimpleNamespace(**(vars(one) | changes)))
+    monkeypatch.setattr(known, "replace", lambda one, **changes: SimpleNamespace(**(vars(one) | changes)))
     if policy:
         run.folder.policy.write_bytes(b"")
         contract = SimpleNamespace(servo_gains=found.under)
@@ -175,24 +175,26 @@ def test_a_policy_is_trained_for_the_gains_that_a_search_found_on_a_twin_as_stif
 
 def test_what_a_run_made_for_tuned_gains_is_driven_under_them_and_not_under_those_before(tmp_path, monkeypatch):
     run, found = tuned_run(tmp_path / "run", monkeypatch)
-    names = driving._contenders(ARM, 0.02, run, run.twin, real=True, posed=False)
+    names = controllers._contenders(ARM, 0.02, run, run.twin, real=True, posed=False)
     assert {"servo-gains+push", "servo-gains+policy", "servo-gains+predictive"} <= set(names)
     assert "push" not in names
-    assert "servo-gains+push" not in driving._contenders(ARM, 0.02, run, None, real=True, posed=False), "without a twin"
+    assert "servo-gains+push" not in controllers._contenders(ARM, 0.02, run, None, real=True, posed=False), (
+        "without a twin"
+    )
     assert not {"policy", "predictive", "shelf"} & set(names), "on a real arm the own policy takes the shelf's place"
-    assert driving.recommended(run) == driving.usual_controller(run) == "servo-gains+policy"
+    assert controllers.recommended(run) == controllers.usual_controller(run) == "servo-gains+policy"
     run.policy.contract.servo_gains = found.found  # trained before the search, as runs used to be
-    assert "policy" in driving._contenders(ARM, 0.02, run, run.twin, real=True, posed=False)
-    assert driving.usual_controller(run) == "policy"
+    assert "policy" in controllers._contenders(ARM, 0.02, run, run.twin, real=True, posed=False)
+    assert controllers.usual_controller(run) == "policy"
     with pytest.raises(ContractError, match=r"no policy for the gains that its search found \(p 40/48/48/40/32"):
-        driving.make_factories(["servo-gains+policy"], ARM, (0.02, 0.02), run=run)
+        controllers.make_factories(["servo-gains+policy"], ARM, (0.02, 0.02), run=run)
 
 
 def test_a_push_is_as_small_as_the_servos_are_stiff_under_tuned_gains(tmp_path, monkeypatch):
     run, found = tuned_run(tmp_path / "run", monkeypatch, policy=False)
     leads = []
     for name in ("push", "servo-gains+push"):
-        controller = driving.make_factories([name], ARM, (0.02, 0.02), run=run, twin=run.twin)[name](ARM)
+        controller = controllers.make_factories([name], ARM, (0.02, 0.02), run=run, twin=run.twin)[name](ARM)
         leads.append(getattr(controller, "_controller", controller)._lead)
     np.testing.assert_allclose(leads[0], run.twin.parameters.coulomb / 20.0)
     np.testing.assert_allclose(leads[1], leads[0] * FOUND["p"][0] / found.under["p"])

@@ -10,7 +10,7 @@ from rejoint.arms import mycobot280
 from rejoint.arms.loaded import loaded
 from rejoint.robots import open_robot
 from rejoint.runs.given import as_targets
-from rejoint.runs.stages.driving import listed
+from rejoint.runs.stages.controllers import listed
 from rejoint.system.errors import InputError
 from rejoint.system.numbers import as_floats, as_seed
 

@@ -28,7 +28,7 @@ from rejoint.robots import open_robot, place_of
 from rejoint.robots.own import unloaded
 from rejoint.runs.given import as_calibration
 from rejoint.runs.run import Run
-from rejoint.runs.stages.driving import guard_limits
+from rejoint.runs.stages.known import guard_limits
 from rejoint.runs.stages.loads import say_heavy
 from rejoint.twin.parameters import Layout
 from runs.test_connect import a_twin

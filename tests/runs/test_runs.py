@@ -22,7 +22,7 @@ from rejoint.logs.runfolder.folder import RunFolder, locked
 from rejoint.logs.runlog import RunLog, read_log, write_log
 from rejoint.robots import open_robot
 from rejoint.runs.run import Run
-from rejoint.runs.stages import driving
+from rejoint.runs.stages import keeping
 from rejoint.system.errors import FileError, InputError, UnsavedError
 from rejoint.system.files import read_json, set_aside, write_json, write_whole
 
@@ -157,12 +157,12 @@ def test_under_a_clock_that_stands_still_no_log_takes_the_place_of_another(tmp_p
         def now(cls, tz=None):
             return cls(2026, 1, 1, 12, 0, 5, tzinfo=tz)
 
-    monkeypatch.setattr(driving, "datetime", Stopped)
+    monkeypatch.setattr(keeping, "datetime", Stopped)
     run = Run.create(tmp_path / "run", "emulated:worn", mycobot280(), 0)
     for _ in range(2):
         rejoint.deploy("emulated:worn", "integrator", [[0.17, 0.0, 0.2]], run=run.path, dwell=0.5)
     assert set(run.folder.logs()) == {"deploy-20260101-120005", "deploy-20260101-120005-2"}
-    whole = driving.start_journal(run, "deploy", open_robot("emulated:worn"), "deploy/killed")
+    whole = keeping.start_journal(run, "deploy", open_robot("emulated:worn"), "deploy/killed")
     whole.append(0.0, *np.zeros((2, 6)), *np.zeros((2, 3)))
     whole.close()  # as `kill -9` leaves it
     (found,) = recover(run.path / "logs")

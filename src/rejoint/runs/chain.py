@@ -15,8 +15,8 @@ from rejoint.robots import place_of
 from rejoint.runs.given import NO_GAUGE, GaugeLike, RobotLike, is_batchable
 from rejoint.runs.run import Run
 from rejoint.runs.stages.comparing import Compared
+from rejoint.runs.stages.controllers import Controllers, any_geared
 from rejoint.runs.stages.diagnose import Diagnosed
-from rejoint.runs.stages.driving import Controllers, any_geared
 from rejoint.system.errors import FileError
 from rejoint.system.memory import give_back
 from rejoint.system.progress import Progress, part

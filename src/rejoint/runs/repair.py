@@ -35,8 +35,8 @@ from rejoint.runs.stages.again import keep_what_holds
 from rejoint.runs.stages.calibrate import calibrate
 from rejoint.runs.stages.compare import comparison_job
 from rejoint.runs.stages.comparing import Compared, ComparisonJob
+from rejoint.runs.stages.controllers import Controllers, listed
 from rejoint.runs.stages.diagnose import diagnose
-from rejoint.runs.stages.driving import Controllers, listed
 from rejoint.runs.stages.early import EarlyTrials
 from rejoint.runs.stages.gains import gains
 from rejoint.runs.stages.identify import identify

@@ -22,7 +22,7 @@ from rejoint.control.servogains import in_words
 from rejoint.control.shelf import SHELF, shelf_policy
 from rejoint.runs.given import as_policy
 from rejoint.runs.run import Run
-from rejoint.runs.stages.driving import recommended
+from rejoint.runs.stages.controllers import recommended
 from rejoint.system.errors import InputError
 from rejoint.system.extras import require
 from rejoint.system.files import write_whole

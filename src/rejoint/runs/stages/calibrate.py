@@ -36,8 +36,8 @@ from rejoint.runs.given import (
 )
 from rejoint.runs.metering import metered
 from rejoint.runs.run import Run, exclusive
-from rejoint.runs.stages.driving import kept_if_stopped
 from rejoint.runs.stages.filming import film_of, write_filmed
+from rejoint.runs.stages.keeping import kept_if_stopped
 from rejoint.runs.stages.measuring import measured_of
 from rejoint.system.errors import InputError
 from rejoint.system.files import require_space, saving, set_aside

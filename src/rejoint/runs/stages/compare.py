@@ -33,14 +33,8 @@ from rejoint.runs.given import (
 from rejoint.runs.openloop import open_loop
 from rejoint.runs.run import Run, exclusive
 from rejoint.runs.stages.comparing import Compared, ComparisonJob
-from rejoint.runs.stages.driving import (
-    Controllers,
-    all_named,
-    calibration_of,
-    correction_of,
-    listed,
-    make_factories,
-)
+from rejoint.runs.stages.controllers import Controllers, all_named, listed, make_factories
+from rejoint.runs.stages.known import calibration_of, correction_of
 from rejoint.runs.stages.loads import PayloadLike, Say, say_heavy, silent, with_load
 from rejoint.system.numbers import as_seed
 from rejoint.system.progress import Progress, no_progress, paced

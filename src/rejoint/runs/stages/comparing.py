@@ -31,14 +31,11 @@ from rejoint.runs.history.summary import summarise
 from rejoint.runs.metering import metered
 from rejoint.runs.openloop import DEFAULT, OpenLoopTrials
 from rejoint.runs.run import Run
-from rejoint.runs.stages.driving import (
-    Factory,
-    guard_limits,
-    kept_if_stopped,
-    stance_of,
-)
+from rejoint.runs.stages.controllers import Factory
 from rejoint.runs.stages.early import EarlyTrials
 from rejoint.runs.stages.helper import LEAST, HelperProcess, Job, core_to_spare
+from rejoint.runs.stages.keeping import kept_if_stopped
+from rejoint.runs.stages.known import guard_limits, stance_of
 from rejoint.system.errors import GuardTripError
 from rejoint.system.files import digest, require_space, saving, set_aside, write_json
 from rejoint.system.progress import Progress

@@ -9,8 +9,8 @@ from numpy.typing import ArrayLike
 from rejoint.control.robot import Robot
 from rejoint.robots import open_robot
 from rejoint.runs.given import ArmLike, CalibrationLike, Period, RunLike, as_arm, as_run
+from rejoint.runs.stages.controllers import ControllerLike
 from rejoint.runs.stages.driven import DrivenArm
-from rejoint.runs.stages.driving import ControllerLike
 from rejoint.runs.stages.loads import PayloadLike, Say, silent, with_load
 from rejoint.system.errors import InputError
 

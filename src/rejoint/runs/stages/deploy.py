@@ -34,17 +34,10 @@ from rejoint.runs.given import (
     shown,
 )
 from rejoint.runs.run import Run, exclusive
-from rejoint.runs.stages.driving import (
-    ControllerLike,
-    calibration_of,
-    correction_of,
-    guard_limits,
-    make_factories,
-    stance_of,
-    start_journal,
-    usual_controller,
-)
+from rejoint.runs.stages.controllers import ControllerLike, make_factories, usual_controller
 from rejoint.runs.stages.eyes import EyeLike, opened_eye, watched, with_sightings
+from rejoint.runs.stages.keeping import start_journal
+from rejoint.runs.stages.known import calibration_of, correction_of, guard_limits, stance_of
 from rejoint.runs.stages.loads import PayloadLike, Say, say_heavy, say_noticed, silent, with_load
 from rejoint.system.errors import InputError
 from rejoint.system.files import require_space, saving

@@ -32,7 +32,7 @@ from rejoint.runs.given import (
 from rejoint.runs.history.summary import summarise
 from rejoint.runs.metering import metered
 from rejoint.runs.run import Run, exclusive, mark_quick, remove_if_empty
-from rejoint.runs.stages.driving import start_journal
+from rejoint.runs.stages.keeping import start_journal
 from rejoint.system.errors import InputError
 from rejoint.system.files import read_json, require_space, saving, set_aside, write_json
 from rejoint.system.numbers import as_seed

@@ -24,16 +24,8 @@ from rejoint.robots import open_robot
 from rejoint.runs.given import CalibrationLike, Period
 from rejoint.runs.run import Run, exclusive
 from rejoint.runs.stages.armdrive import ArmDrive
-from rejoint.runs.stages.driving import (
-    ControllerLike,
-    correction_of,
-    guard_limits,
-    make_factories,
-    recommended,
-    stance_of,
-    twin_in_force,
-    usual_controller,
-)
+from rejoint.runs.stages.controllers import ControllerLike, make_factories, recommended, usual_controller
+from rejoint.runs.stages.known import correction_of, guard_limits, stance_of, twin_in_force
 from rejoint.runs.stages.loads import Say, say_folded, say_heavy
 from rejoint.runs.stages.motions import AlongPath, MotionThread, MoveTo
 from rejoint.runs.stages.pathdrive import TRACKER, WITHIN, PathLike, followable, follower, require_repeatable, turned

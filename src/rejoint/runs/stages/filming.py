@@ -13,7 +13,7 @@ from rejoint.diagnosis.calibration.camera.film import Film
 from rejoint.diagnosis.calibration.camera.filmfile import POSTURES, read_film, write_film, write_postures
 from rejoint.diagnosis.calibration.camera.filming import CameraGauge, FilmDrive, Picture, UnseenBoardError
 from rejoint.runs.run import Run
-from rejoint.runs.stages.driving import guard_limits, stance_of
+from rejoint.runs.stages.known import guard_limits, stance_of
 from rejoint.runs.stages.measuring import log_resumed, same
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import set_aside, write_whole

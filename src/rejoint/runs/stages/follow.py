@@ -33,16 +33,9 @@ from rejoint.runs.given import (
     shown,
 )
 from rejoint.runs.run import Run, exclusive
-from rejoint.runs.stages.driving import (
-    ControllerLike,
-    calibration_of,
-    correction_of,
-    guard_limits,
-    kept_if_stopped,
-    stance_of,
-    start_journal,
-    twin_in_force,
-)
+from rejoint.runs.stages.controllers import ControllerLike
+from rejoint.runs.stages.keeping import kept_if_stopped, start_journal
+from rejoint.runs.stages.known import calibration_of, correction_of, guard_limits, stance_of, twin_in_force
 from rejoint.runs.stages.loads import PayloadLike, Say, say_folded, say_heavy, say_noticed, silent, with_load
 from rejoint.runs.stages.pathdrive import (
     TRACKER,

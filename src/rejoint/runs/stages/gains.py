@@ -20,7 +20,9 @@ from rejoint.runs.given import (
 )
 from rejoint.runs.metering import metered
 from rejoint.runs.run import Run, exclusive
-from rejoint.runs.stages.driving import guard_limits, kept_if_stopped, recommended
+from rejoint.runs.stages.controllers import recommended
+from rejoint.runs.stages.keeping import kept_if_stopped
+from rejoint.runs.stages.known import guard_limits
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import read_json, require_space, saving, set_aside, write_json
 from rejoint.system.progress import Progress, no_progress, paced

@@ -32,7 +32,7 @@ from rejoint.control.guard import GuardLimits
 from rejoint.control.robot import Robot
 from rejoint.robots import open_robot
 from rejoint.runs.given import Period, as_run, period_of
-from rejoint.runs.stages.driving import make_factories
+from rejoint.runs.stages.controllers import make_factories
 from rejoint.system.memory import give_back
 from rejoint.system.progress import no_progress
 from rejoint.twin.twin import Twin

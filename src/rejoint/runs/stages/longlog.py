@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from rejoint.control.recording import Cycle, Recording
 from rejoint.control.robot import Robot
 from rejoint.runs.run import Run
-from rejoint.runs.stages.driving import start_journal
+from rejoint.runs.stages.keeping import start_journal
 from rejoint.system.errors import FileError
 from rejoint.system.files import require_space
 

@@ -16,7 +16,7 @@ from rejoint.diagnosis.calibration.measurements import Measurements, MeasuringSe
 from rejoint.diagnosis.calibration.postures import Suggestion, suggest
 from rejoint.diagnosis.calibration.procedure import measure
 from rejoint.runs.run import Run
-from rejoint.runs.stages.driving import guard_limits, stance_of
+from rejoint.runs.stages.known import guard_limits, stance_of
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import set_aside
 from rejoint.system.progress import Progress

@@ -33,7 +33,7 @@ from rejoint.control.moving.tracker import Tracker
 from rejoint.control.recording import Recording
 from rejoint.runs.given import Period
 from rejoint.runs.run import Run
-from rejoint.runs.stages.driving import ControllerLike, make_factories
+from rejoint.runs.stages.controllers import ControllerLike, make_factories
 from rejoint.system.errors import InputError
 from rejoint.system.numbers import as_floats, as_within
 

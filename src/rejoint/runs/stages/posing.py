@@ -23,7 +23,7 @@ from rejoint.control.start import check_ready
 from rejoint.robots import open_robot
 from rejoint.runs.given import Period, RunLike, as_run
 from rejoint.runs.run import Run, exclusive
-from rejoint.runs.stages.driving import guard_limits, twin_in_force
+from rejoint.runs.stages.known import guard_limits, twin_in_force
 from rejoint.runs.stages.longlog import LongLog
 from rejoint.system.errors import InputError, NotReadyError
 from rejoint.system.files import require_space

@@ -39,7 +39,8 @@ from rejoint.runs.given import (
     shown,
 )
 from rejoint.runs.run import exclusive
-from rejoint.runs.stages.driving import correction_of, guard_limits, kept_if_stopped, stance_of
+from rejoint.runs.stages.keeping import kept_if_stopped
+from rejoint.runs.stages.known import correction_of, guard_limits, stance_of
 from rejoint.runs.stages.loads import PayloadLike, with_load
 from rejoint.runs.stages.longlog import LongLog
 from rejoint.system.errors import FileError, InputError

@@ -11,7 +11,7 @@ from rejoint.arms import Arm, load_arm
 from rejoint.control.policy import Policy
 from rejoint.runs.given import ArmLike, RunLike, TwinLike, as_arm, as_run, as_twin
 from rejoint.runs.run import exclusive, mark_quick
-from rejoint.runs.stages.driving import tuned_gains, twin_under
+from rejoint.runs.stages.known import tuned_gains, twin_under
 from rejoint.system.errors import InputError
 from rejoint.system.numbers import as_seed
 from rejoint.system.progress import Progress, no_progress, paced
