@@ -89,6 +89,18 @@ def test_no_false_alarm(found, name):
     assert "No joint shows wear" in diagnosis.verdict
 
 
+def test_the_slow_way_to_rest_is_seen_as_well():
+    class SeenError(Exception):
+        pass
+
+    def first(cycle):
+        assert np.isnan(cycle.target).all()  # a way has no target
+        raise SeenError
+
+    with pytest.raises(SeenError):
+        record(EmulatedRobot(ARM, [HEALTHY], seed=3), seed=3, on_cycle=first)
+
+
 def test_an_error_that_no_joint_explains_is_not_called_healthy(logs):
     """As that of an arm whose zero is wrong: every joint does as it is asked, and the tool is elsewhere."""
     entry = logs["healthy 1"]

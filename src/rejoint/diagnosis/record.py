@@ -40,19 +40,20 @@ def record(
 
     The arm is looked at first and brought slowly to its rest posture: NotReadyError before it moves if that is unwise.
     GuardTripError or RobotError if the motion had to be ended. ``seed`` draws the targets and the
-    excitation; the arms of a batch get the same ones. ``on_cycle`` sees every cycle of both.
+    excitation; the arms of a batch get the same ones. ``on_cycle`` sees every cycle, also of the ways to rest, so that
+    a log is left of one that ends early.
     """
     arm = robot.arm
     extra = {"seed": str(seed)}
     excitation = plan_excitation(arm, seed=seed, plan=plan)  # refused, if it is, before anything moves
-    begin(robot)
+    begin(robot, on_cycle=on_cycle)
     whole, first = TARGETS * DWELL + excitation.duration, TARGETS * DWELL
     targets = np.tile(arm.targets.sample(np.random.default_rng(seed), (TARGETS,)), (robot.count, 1, 1))
     open_loop = run(
         robot, DefaultController(arm), targets, Schedule(dwell=DWELL),
         on_cycle=_progress("ten targets", first, part(on_progress, 0.0, first / whole), on_cycle, robot),
     )  # fmt: skip
-    move(robot, arm.rest)
+    move(robot, arm.rest, on_cycle=on_cycle)
     excited = play(
         robot, excitation.command, excitation.duration,
         on_cycle=_progress(

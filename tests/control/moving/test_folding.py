@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rejoint.arms import gravity_torque, load_arm, tcp_position
+from rejoint.arms import collides, frames, gravity_torque, load_arm, tcp_position
 from rejoint.control.moving.folding import home_of
 from rejoint.control.moving.posture import PathPostures
 from rejoint.control.moving.servos import Servos
@@ -47,6 +47,24 @@ def test_an_arm_that_no_fold_helps_stays_at_rest():
     limits = 4.0 * loads(arm, arm.rest).max() * np.ones((1, arm.joints))
     limits[0, 2] = 1.3 * loads(arm, arm.rest)[2] + 0.05  # its elbow, which the wrist does not help
     np.testing.assert_array_equal(home_of(arm, servos_with(arm, limits))[0], arm.rest)
+
+
+def test_no_arm_folds_into_itself_or_the_ground():
+    arm = load_arm("mycobot280")
+    tip = np.array(arm.tip)
+    tip[2, 3] += 0.2  # [m] a tool so long that the arm touches something in places where the wrist is folded
+    tooled = replace(arm, tip=tip)
+    places = arm.targets.sample(np.random.default_rng(0), (32,))
+
+    def touches(home):
+        return collides(tooled, frames(tooled, PathPostures(tooled, places, home=home).last)).any()
+
+    wrist = np.radians([0.0, 0.0, 0.0, 60.0, 0.0, 0.0])
+    assert not touches(tooled.rest)
+    assert touches(tooled.rest + wrist)
+    assert touches(tooled.rest - wrist)
+    home = home_of(tooled, servos_with(tooled, (1.3 * loads(tooled, tooled.rest) + 0.05)[None]))[0]
+    assert not touches(home)
 
 
 def test_a_folded_arm_has_its_tool_at_the_same_places():

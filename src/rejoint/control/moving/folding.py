@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rejoint.arms import Arm, Array, gravity_torque
+from rejoint.arms import Arm, Array, collides, frames, gravity_torque
 from rejoint.control.moving.posture import PathPostures, joint_weights
 from rejoint.control.moving.servos import Servos
 from rejoint.control.robot import Mask
@@ -31,17 +31,26 @@ def home_of(arm: Arm, servos: Servos) -> Array:
     room = np.maximum((1.0 - _SPARE) * servos.torque_limit - servos.coulomb, np.finfo(float).tiny)
     weak = ((at_rest / room)[:, ~light] > 1.0).any(axis=-1)
     if weak.any() and light.any():
-        known = np.stack([arm.rest, *_folded(arm, light)])
+        known = np.stack([arm.rest, *_folded(arm, light, places)])
         loads = np.stack([at_rest, *(_loads(arm, home, places) for home in known[1:])])
         share = (loads[:, None] / room)[..., ~light].max(axis=-1)  # (homes, B)
         homes[weak] = known[share.argmin(axis=0)][weak]
     return homes
 
 
-def _folded(arm: Arm, light: Mask) -> list[Array]:
-    """Return the postures (n,) [rad] in which one of the ``light`` joints (n,) is turned away from rest."""
+def _folded(arm: Arm, light: Mask, places: Array) -> list[Array]:
+    """Return the postures (n,) [rad] in which one of the ``light`` joints (n,) is turned away from rest.
+
+    Those are left out that are beyond its limits, or in which the arm touches itself or the ground at ``places``.
+    """
     turned = [arm.rest + fold * np.eye(arm.joints)[joint] for joint in np.flatnonzero(light) for fold in _FOLDS]
-    return [home for home in turned if ((home > arm.lower) & (home < arm.upper)).all()]
+    within = [home for home in turned if ((home > arm.lower) & (home < arm.upper)).all()]
+    at_rest = _touching(arm, arm.rest, places)
+    return [home for home in within if not (_touching(arm, home, places) & ~at_rest).any()]
+
+
+def _touching(arm: Arm, home: Array, places: Array) -> Mask:
+    return collides(arm, frames(arm, PathPostures(arm, places, home=home).last))
 
 
 def _loads(arm: Arm, home: Array, places: Array) -> Array:
