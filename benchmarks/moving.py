@@ -32,6 +32,8 @@ from rejoint.twin.parameters import TwinParameters, healthy_parameters
 ARM = mycobot280()
 SEEDS = (30001, 30002, 30003)
 """Worn arms on which the tracker's gains were chosen"""
+WEAK = (10007, 10021, 10061, 30018, 40023, 40045, 40069, 40077)
+"""Those of five families whose third motor has least to spare, on which the fold was chosen"""
 PATHS = [standard_path(name, ARM) for name in STANDARD]
 
 
@@ -41,8 +43,11 @@ def servos(twins: Sequence[TwinParameters]) -> Servos:
     return Servos(**rows)
 
 
-def drive(profiles: Sequence[str], twins: Sequence[TwinParameters], period: tuple[float, float], guides) -> Recording:
-    controller = Tracker(ARM, servos(twins), period=sum(period) / 2)
+def drive(
+    profiles: Sequence[str], twins: Sequence[TwinParameters], period: tuple[float, float], guides, *, fold: bool = True
+) -> Recording:
+    home = None if fold else ARM.rest
+    controller = Tracker(ARM, servos(twins), period=sum(period) / 2, home=home)
     start = PathPostures(ARM, np.stack([path.place[0] for _ in profiles for path in PATHS]), home=controller.home).last
     wears = [load_wear(profile, ARM) for profile in profiles for _ in PATHS]
     robot = EmulatedRobot(ARM, wears, start=start, period=period)
@@ -50,12 +55,14 @@ def drive(profiles: Sequence[str], twins: Sequence[TwinParameters], period: tupl
     return follow(robot, controller, Routes(guides), Schedule(dwell=dwell, sent=start, keep_going=True))
 
 
-def show(title: str, profiles: Sequence[str], twins: Sequence[TwinParameters], period=(0.02, 0.03), rate=None) -> None:
+def show(
+    title: str, profiles: Sequence[str], twins: Sequence[TwinParameters], period=(0.02, 0.03), rate=None, *, fold=True
+) -> None:
     paths = [path for _ in profiles for path in PATHS]
     ahead = [Ahead(path=path) for path in paths]
     guides: list[Ahead | Stream] = ahead if rate is None else [played(path, rate) for path in paths]
     begun = perf_counter()
-    recording = drive(profiles, twins, period, guides)
+    recording = drive(profiles, twins, period, guides, fold=fold)
     took = perf_counter() - begun
     found = [judge(ARM, recording, guide, b).encoder for b, guide in enumerate(ahead)]
     rms = 1e3 * np.array([one.rms if rate is None else one.rms_after for one in found]).reshape(len(profiles), -1)
@@ -65,12 +72,7 @@ def show(title: str, profiles: Sequence[str], twins: Sequence[TwinParameters], p
 
 
 def main() -> None:
-    with TemporaryDirectory() as place:
-        twins = []
-        for seed in SEEDS:
-            folder = RunFolder(Path(place) / str(seed))
-            identify_arm(ARM, seed, folder, 0, no_progress)
-            twins.append(read_twin(folder.twin, ARM).parameters)
+    twins = identified(SEEDS)
     worn = [f"worn?seed={seed}" for seed in SEEDS]
     print(f"{'':34} {'  '.join(name[-5:] for name in STANDARD)}")
     show("known ahead", worn, twins)
@@ -78,7 +80,20 @@ def main() -> None:
     for rate in (10.0, 30.0, 100.0):
         show(f"as it goes, {rate:g} Hz", worn, twins, rate=rate)
     show("healthy arm, its twin", ["healthy"], [healthy_parameters(ARM)])
+    weak, known = [f"worn?seed={seed}" for seed in WEAK], identified(WEAK)
+    show("weak motors, at rest", weak, known, fold=False)
+    show("weak motors, folded", weak, known)
     cycle()
+
+
+def identified(seeds: Sequence[int]) -> list[TwinParameters]:
+    twins = []
+    with TemporaryDirectory() as place:
+        for seed in seeds:
+            folder = RunFolder(Path(place) / str(seed))
+            identify_arm(ARM, seed, folder, 0, no_progress)
+            twins.append(read_twin(folder.twin, ARM).parameters)
+    return twins
 
 
 def cycle() -> None:

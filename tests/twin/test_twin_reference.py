@@ -7,6 +7,12 @@ from hypothesis import strategies as st
 from rejoint.twin.reference import Reference, approach
 
 
+def commands(seed):
+    """Times (8,) [s] and commands (8, 2) [rad]."""
+    rng = np.random.default_rng(seed)
+    return np.cumsum(rng.uniform(0.02, 0.03, 8)), rng.normal(0, 0.3, (8, 2))
+
+
 def test_hand_worked_ramp():
     # 1 rad at 2 rad/s, sent at 1 s: there after half a second; turned round at 1.25 s.
     time, command = np.array([0.0, 1.0, 1.25]), np.array([[0.0], [1.0], [-1.0]])
@@ -18,9 +24,7 @@ def test_hand_worked_ramp():
 @settings(max_examples=25)
 @given(delay=st.floats(0.0, 0.1), speed=st.floats(0.2, 10.0), seed=st.integers(0, 99))
 def test_delay_shifts_and_the_ramp_equals_small_steps(delay, speed, seed):
-    rng = np.random.default_rng(seed)
-    time = np.cumsum(rng.uniform(0.02, 0.03, 8))
-    command = rng.normal(0, 0.3, (8, 2))
+    time, command = commands(seed)
     r = Reference(time, command, np.array([speed, speed]), command[0])
     at = np.linspace(time[0], time[-1] + 0.1, 57)
     both = r.sample(at, np.array([0.0, delay]))
@@ -55,9 +59,7 @@ def test_skipping_what_is_reached_changes_nothing():
 @settings(max_examples=25)
 @given(delay=st.floats(0.0, 0.1), speed=st.floats(0.2, 50.0), seed=st.integers(0, 99))
 def test_means_over_steps_are_those_of_many_samples(delay, speed, seed):
-    rng = np.random.default_rng(seed)
-    time = np.cumsum(rng.uniform(0.02, 0.03, 8))
-    command = rng.normal(0, 0.3, (8, 2))
+    time, command = commands(seed)
     r = Reference(time, command, np.array([speed, 2 * speed]), command[0] + 0.1)
     width, fine = 0.01, (np.arange(400) + 0.5) / 400 - 0.5
     at = time[0] + width * np.arange(30)

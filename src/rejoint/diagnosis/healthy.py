@@ -116,7 +116,7 @@ def as_set(
     rows = [_stiffer(entry.joints[joint], p[joint] / of * share[joint]) for joint, (of, entry) in enumerate(found)]
     typical = float(np.exp(np.log(p).mean()))
     of, whole = _nearest(arm, typical)
-    setting = f" with P = {_in_words(gains['p'], arm.joint_names)}"
+    setting = f" with P = {_by_joint(gains['p'], arm.joint_names)}"
     if voltage is not None:
         setting += f" and a supply of {np.median(voltage):.1f} V"
     return replace(
@@ -125,7 +125,7 @@ def as_set(
     )  # fmt: skip
 
 
-def _in_words(values: Sequence[int], names: Sequence[str]) -> str:
+def _by_joint(values: Sequence[int], names: Sequence[str]) -> str:
     """Tell a gain of each joint: what most of them have, then the others by name."""
     most = max(dict.fromkeys(values), key=list(values).count)
     others = [f"{name} {value}" for name, value in zip(names, values, strict=True) if value != most]

@@ -64,13 +64,17 @@ class Tracker:
     name = "tracker"
 
     def __init__(
-        self, arm: Arm, servos: Servos, gains: TrackerGains | None = None, period: float = NOMINAL_PERIOD
-    ) -> None:
-        """``period`` [s] is the usual one of the control cycles, which the gains must suit."""
+        self, arm: Arm, servos: Servos, gains: TrackerGains | None = None, period: float = NOMINAL_PERIOD,
+        home: Array | None = None,
+    ) -> None:  # fmt: skip
+        """``period`` [s] is the usual one of the control cycles, which the gains must suit.
+
+        ``home`` (n,) or (B, n) [rad] is what the postures keep near to; by default what `home_of` says.
+        """
         self._arm, self._servos, self._gains = arm, servos, gains or TrackerGains()
         self._usual = period
-        self.home = home_of(arm, servos)
-        """(B, n) [rad] that its postures keep near to; arms begin there"""
+        self.home = home_of(arm, servos) if home is None else home
+        """[rad] arms begin near it"""
         self._begun = False
 
     def reset(self, inputs: ControlInput, where: Mask) -> None:  # noqa: ARG002 - a gap in the answers forgets nothing

@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from rejoint.control.policy import Policy
     from rejoint.twin.twin import Twin
 
-
 ControllerLike: TypeAlias = "str | Path | Policy | Controller | Callable[[Arm], Controller]"
 """The name of a controller, a policy or its file, a controller, or what makes one for an arm"""
 

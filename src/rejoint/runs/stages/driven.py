@@ -28,7 +28,7 @@ from rejoint.runs.stages.controllers import ControllerLike, make_factories, reco
 from rejoint.runs.stages.known import correction_of, guard_limits, stance_of, twin_in_force
 from rejoint.runs.stages.loads import Say, say_folded, say_heavy
 from rejoint.runs.stages.motions import AlongPath, MotionThread, MoveTo
-from rejoint.runs.stages.pathdrive import TRACKER, WITHIN, PathLike, followable, follower, require_repeatable, turned
+from rejoint.runs.stages.pathdrive import TRACKER, WITHIN, PathLike, followable, follower_of, require_repeatable, turned
 from rejoint.system.errors import InputError, NotReachedError, NotReadyError
 from rejoint.system.files import require_space
 from rejoint.system.numbers import as_floats, as_within
@@ -199,7 +199,7 @@ class DrivenArm:
         self._require_free()
         require_repeatable(path, repeat, rate_hz, within_m)
         given = followable(path, self.arm, self._run.seed, duration_s)
-        tracker = follower(TRACKER, self.arm, self._period, self._run, self._twin)
+        tracker = follower_of(TRACKER, self.arm, self._period, self._run, self._twin)
         if not turned(given):
             say_folded(self.arm, tracker.home, self._say)
         self._followed = None

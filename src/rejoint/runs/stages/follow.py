@@ -44,7 +44,7 @@ from rejoint.runs.stages.pathdrive import (
     PathLike,
     Piece,
     followable,
-    follower,
+    follower_of,
     require_repeatable,
     turned,
 )
@@ -166,9 +166,9 @@ def follow(
             limits = limits_under(guard_limits(about, chosen, connection.address), connection, None)
             known = twin_in_force(about, connection) if about is not None and twin is None else known
             connection = shown(live, connection, twin=known, within=within)
-            goes = follower(controller, chosen, usual, about, known)
+            follower = follower_of(controller, chosen, usual, about, known)
             if not turned(given):
-                say_folded(chosen, goes.home, say)
+                say_folded(chosen, follower.home, say)
             with kept_if_stopped(about, "follow"):
                 start = begin(connection, limits, stance_of(known, about))
             carrier = _Logged(
@@ -176,7 +176,7 @@ def follow(
                 on_progress=on_progress, period=0.02 if usual is None else min(usual),
             )  # fmt: skip
             drive = PathDrive(
-                arm=chosen, follower=goes, usual=start.usual_period(), within=within, carrier=carrier,
+                arm=chosen, follower=follower, usual=start.usual_period(), within=within, carrier=carrier,
                 correction=None if correct is None else correct(chosen),
                 model=calibration_of(calibration, about, chosen, address_of(robot)),
             )  # fmt: skip

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import datetime
-from typing import TYPE_CHECKING
 
 from rejoint.control.playback import Playback
 from rejoint.control.recording import recording_of
@@ -15,9 +14,6 @@ from rejoint.logs.runlog import write_log
 from rejoint.runs.run import Run
 from rejoint.system.errors import FileError
 from rejoint.system.files import unused
-
-if TYPE_CHECKING:
-    pass
 
 
 def start_journal(run: Run, name: str, robot: Robot, label: str, rows: int = 0) -> Journal:

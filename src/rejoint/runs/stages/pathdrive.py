@@ -228,7 +228,7 @@ def servos_of(twin: Twin) -> Servos:
     )  # fmt: skip
 
 
-def follower(
+def follower_of(
     given: ControllerLike, arm: Arm, usual: Period | None, run: Run | None, twin: Twin | None
 ) -> Follower:  # fmt: skip
     """Return what follows under the name of a controller, or what is given."""
@@ -240,8 +240,9 @@ def follower(
                 "follow: the tracker needs a twin; run `rejoint identify` first, or take --controller default"
             )
         servos = servos_of(twin)
+        home = home_of(arm, servos)
         return Follower(
-            name=TRACKER, make=lambda arm, period: Tracker(arm, servos, period=period), home=home_of(arm, servos)[0]
+            name=TRACKER, make=lambda arm, period: Tracker(arm, servos, period=period, home=home), home=home[0]
         )
     if isinstance(given, str) and not given.endswith(".onnx"):
         raise InputError(f"no controller called {given!r} follows paths; known: {TRACKER}, {SENT}")
