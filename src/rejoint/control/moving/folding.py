@@ -14,8 +14,8 @@ from rejoint.control.moving.posture import PathPostures, joint_weights
 from rejoint.control.moving.servos import Servos
 
 _SPARE = 0.35
-"""Share of a motor's torque that is to be left for what sticks, beyond gravity and sliding friction (chosen on the arms of
-that benchmark: by their twins seven of eight have less left)"""
+"""Share of a motor's torque that is to be left for what sticks, beyond gravity and sliding friction (chosen on the arms
+of that benchmark: by their twins seven of eight have less left)"""
 _FOLDS = np.radians([-60.0, 60.0])  # from rest, of one joint (chosen among 30 to 90 deg)
 _PLACES = 32  # of the region of targets, at which postures are looked at
 
