@@ -51,6 +51,9 @@ class Schedule:
     sent: Array | None = None
     """(B, n) [rad] command in force before the run; None: the measured position. An arm that sags drops by
     its sag where this is forgotten. One that stands elsewhere since begins where it stands, slowly."""
+    stands_for: float | None = None
+    """[s] under one command after which an arm that stands has the rest of its dwell left out: the time since its
+    target was set jumps to the dwell; None: it is waited for"""
     give_up: Callable[[ControlInput], Mask] | None = None
     """asked once per cycle with what was read: arms (B,) that are done, whatever is left of their targets. They stay
     where they are, at the last command. Servos that suffer are left to the guard"""
@@ -194,6 +197,8 @@ class _Loop:
 
     def cycle(self, run_state: RunState) -> bool:
         """Do one control cycle; returns whether there is another one."""
+        if self.schedule.stands_for is not None:
+            run_state.leave_out(self.schedule.stands_for, self.schedule.dwell)
         before, target = run_state.inputs(), run_state.target
         fresh, index = run_state.active, run_state.index
         if self.schedule.give_up is not None:

@@ -15,6 +15,7 @@ from rejoint.control.following import Following
 from rejoint.control.limits import GuardLimits, Reasons
 from rejoint.control.robot import JointState, Mask
 from rejoint.control.route import Route
+from rejoint.control.stillness import Stillness
 from rejoint.system.errors import InputError
 
 FIRST_PERIOD = 0.02
@@ -32,6 +33,7 @@ _SMOOTHING = 0.1  # share of the newest period in that mean (chosen)
 ELSEWHERE = np.radians(5.0)
 """[rad] by which a joint may have left the way to its last command in a pause (chosen: what its sag changes there, and
 as much as a joint may hunt at the start)"""
+_ROUNDING = 1e-6  # [s] of a difference of times, many times over
 EASE = 1.0
 """[s] after a gap during which an arm may move at `EASE_SHARE` of its speed only (chosen: long enough to be seen)"""
 EASE_SHARE = 0.2
@@ -71,6 +73,7 @@ class RunState:
     tripped: Reasons
     period: Array
     following: Following
+    stillness: Stillness
     slow: Array
     """(n,) [rad/s] at which an arm may move after a gap"""
     correction: Correction | None = None
@@ -120,7 +123,8 @@ class RunState:
             set_at=state.time.copy(), active=np.ones(count, dtype=bool), tripped=np.zeros(count, dtype=np.uint16),
             period=np.full(count, FIRST_PERIOD),
             following=Following(limits.arm, state, sent, limits.servos, bands=limits.bands), correction=correction,
-            slow=EASE_SHARE * limits.max_speed, route=route, turns=turns,
+            stillness=Stillness(state, sent, limits.arm.encoder_step), slow=EASE_SHARE * limits.max_speed, route=route,
+            turns=turns,
         )  # fmt: skip
         if state.elsewhere is not None:
             begun._ease(state.elsewhere, told)
@@ -139,6 +143,16 @@ class RunState:
         return ControlInput(
             state=self.state, target=self.aim, sent=self.sent, since_target=since, route=self.route, turn=self.turn
         )  # fmt: skip
+
+    def leave_out(self, longest: float, dwell: float) -> None:
+        """Let the time since the target was set jump to its ``dwell`` [s] where an arm stood for the ``longest`` [s].
+
+        Asked for in every cycle, or in none.
+        """
+        enough = self.stillness.look(self.state, self.sent) >= longest
+        if np.count_nonzero(enough):
+            over = self.state.time - dwell - _ROUNDING
+            self.set_at = np.where(enough, np.minimum(self.set_at, over), self.set_at)
 
     def advance(self, finished: Mask) -> Mask:
         """Set the next target where the present one is finished; returns the arms that got one."""

@@ -25,6 +25,11 @@ from rejoint.control.recording import Recording
 Kind = Literal["crossing", "hold"]
 KINDS: tuple[Kind, ...] = ("crossing", "hold")
 
+STANDS_FOR = 3.0
+"""[s] under one command after which an arm that has not crossed will not: the rest of the dwell is left out and counts
+as waited for (chosen: worn arms creep by single encoder steps after half a second, and what pulls against stiction has
+set off or not)"""
+
 _CHUNK = 8192  # postures per call of the kinematics: enough to be fast, few enough for little memory
 
 
@@ -69,7 +74,9 @@ class Holds:
 def schedule(kind: Kind, protocol: Protocol, *, keep_going: bool, sent: Array | None = None) -> Schedule:
     """Schedule of a protocol for arms whose last commands were ``sent`` (B, n) [rad]."""
     if kind == "crossing":
-        return Schedule(dwell=protocol.dwell, stop_below=protocol.threshold, keep_going=keep_going, sent=sent)
+        return Schedule(
+            dwell=protocol.dwell, stop_below=protocol.threshold, stands_for=STANDS_FOR, keep_going=keep_going, sent=sent
+        )
     return Schedule(dwell=protocol.hold, keep_going=keep_going, sent=sent)
 
 

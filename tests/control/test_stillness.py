@@ -1,0 +1,113 @@
+"""An arm that stands under one command will not come nearer: the rest of the wait is left out, and counted."""
+
+import numpy as np
+import pytest
+
+from rejoint.arms import gravity_torque, mycobot280, tcp_position
+from rejoint.control.comparison.protocols import STANDS_FOR, measure_crossings, schedule
+from rejoint.control.comparison.result import Protocol
+from rejoint.control.default import DefaultController
+from rejoint.control.loop import Schedule, run
+from rejoint.control.robot import JointState
+from rejoint.control.stillness import Stillness
+
+ARM = mycobot280()
+STEP = ARM.encoder_step
+TARGETS = ARM.targets.sample(np.random.default_rng(3), (3, 2))
+PROTOCOL = Protocol()
+
+
+class Sagging:
+    """Arms with clocks of their own that go a third of the way to their command in a period, and sag."""
+
+    arm, address = ARM, "test:sagging"
+
+    def __init__(self, periods):
+        self.periods, self.count = np.asarray(periods), len(periods)
+        self.position, self.time = np.tile(ARM.rest, (self.count, 1)), np.arange(self.count, dtype=float)
+
+    def read(self):
+        read = np.rint(self.position / STEP) * STEP
+        return JointState(time=self.time, position=read, age=np.zeros(self.count))
+
+    def step(self, command, active=None):
+        goal = command - gravity_torque(ARM, self.position) / 4.0
+        self.position = self.position + np.where(active[:, None], 0.3 * (goal - self.position), 0.0)
+        self.time = self.time + np.where(active, self.periods, 0.0)
+        return self.read()
+
+    def true_tcp(self):
+        return tcp_position(ARM, self.position)
+
+    def stop(self):
+        pass
+
+    def close(self):
+        pass
+
+
+def test_stillness_by_hand():
+    sent, position = np.zeros((1, 6)), np.zeros((1, 6))
+
+    def at(time, moved=0.0, command=0.0):
+        state = JointState(time=np.array([time]), position=position + moved, age=np.zeros(1))
+        return still.look(state, sent + command)[0]
+
+    still = Stillness(JointState(time=np.array([5.0]), position=position, age=np.zeros(1)), sent, STEP)
+    assert at(6.0) == 1.0
+    assert at(7.0, moved=STEP) == 2.0  # an encoder flickers
+    assert at(8.0, moved=-STEP) == 3.0
+    assert at(9.0, moved=2 * STEP) == 0.0
+    assert at(9.5, moved=3 * STEP) == 0.5  # from where it stood last
+    assert at(10.0, moved=3 * STEP, command=1e-9) == 0.0
+    assert at(10.5, moved=3 * STEP, command=1e-9) == 0.5
+
+
+def test_what_is_waited_for_would_have_shown_nothing_else():
+    whole = run(Sagging([0.025]), DefaultController(ARM), TARGETS[:1], Schedule(dwell=9.0, stop_below=1e-6))
+    short = run(
+        Sagging([0.025]), DefaultController(ARM), TARGETS[:1], Schedule(dwell=9.0, stop_below=1e-6, stands_for=2.0)
+    )
+    for k in range(2):
+        ours, theirs = (rec.position[rec.target_index[:, 0] == k, 0] for rec in (short, whole))
+        assert 2.0 / 0.025 < len(ours) < 0.5 * len(theirs)
+        assert np.abs(ours[-1] - theirs[-1]).max() <= 1.5 * STEP
+        since = short.since_target[short.target_index[:, 0] == k, 0]
+        assert (np.diff(since[:-1]) > 0.0).all()
+        assert since[-2] < 5.0
+        assert since[-1] == pytest.approx(9.0, abs=1e-5)
+
+
+def test_every_arm_of_a_batch_stands_for_itself():
+    periods, plan = [0.02, 0.025, 0.03], Schedule(dwell=9.0, stop_below=1e-6, stands_for=2.0)
+    batch = run(Sagging(periods), DefaultController(ARM), TARGETS, plan)
+    for b, period in enumerate(periods):
+        alone = run(Sagging([period]), DefaultController(ARM), TARGETS[b : b + 1], plan)
+        assert batch.active[:, b].sum() == alone.active.sum()
+        np.testing.assert_array_equal(batch.log(b, "x").position, alone.log(0, "x").position)
+
+
+def test_a_missed_target_counts_as_waited_for():
+    plan = schedule("crossing", PROTOCOL, keep_going=True)
+    recording = run(Sagging([0.025] * 3), DefaultController(ARM), TARGETS, plan)
+    found = measure_crossings(ARM, recording, TARGETS, PROTOCOL)
+    assert (found.crossed == 0.0).any()
+    for b, k in np.argwhere(found.crossed == 0.0):
+        assert found.time[b, k] == pytest.approx(PROTOCOL.dwell, abs=1e-5)
+        assert found.error[b, k] >= PROTOCOL.threshold
+        rows = recording.active[:, b] & (recording.target_index[:, b] == k)
+        taken = np.ptp(recording.time[rows, b])
+        assert STANDS_FOR < taken < 0.5 * PROTOCOL.dwell
+
+
+class Restless(DefaultController):
+    """Changes its command by next to nothing in every cycle."""
+
+    def command(self, inputs):
+        return super().command(inputs) + 1e-9 * inputs.state.time[:, None]
+
+
+def test_who_still_corrects_is_waited_for():
+    plan = Schedule(dwell=6.0, stop_below=1e-6, stands_for=0.5)
+    recording = run(Sagging([0.025]), Restless(ARM), TARGETS[:1], plan)
+    assert np.ptp(recording.time[:, 0]) == pytest.approx(12.0, abs=0.1)
