@@ -90,6 +90,9 @@ class Settings:
     """whether a policy that does not suit the measured control period is left out instead of refused"""
     race: Race | None = None
     """when a comparison on one arm is decided; None: every controller is driven to all targets"""
+    wait: bool = False
+    """whether a target that is not crossed is waited for to the end, also by an arm that stands: as the paper did, to
+    the letter. Either way it counts as waited for"""
 
     def __post_init__(self) -> None:
         if self.repetitions < 1:
@@ -253,7 +256,9 @@ class TrialRunner:
         """
         targets, first = self.targets[[s for s, _ in places]][:, part], part.start or 0
         turns = None if self.turns is None else self.turns[[s for s, _ in places]][:, part]
-        plan = schedule(kind, self.settings.protocol, keep_going=self.settings.batched, sent=sent)
+        plan = schedule(
+            kind, self.settings.protocol, keep_going=self.settings.batched, sent=sent, wait=self.settings.wait
+        )
         on_cycle = self.progress.watch(f"{name}: {kind} protocol", targets.shape[0] * targets.shape[1])
         failed = False
         if isinstance(controller, Watched):

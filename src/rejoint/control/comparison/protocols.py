@@ -71,12 +71,18 @@ class Holds:
     """(B, K) [rad] orientation error by the encoders, mean of the last part; NaN where none is asked for"""
 
 
-def schedule(kind: Kind, protocol: Protocol, *, keep_going: bool, sent: Array | None = None) -> Schedule:
-    """Schedule of a protocol for arms whose last commands were ``sent`` (B, n) [rad]."""
+def schedule(
+    kind: Kind, protocol: Protocol, *, keep_going: bool, sent: Array | None = None, wait: bool = True
+) -> Schedule:
+    """Schedule of a protocol for arms whose last commands were ``sent`` (B, n) [rad].
+
+    Where it need not ``wait``, an arm that stands does not keep its target for the rest of the dwell.
+    """
     if kind == "crossing":
         return Schedule(
-            dwell=protocol.dwell, stop_below=protocol.threshold, stands_for=STANDS_FOR, keep_going=keep_going, sent=sent
-        )
+            dwell=protocol.dwell, stop_below=protocol.threshold, stands_for=None if wait else STANDS_FOR,
+            keep_going=keep_going, sent=sent,
+        )  # fmt: skip
     return Schedule(dwell=protocol.hold, keep_going=keep_going, sent=sent)
 
 

@@ -95,7 +95,9 @@ def _compare(bench: Bench) -> Comparison:
         if (trial.kind, trial.target_set, trial.repetition) == ("crossing", 0, 0):
             write_log(_log(bench, trial.controller), trial.log())
 
-    settings = Settings(repetitions=scale.repetitions, seed=bench.seed, batched=True, protocol=scale.protocol)
+    settings = Settings(
+        repetitions=scale.repetitions, seed=bench.seed, batched=True, protocol=scale.protocol, wait=True
+    )
     result = compare(connect, controllers, targets, settings, on_progress=bench.on_progress, on_trial=keep)
     write_json(path, result)
     return result
