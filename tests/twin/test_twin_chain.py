@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from rejoint.arms import frames, mycobot280, so101
 from rejoint.twin.batch import TwinBatch
 from rejoint.twin.chain.batch import ChainBatch
-from rejoint.twin.chain.dynamics import LANES, turn
+from rejoint.twin.chain.dynamics import GROUP, LANES, turn
 from rejoint.twin.parameters import nominal_parameters
 
 ARMS = {"mycobot280": mycobot280(), "so101": so101()}
@@ -133,7 +133,7 @@ def test_every_arm_moves_to_the_bit_as_it_does_alone(threads):
     together.write(twins)
     together.restart(position, velocity)
     path = together.rollout(control, terms)
-    for i in (0, LANES - 1, LANES, count - 1):
+    for i in (0, GROUP, LANES - 1, LANES, count - GROUP, count - 1):
         alone = ChainBatch(arm, 1)
         alone.write(twins[i : i + 1])
         alone.restart(position[i : i + 1], velocity[i : i + 1])
@@ -157,6 +157,6 @@ def test_a_state_that_is_put_back_goes_on_to_the_bit():
 @given(st.lists(st.floats(-1e3, 1e3), min_size=LANES, max_size=LANES))
 def test_sine_and_cosine_are_those_of_numpy(angles):
     angle, sine, cosine = np.array(angles), np.empty(LANES), np.empty(LANES)
-    turn(angle, sine, cosine)
+    turn(LANES, angle, sine, cosine)
     assert_allclose(sine, np.sin(angle), rtol=0.0, atol=2e-13)  # the rounding of large angles; 3e-16 within a turn
     assert_allclose(cosine, np.cos(angle), rtol=0.0, atol=2e-13)

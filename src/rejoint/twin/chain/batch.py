@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from rejoint.arms import Arm, Array
 from rejoint.arms.kinematics import GRAVITY
 from rejoint.system.errors import InputError
-from rejoint.twin.chain.dynamics import LANES
+from rejoint.twin.chain.dynamics import GROUP
 from rejoint.twin.chain.links import chain_links
 from rejoint.twin.chain.loop import advance
 from rejoint.twin.chain.step import workspace
@@ -44,8 +44,8 @@ class ChainBatch:
         self._links = chain_links(arm)
         self._impulse, self._parameters = np.zeros(shape), np.zeros((len(ROWS), *shape))
         self._gravity = np.zeros((nsim, 3))
-        blocks = -(-nsim // LANES)
-        bounds = np.linspace(0, blocks, min(threads, blocks) + 1).astype(int) * LANES
+        groups = -(-nsim // GROUP)
+        bounds = np.linspace(0, groups, min(threads, groups) + 1).astype(int) * GROUP
         self._parts = [(first, min(last, nsim), workspace(arm.joints)) for first, last in pairwise(bounds)]
         self._pool = ThreadPoolExecutor(len(self._parts)) if len(self._parts) > 1 else None
         self.write(nominal_parameters(arm).repeat(nsim))

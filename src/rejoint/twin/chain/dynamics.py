@@ -1,30 +1,40 @@
-"""Dynamics of sixteen serial arms at once, compiled: motion and forces joint by joint, inertia, and its inverse.
+"""Dynamics of some dozen serial arms at once, compiled: motion and forces joint by joint, inertia, and its inverse.
 
 Bias forces by the recursive Newton-Euler method and inertia by composite bodies (Featherstone 2008, chapters 5 and 6),
 both in link frames whose z axis is the joint.
 
-Arrays are (quantity, lane): what is done to a joint stands in one straight piece within a loop over the lanes, which
-the compiler turns into vector instructions. It does so only if it knows that no two arrays overlap (`NoAlias`), and
-if nothing is called in the loop, so sine and cosine are polynomials here.
+What is done to a joint stands in one straight piece within a loop over the arms, the lanes, which the compiler turns
+into vector instructions. It does so only if
+
+* it knows that nothing written is read as something else: arrays do not overlap (`NoAlias`), and the quantities of a
+  joint are one row, at distances that it knows;
+* nothing is called in the loop, so sine and cosine are polynomials here;
+* it does not know the number of lanes: short loops of a known length become scalar code.
 """
 
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False, disallow-untyped-decorators=False
-# ruff: noqa: ANN001, ANN201, E741 - compiled functions take their types from their arguments; l is a lane
+# ruff: noqa: ANN001, ANN201, ANN202, E741 - compiled functions take their types from their arguments; l is a lane
 from __future__ import annotations
 
 import numpy as np
 from numba import njit
 from numba.core.compiler import Compiler
 
-LANES = 16
-"""Arms that are stepped together (chosen: two vectors of eight numbers, or four of four)"""
+LANES, GROUP = 64, 8
+"""Arms that are stepped together at most (chosen: 32 take a fifth longer each, 128 a tenth less); they come in groups
+of so many, a vector of the processor or two"""
 ROTATION, PLACE, MASS, MOMENT, INERTIA, CARRIED, LINK = 0, 9, 12, 13, 16, 22, 23
 """Where the constants of a link begin: rotation and place of its joint's frame in the frame before; mass, first moment
 and inertia about the joint; the mass of all behind it; and how many there are"""
-# What is kept of each joint: rotation 9, angular velocity 3, angular and linear acceleration 3 and 3, force 3, moment
-# 3, and of all that it carries the first moment 3 and the inertia 6.
-_W, _A, _F, _N, _H, _I, KEPT_ROWS = 9, 12, 18, 21, 24, 27, 33
-ACCELERATION, TORQUE = _A + 3, _N + 2
+# Where the quantities of a joint begin in the row of it that is kept, LANES numbers of each: rotation R, angular
+# velocity W, angular and linear acceleration A and L, force F, moment N; of all that it carries first moment H and
+# inertia I.
+R0, R1, R2, R3, R4, R5, R6, R7, R8 = (LANES * k for k in range(9))
+WX, WY, WZ, AX, AY, AZ, LX, LY, LZ = (LANES * k for k in range(9, 18))
+FX, FY, FZ, NX, NY, NZ, HX, HY, HZ = (LANES * k for k in range(18, 27))
+IXX, IYY, IZZ, IXY, IXZ, IYZ, KEPT_ROW = (LANES * k for k in range(27, 34))
+_X, _Y, _Z, _U, _V, _T, REACH_ROW = (LANES * k for k in range(7))  # of a force and a moment that are carried on
+ACCELERATION, TORQUE = LX, NZ
 """Where the linear acceleration of a joint stands in that, of the base it is minus gravity; and its bias torque"""
 
 
@@ -45,9 +55,9 @@ _ROUND = 6755399441055744.0  # 1.5 * 2^52: adding it rounds to whole numbers
 
 
 @njit(**OPTIONS)
-def turn(q, sine, cosine):
-    """Sine and cosine of angles (LANES,) [rad] up to some thousand, to a few 1e-16."""
-    for l in range(LANES):
+def turn(lanes, q, sine, cosine):
+    """Sine and cosine of angles (lanes,) [rad] up to some thousand, to a few 1e-16."""
+    for l in range(lanes):
         quarter = (q[l] * _TWO_OVER_PI + _ROUND) - _ROUND
         x = (q[l] - quarter * _PI_2A) - quarter * _PI_2B
         s = x * x
@@ -98,26 +108,25 @@ def turn(q, sine, cosine):
 
 
 @njit(**OPTIONS)
-def forward(links, j, kept, speed, sine, cosine):
-    """Carry motion to joint ``j``: its rotation, velocity and acceleration, and the force and moment that it takes."""
-    r0, r1, r2 = links[j, 0], links[j, 1], links[j, 2]
-    r3, r4, r5 = links[j, 3], links[j, 4], links[j, 5]
-    r6, r7, r8 = links[j, 6], links[j, 7], links[j, 8]
-    px, py, pz = links[j, 9], links[j, 10], links[j, 11]
-    mass, hx, hy, hz = links[j, 12], links[j, 13], links[j, 14], links[j, 15]
-    ixx, iyy, izz, ixy, ixz, iyz = links[j, 16], links[j, 17], links[j, 18], links[j, 19], links[j, 20], links[j, 21]
-    for l in range(LANES):
-        s, c, v = sine[l], cosine[l], speed[j, l]
+def forward(lanes, link, before, here, speed, sine, cosine):
+    """Carry motion to a joint from the one ``before``, and tell the force and the moment that it takes."""
+    r0, r1, r2, r3, r4, r5, r6, r7, r8 = link[0], link[1], link[2], link[3], link[4], link[5], link[6], link[7], link[8]
+    px, py, pz = link[PLACE], link[PLACE + 1], link[PLACE + 2]
+    mass, hx, hy, hz = link[MASS], link[MOMENT], link[MOMENT + 1], link[MOMENT + 2]
+    ixx, iyy, izz = link[INERTIA], link[INERTIA + 1], link[INERTIA + 2]
+    ixy, ixz, iyz = link[INERTIA + 3], link[INERTIA + 4], link[INERTIA + 5]
+    for l in range(lanes):
+        s, c, v = sine[l], cosine[l], speed[l]
         # Rotation from here to before: that of the frame, then about z.
         a00, a01 = r0 * c + r1 * s, r1 * c - r0 * s
         a10, a11 = r3 * c + r4 * s, r4 * c - r3 * s
         a20, a21 = r6 * c + r7 * s, r7 * c - r6 * s
-        kept[j + 1, 0, l], kept[j + 1, 1, l], kept[j + 1, 2, l] = a00, a01, r2
-        kept[j + 1, 3, l], kept[j + 1, 4, l], kept[j + 1, 5, l] = a10, a11, r5
-        kept[j + 1, 6, l], kept[j + 1, 7, l], kept[j + 1, 8, l] = a20, a21, r8
-        wx, wy, wz = kept[j, _W, l], kept[j, _W + 1, l], kept[j, _W + 2, l]
-        ax, ay, az = kept[j, _A, l], kept[j, _A + 1, l], kept[j, _A + 2, l]
-        lx, ly, lz = kept[j, _A + 3, l], kept[j, _A + 4, l], kept[j, _A + 5, l]
+        here[R0 + l], here[R1 + l], here[R2 + l] = a00, a01, r2
+        here[R3 + l], here[R4 + l], here[R5 + l] = a10, a11, r5
+        here[R6 + l], here[R7 + l], here[R8 + l] = a20, a21, r8
+        wx, wy, wz = before[WX + l], before[WY + l], before[WZ + l]
+        ax, ay, az = before[AX + l], before[AY + l], before[AZ + l]
+        lx, ly, lz = before[LX + l], before[LY + l], before[LZ + l]
         # Acceleration of the joint's place, seen before: linear + angular x p + w x (w x p).
         cx, cy, cz = wy * pz - wz * py, wz * px - wx * pz, wx * py - wy * px
         lx += ay * pz - az * py + wy * cz - wz * cy
@@ -129,130 +138,137 @@ def forward(links, j, kept, speed, sine, cosine):
         bz = r2 * ax + r5 * ay + r8 * az
         dx, dy, dz = a00 * lx + a10 * ly + a20 * lz, a01 * lx + a11 * ly + a21 * lz, r2 * lx + r5 * ly + r8 * lz
         uz += v
-        kept[j + 1, _W, l], kept[j + 1, _W + 1, l], kept[j + 1, _W + 2, l] = ux, uy, uz
-        kept[j + 1, _A, l], kept[j + 1, _A + 1, l], kept[j + 1, _A + 2, l] = bx, by, bz
-        kept[j + 1, _A + 3, l], kept[j + 1, _A + 4, l], kept[j + 1, _A + 5, l] = dx, dy, dz
+        here[WX + l], here[WY + l], here[WZ + l] = ux, uy, uz
+        here[AX + l], here[AY + l], here[AZ + l] = bx, by, bz
+        here[LX + l], here[LY + l], here[LZ + l] = dx, dy, dz
         # Force: mass * place + angular x first moment + w x (w x first moment); moment about the joint.
         ex, ey, ez = uy * hz - uz * hy, uz * hx - ux * hz, ux * hy - uy * hx
-        kept[j + 1, _F, l] = mass * dx + by * hz - bz * hy + uy * ez - uz * ey
-        kept[j + 1, _F + 1, l] = mass * dy + bz * hx - bx * hz + uz * ex - ux * ez
-        kept[j + 1, _F + 2, l] = mass * dz + bx * hy - by * hx + ux * ey - uy * ex
+        here[FX + l] = mass * dx + by * hz - bz * hy + uy * ez - uz * ey
+        here[FY + l] = mass * dy + bz * hx - bx * hz + uz * ex - ux * ez
+        here[FZ + l] = mass * dz + bx * hy - by * hx + ux * ey - uy * ex
         kx, ky, kz = ixx * ux + ixy * uy + ixz * uz, ixy * ux + iyy * uy + iyz * uz, ixz * ux + iyz * uy + izz * uz
-        kept[j + 1, _N, l] = ixx * bx + ixy * by + ixz * bz + uy * kz - uz * ky + hy * dz - hz * dy
-        kept[j + 1, _N + 1, l] = ixy * bx + iyy * by + iyz * bz + uz * kx - ux * kz + hz * dx - hx * dz
-        kept[j + 1, _N + 2, l] = ixz * bx + iyz * by + izz * bz + ux * ky - uy * kx + hx * dy - hy * dx
-        kept[j + 1, _H, l], kept[j + 1, _H + 1, l], kept[j + 1, _H + 2, l] = hx, hy, hz
-        kept[j + 1, _I, l], kept[j + 1, _I + 1, l], kept[j + 1, _I + 2, l] = ixx, iyy, izz
-        kept[j + 1, _I + 3, l], kept[j + 1, _I + 4, l], kept[j + 1, _I + 5, l] = ixy, ixz, iyz
+        here[NX + l] = ixx * bx + ixy * by + ixz * bz + uy * kz - uz * ky + hy * dz - hz * dy
+        here[NY + l] = ixy * bx + iyy * by + iyz * bz + uz * kx - ux * kz + hz * dx - hx * dz
+        here[NZ + l] = ixz * bx + iyz * by + izz * bz + ux * ky - uy * kx + hx * dy - hy * dx
+        here[HX + l], here[HY + l], here[HZ + l] = hx, hy, hz
+        here[IXX + l], here[IYY + l], here[IZZ + l] = ixx, iyy, izz
+        here[IXY + l], here[IXZ + l], here[IYZ + l] = ixy, ixz, iyz
 
 
 @njit(**OPTIONS)
-def backward(links, j, kept):
-    """Add to what joint ``j`` hangs on the force and moment on it, and what it and all behind it weigh."""
-    px, py, pz, mass = links[j, PLACE], links[j, PLACE + 1], links[j, PLACE + 2], links[j, CARRIED]
-    for l in range(LANES):
-        r0, r1, r2 = kept[j + 1, 0, l], kept[j + 1, 1, l], kept[j + 1, 2, l]
-        r3, r4, r5 = kept[j + 1, 3, l], kept[j + 1, 4, l], kept[j + 1, 5, l]
-        r6, r7, r8 = kept[j + 1, 6, l], kept[j + 1, 7, l], kept[j + 1, 8, l]
-        x, y, z = kept[j + 1, _F, l], kept[j + 1, _F + 1, l], kept[j + 1, _F + 2, l]
+def backward(lanes, link, before, here):
+    """Add to what a joint hangs on the force and moment on it, and what it and all behind it weigh."""
+    px, py, pz, mass = link[PLACE], link[PLACE + 1], link[PLACE + 2], link[CARRIED]
+    for l in range(lanes):
+        r0, r1, r2 = here[R0 + l], here[R1 + l], here[R2 + l]
+        r3, r4, r5 = here[R3 + l], here[R4 + l], here[R5 + l]
+        r6, r7, r8 = here[R6 + l], here[R7 + l], here[R8 + l]
+        x, y, z = here[FX + l], here[FY + l], here[FZ + l]
         fx, fy, fz = r0 * x + r1 * y + r2 * z, r3 * x + r4 * y + r5 * z, r6 * x + r7 * y + r8 * z
-        x, y, z = kept[j + 1, _N, l], kept[j + 1, _N + 1, l], kept[j + 1, _N + 2, l]
-        kept[j, _F, l] += fx
-        kept[j, _F + 1, l] += fy
-        kept[j, _F + 2, l] += fz
-        kept[j, _N, l] += r0 * x + r1 * y + r2 * z + py * fz - pz * fy
-        kept[j, _N + 1, l] += r3 * x + r4 * y + r5 * z + pz * fx - px * fz
-        kept[j, _N + 2, l] += r6 * x + r7 * y + r8 * z + px * fy - py * fx
-        x, y, z = kept[j + 1, _H, l], kept[j + 1, _H + 1, l], kept[j + 1, _H + 2, l]
+        x, y, z = here[NX + l], here[NY + l], here[NZ + l]
+        before[FX + l] += fx
+        before[FY + l] += fy
+        before[FZ + l] += fz
+        before[NX + l] += r0 * x + r1 * y + r2 * z + py * fz - pz * fy
+        before[NY + l] += r3 * x + r4 * y + r5 * z + pz * fx - px * fz
+        before[NZ + l] += r6 * x + r7 * y + r8 * z + px * fy - py * fx
+        x, y, z = here[HX + l], here[HY + l], here[HZ + l]
         hx, hy, hz = r0 * x + r1 * y + r2 * z, r3 * x + r4 * y + r5 * z, r6 * x + r7 * y + r8 * z
-        kept[j, _H, l] += hx + mass * px
-        kept[j, _H + 1, l] += hy + mass * py
-        kept[j, _H + 2, l] += hz + mass * pz
-        ixx, iyy, izz = kept[j + 1, _I, l], kept[j + 1, _I + 1, l], kept[j + 1, _I + 2, l]
-        ixy, ixz, iyz = kept[j + 1, _I + 3, l], kept[j + 1, _I + 4, l], kept[j + 1, _I + 5, l]
+        before[HX + l] += hx + mass * px
+        before[HY + l] += hy + mass * py
+        before[HZ + l] += hz + mass * pz
+        ixx, iyy, izz = here[IXX + l], here[IYY + l], here[IZZ + l]
+        ixy, ixz, iyz = here[IXY + l], here[IXZ + l], here[IYZ + l]
         # R I R', then the parallel axis: for p and the first moment h of what is moved.
         a0, a1, a2 = r0 * ixx + r1 * ixy + r2 * ixz, r0 * ixy + r1 * iyy + r2 * iyz, r0 * ixz + r1 * iyz + r2 * izz
         b0, b1, b2 = r3 * ixx + r4 * ixy + r5 * ixz, r3 * ixy + r4 * iyy + r5 * iyz, r3 * ixz + r4 * iyz + r5 * izz
         c0, c1, c2 = r6 * ixx + r7 * ixy + r8 * ixz, r6 * ixy + r7 * iyy + r8 * iyz, r6 * ixz + r7 * iyz + r8 * izz
         gx, gy, gz = hx + 0.5 * mass * px, hy + 0.5 * mass * py, hz + 0.5 * mass * pz
-        kept[j, _I, l] += a0 * r0 + a1 * r1 + a2 * r2 + 2.0 * (py * gy + pz * gz)
-        kept[j, _I + 1, l] += b0 * r3 + b1 * r4 + b2 * r5 + 2.0 * (px * gx + pz * gz)
-        kept[j, _I + 2, l] += c0 * r6 + c1 * r7 + c2 * r8 + 2.0 * (px * gx + py * gy)
-        kept[j, _I + 3, l] += a0 * r3 + a1 * r4 + a2 * r5 - px * gy - py * gx
-        kept[j, _I + 4, l] += a0 * r6 + a1 * r7 + a2 * r8 - px * gz - pz * gx
-        kept[j, _I + 5, l] += b0 * r6 + b1 * r7 + b2 * r8 - py * gz - pz * gy
+        before[IXX + l] += a0 * r0 + a1 * r1 + a2 * r2 + 2.0 * (py * gy + pz * gz)
+        before[IYY + l] += b0 * r3 + b1 * r4 + b2 * r5 + 2.0 * (px * gx + pz * gz)
+        before[IZZ + l] += c0 * r6 + c1 * r7 + c2 * r8 + 2.0 * (px * gx + py * gy)
+        before[IXY + l] += a0 * r3 + a1 * r4 + a2 * r5 - px * gy - py * gx
+        before[IXZ + l] += a0 * r6 + a1 * r7 + a2 * r8 - px * gz - pz * gx
+        before[IYZ + l] += b0 * r6 + b1 * r7 + b2 * r8 - py * gz - pz * gy
 
 
 @njit(**OPTIONS)
-def coupling(links, j, kept, reach, inertia):
+def coupling(lanes, links, j, kept, reach, inertia):
     """Fill the row of joint ``j`` in the ``inertia`` (n, n, LANES): what its acceleration asks of those before it."""
-    for l in range(LANES):
-        reach[0, l], reach[1, l], reach[2, l] = -kept[j + 1, _H + 1, l], kept[j + 1, _H, l], 0.0
-        reach[3, l], reach[4, l], reach[5, l] = kept[j + 1, _I + 4, l], kept[j + 1, _I + 5, l], kept[j + 1, _I + 2, l]
-        inertia[j, j, l] = kept[j + 1, _I + 2, l]
+    here = kept[j + 1]
+    for l in range(lanes):
+        reach[_X + l], reach[_Y + l], reach[_Z + l] = -here[HY + l], here[HX + l], 0.0
+        reach[_U + l], reach[_V + l], reach[_T + l] = here[IXZ + l], here[IYZ + l], here[IZZ + l]
+        inertia[j, j, l] = here[IZZ + l]
     for i in range(j, 0, -1):
-        px, py, pz = links[i, PLACE], links[i, PLACE + 1], links[i, PLACE + 2]
-        for l in range(LANES):
-            r0, r1, r2 = kept[i + 1, 0, l], kept[i + 1, 1, l], kept[i + 1, 2, l]
-            r3, r4, r5 = kept[i + 1, 3, l], kept[i + 1, 4, l], kept[i + 1, 5, l]
-            r6, r7, r8 = kept[i + 1, 6, l], kept[i + 1, 7, l], kept[i + 1, 8, l]
-            x, y, z = reach[0, l], reach[1, l], reach[2, l]
-            fx, fy, fz = r0 * x + r1 * y + r2 * z, r3 * x + r4 * y + r5 * z, r6 * x + r7 * y + r8 * z
-            x, y, z = reach[3, l], reach[4, l], reach[5, l]
-            reach[0, l], reach[1, l], reach[2, l] = fx, fy, fz
-            reach[3, l] = r0 * x + r1 * y + r2 * z + py * fz - pz * fy
-            reach[4, l] = r3 * x + r4 * y + r5 * z + pz * fx - px * fz
-            nz = r6 * x + r7 * y + r8 * z + px * fy - py * fx
-            reach[5, l] = nz
-            inertia[j, i - 1, l] = nz
+        _carry(lanes, links[i], kept[i + 1], reach, inertia[j, i - 1])
 
 
 @njit(**OPTIONS)
-def invert(joints, inertia, half, inverse, scratch):
+def _carry(lanes, link, here, reach, moment):
+    """Carry a force and a moment on a joint to the one before, and tell the ``moment`` about its axis."""
+    px, py, pz = link[PLACE], link[PLACE + 1], link[PLACE + 2]
+    for l in range(lanes):
+        r0, r1, r2 = here[R0 + l], here[R1 + l], here[R2 + l]
+        r3, r4, r5 = here[R3 + l], here[R4 + l], here[R5 + l]
+        r6, r7, r8 = here[R6 + l], here[R7 + l], here[R8 + l]
+        x, y, z = reach[_X + l], reach[_Y + l], reach[_Z + l]
+        fx, fy, fz = r0 * x + r1 * y + r2 * z, r3 * x + r4 * y + r5 * z, r6 * x + r7 * y + r8 * z
+        x, y, z = reach[_U + l], reach[_V + l], reach[_T + l]
+        reach[_X + l], reach[_Y + l], reach[_Z + l] = fx, fy, fz
+        reach[_U + l] = r0 * x + r1 * y + r2 * z + py * fz - pz * fy
+        reach[_V + l] = r3 * x + r4 * y + r5 * z + pz * fx - px * fz
+        nz = r6 * x + r7 * y + r8 * z + px * fy - py * fx
+        reach[_T + l] = nz
+        moment[l] = nz
+
+
+@njit(**OPTIONS)
+def invert(lanes, joints, inertia, half, inverse, scratch):
     """Invert symmetric matrices (n, n, LANES), of which the lower half is given, by their Cholesky factors."""
     for j in range(joints):
-        for l in range(LANES):
+        for l in range(lanes):
             scratch[l] = inertia[j, j, l]
         for k in range(j):
-            for l in range(LANES):
+            for l in range(lanes):
                 scratch[l] -= half[j, k, l] * half[j, k, l]
-        for l in range(LANES):
+        for l in range(lanes):
             half[j, j, l] = 1.0 / np.sqrt(scratch[l])  # of the factor's diagonal: the inverse
         for i in range(j + 1, joints):
-            for l in range(LANES):
+            for l in range(lanes):
                 scratch[l] = inertia[i, j, l]
             for k in range(j):
-                for l in range(LANES):
+                for l in range(lanes):
                     scratch[l] -= half[i, k, l] * half[j, k, l]
-            for l in range(LANES):
+            for l in range(lanes):
                 scratch[l] *= half[j, j, l]
-            for l in range(LANES):
+            for l in range(lanes):
                 half[i, j, l] = scratch[l]
     for j in range(joints):  # the factor's inverse, into the lower half of `inverse`, transposed: [j, i] is of row i
-        for l in range(LANES):
+        for l in range(lanes):
             inverse[j, j, l] = half[j, j, l]
         for i in range(j + 1, joints):
-            for l in range(LANES):
+            for l in range(lanes):
                 scratch[l] = 0.0
             for k in range(j, i):
-                for l in range(LANES):
+                for l in range(lanes):
                     scratch[l] -= half[i, k, l] * inverse[j, k, l]
-            for l in range(LANES):
+            for l in range(lanes):
                 inverse[j, i, l] = scratch[l] * half[i, i, l]
     for i in range(joints):  # W' W, where W is that inverse
         for j in range(i + 1):
-            for l in range(LANES):
+            for l in range(lanes):
                 scratch[l] = 0.0
             for k in range(i, joints):
-                for l in range(LANES):
+                for l in range(lanes):
                     scratch[l] += inverse[i, k, l] * inverse[j, k, l]
-            for l in range(LANES):
+            for l in range(lanes):
                 half[i, j, l] = scratch[l]
     for i in range(joints):
         for j in range(i + 1):
-            for l in range(LANES):
+            for l in range(lanes):
                 scratch[l] = half[i, j, l]
-            for l in range(LANES):
+            for l in range(lanes):
                 inverse[i, j, l] = scratch[l]
-            for l in range(LANES):
+            for l in range(lanes):
                 inverse[j, i, l] = scratch[l]

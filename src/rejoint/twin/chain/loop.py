@@ -12,7 +12,7 @@ from numba import njit
 
 from rejoint.twin import friction
 from rejoint.twin.chain import dynamics, step
-from rejoint.twin.chain.dynamics import ACCELERATION, LANES, OPTIONS
+from rejoint.twin.chain.dynamics import ACCELERATION, GROUP, LANES, OPTIONS
 from rejoint.twin.chain.step import FRICTION, step_block
 
 _dry_friction = njit(inline="always")(friction.dry_friction)
@@ -29,7 +29,7 @@ def _compiled(sources):
     def advance(
         links, parameters, terms, steady, gravity, timestep, control, qpos, qvel, impulse, path, first, last, work
     ):
-        """Advance the arms from ``first`` to ``last``; the last block is filled up with its last arm."""
+        """Advance the arms from ``first`` to ``last``; the last group is filled up with its last arm."""
         joints = len(links)
         h = np.empty(LANES)
         servo = np.empty((len(parameters), joints, LANES))
@@ -37,11 +37,13 @@ def _compiled(sources):
         reference, position = np.empty((joints, LANES)), np.empty((joints, LANES))
         speed, push = np.empty((joints, LANES)), np.empty((joints, LANES))
         for begin in range(first, last, LANES):
-            for lane in range(LANES):
+            count = min(LANES, last - begin)
+            lanes = -(-count // GROUP) * GROUP
+            for lane in range(lanes):
                 i = min(begin + lane, last - 1)
                 h[lane] = timestep[i]
                 for axis in range(3):
-                    work[0][0, ACCELERATION + axis, lane] = -gravity[i, axis]
+                    work[0][0, ACCELERATION + LANES * axis + lane] = -gravity[i, axis]
                 for j in range(joints):
                     for k in range(len(parameters)):
                         servo[k, j, lane] = parameters[k, i, j]
@@ -51,17 +53,17 @@ def _compiled(sources):
                         servo[FRICTION, j, lane] = dry[0, j, lane]
                     position[j, lane], speed[j, lane], push[j, lane] = qpos[i, j], qvel[i, j], impulse[i, j]
             for k in range(control.shape[1]):
-                for lane in range(LANES):
+                for lane in range(lanes):
                     i = min(begin + lane, last - 1)
                     for j in range(joints):
                         reference[j, lane] = control[i, k, j]
                         if not steady:
                             servo[FRICTION, j, lane] = _dry_friction(dry[:, j, lane], speed[j, lane])
-                step_block(links, h, servo, reference, position, speed, push, work)
-                for lane in range(min(LANES, last - begin)):
+                step_block(lanes, links, h, servo, reference, position, speed, push, work)
+                for lane in range(count):
                     for j in range(joints):
                         path[begin + lane, k, j] = position[j, lane]
-            for lane in range(min(LANES, last - begin)):
+            for lane in range(count):
                 for j in range(joints):
                     qpos[begin + lane, j], qvel[begin + lane, j] = position[j, lane], speed[j, lane]
                     impulse[begin + lane, j] = push[j, lane]

@@ -1,4 +1,4 @@
-"""One time step of free serial arms with position servos, compiled: sixteen arms at a time.
+"""One time step of free serial arms with position servos, compiled: some dozen arms at a time.
 
 The physics is that of `rejoint.twin.model`, by which MuJoCo judges this one. Damping is implicit. Dry friction is an
 impulse per joint within its limits that brings the joint to rest if it can, found by projected Gauss-Seidel sweeps
@@ -14,9 +14,10 @@ from numba import njit
 from numpy.typing import NDArray
 
 from rejoint.twin.chain.dynamics import (
-    KEPT_ROWS,
+    KEPT_ROW,
     LANES,
     OPTIONS,
+    REACH_ROW,
     TORQUE,
     backward,
     coupling,
@@ -36,25 +37,25 @@ STIFFNESS, OFFSET, LIMIT, DAMPING, ARMATURE, FRICTION = range(6)
 
 
 @njit(**OPTIONS)
-def step_block(links, timestep, servo, reference, position, speed, impulse, work):
-    """Advance LANES arms of n joints by a ``timestep`` (LANES,) [s].
+def step_block(lanes, links, timestep, servo, reference, position, speed, impulse, work):
+    """Advance ``lanes`` arms of n joints by a ``timestep`` (lanes,) [s]; the arrays have room for LANES.
 
-    ``servo`` (6, n, LANES), ``reference``, ``position``, ``speed`` and ``impulse`` (n, LANES) [rad], [rad],
+    ``servo`` (6, n, lanes), ``reference``, ``position``, ``speed`` and ``impulse`` (n, lanes) [rad], [rad],
     [rad/s] and [N m s]; the last three are changed. ``work`` is what `workspace` gives; the first row of its first part
     holds minus gravity.
     """
     kept, inertia, half, inverse, reach, free, next_speed, scratch, sine, cosine = work
     joints = len(links)
     for j in range(joints):
-        for l in range(LANES):
+        for l in range(lanes):
             scratch[l] = position[j, l]
-        turn(scratch, sine, cosine)
-        forward(links, j, kept, speed, sine, cosine)
+        turn(lanes, scratch, sine, cosine)
+        forward(lanes, links[j], kept[j], kept[j + 1], speed[j], sine, cosine)
     for j in range(joints - 1, -1, -1):
-        coupling(links, j, kept, reach, inertia)
+        coupling(lanes, links, j, kept, reach, inertia)
         if j > 0:
-            backward(links, j, kept)
-        for l in range(LANES):
+            backward(lanes, links[j], kept[j], kept[j + 1])
+        for l in range(lanes):
             h = timestep[l]
             inertia[j, j, l] += servo[ARMATURE, j, l] + h * servo[DAMPING, j, l]
             torque = servo[STIFFNESS, j, l] * (reference[j, l] + servo[OFFSET, j, l] - position[j, l])
@@ -62,30 +63,30 @@ def step_block(links, timestep, servo, reference, position, speed, impulse, work
             torque = limit if torque > limit else torque
             torque = -limit if torque < -limit else torque
             # The impulse of everything but friction, and with that of the step before as a first guess.
-            free[j, l] = h * (torque - kept[j + 1, TORQUE, l] - servo[DAMPING, j, l] * speed[j, l]) + impulse[j, l]
-    invert(joints, inertia, half, inverse, scratch)
+            free[j, l] = h * (torque - kept[j + 1, TORQUE + l] - servo[DAMPING, j, l] * speed[j, l]) + impulse[j, l]
+    invert(lanes, joints, inertia, half, inverse, scratch)
     for i in range(joints):
-        for l in range(LANES):
+        for l in range(lanes):
             scratch[l] = speed[i, l]
         for k in range(joints):
-            for l in range(LANES):
+            for l in range(lanes):
                 scratch[l] += inverse[i, k, l] * free[k, l]
-        for l in range(LANES):
+        for l in range(lanes):
             next_speed[i, l] = scratch[l]
-    _rest(joints, timestep, servo, speed, impulse, inverse, next_speed, scratch)
+    _rest(lanes, joints, timestep, servo, speed, impulse, inverse, next_speed, scratch)
     for j in range(joints):
-        for l in range(LANES):
+        for l in range(lanes):
             v = next_speed[j, l]
             speed[j, l] = v
             position[j, l] += timestep[l] * v
 
 
 @njit(**OPTIONS)
-def _rest(joints, timestep, servo, speed, impulse, inverse, next_speed, scratch):
+def _rest(lanes, joints, timestep, servo, speed, impulse, inverse, next_speed, scratch):
     """Find the impulses of dry friction; ``next_speed`` holds the speeds that those so far lead to."""
     for _ in range(SWEEPS):
         for j in range(joints):
-            for l in range(LANES):
+            for l in range(lanes):
                 own = inverse[j, j, l]
                 most = timestep[l] * servo[FRICTION, j, l]
                 old = impulse[j, l]
@@ -96,12 +97,12 @@ def _rest(joints, timestep, servo, speed, impulse, inverse, next_speed, scratch)
                 impulse[j, l] = new
                 scratch[l] = new - old
             for i in range(joints):
-                for l in range(LANES):
+                for l in range(lanes):
                     next_speed[i, l] += inverse[i, j, l] * scratch[l]
 
 
 def workspace(joints: int) -> tuple[NDArray[np.float64], ...]:
     """Make what a block of arms of so many joints is stepped with."""
     square, row = (joints, joints, LANES), (joints, LANES)
-    shapes = ((joints + 1, KEPT_ROWS, LANES), square, square, square, (6, LANES), row, row, LANES, LANES, LANES)
+    shapes = ((joints + 1, KEPT_ROW), square, square, square, REACH_ROW, row, row, LANES, LANES, LANES)
     return tuple(np.zeros(shape) for shape in shapes)
