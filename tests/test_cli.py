@@ -128,7 +128,7 @@ def test_follow_goes_along_a_path_and_logs_each_time(
 @pytest.mark.parametrize(
     ("words", "says"),
     [
-        (("follow", "emulated:worn", "{run}", "oval"), "no standard path"),
+        (("follow", "emulated:worn", "{run}", "oval"), "no standard path; standard are circle-8s"),
         (("follow", "emulated:worn", "{run}", "circle-0.5s"), "give the path more time there"),
         (("follow", "emulated:worn", "{run}", "circle-8s", "--controller", "magic"), "known: tracker, default"),
         (("follow", "emulated:worn", "{run}", "circle-8s", "--rate", "30", "--repeat", "2"), "known ahead"),
