@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import rejoint
-from rejoint.arms import Displacement, mycobot280
+from rejoint.arms import Displacement, mycobot280, so101
 from rejoint.control.comparison.targets import draw_targets
 from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.diagnosis.calibration.file import write_calibration
@@ -128,3 +128,9 @@ def test_what_a_run_makes_for_itself_is_no_reason_to_refuse_its_repair(tmp_path:
     names = ["default", "push", "shelf", "policy", "predictive"]
     with pytest.raises(rejoint.AddressError):  # that nobody answers is the first thing that is wrong
         rejoint.repair(NOBODY, run=tmp_path / "run", controllers=names, quick=True)
+
+
+def test_an_arm_without_the_wire_that_is_served(tmp_path: Path) -> None:
+    run = Run.create(tmp_path / "run", "feetech://127.0.0.1:1", so101(), 0).path
+    with pytest.raises(rejoint.InputError, match="not of so101; for joint goals line by line take --stdio"):
+        rejoint.serve("feetech://127.0.0.1:1", run)
