@@ -63,8 +63,10 @@ class Pose:
                 raise InputError(f"pose: {name} {value!r} is not {size} finite numbers")
             if name in ("direction", "quaternion") and not np.linalg.norm(found) > 0.0:
                 raise InputError(f"pose: {name} is zero; give one of any other length")
-            if name == "angles" and np.abs(found).max() > TWO_TURNS:
-                raise InputError(f"pose: angles_rad {value!r}, beyond two turns; give radians")
+            farthest = np.abs(found).max() if name == "angles" else 0.0
+            if farthest > TWO_TURNS:
+                said = f"{farthest:.4g} rad ({np.degrees(farthest):.5g} deg)"
+                raise InputError(f"pose: an angle of {said}, beyond two turns; angles_rad is in radians")
         if not (np.isfinite(self.weight_m) and self.weight_m >= 0.0):
             raise InputError(f"pose: a weight is a number of metres from 0 on, got {self.weight_m}")
 
