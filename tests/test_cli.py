@@ -128,11 +128,12 @@ def test_follow_goes_along_a_path_and_logs_each_time(
 @pytest.mark.parametrize(
     ("words", "says"),
     [
-        (("follow", "emulated:worn", "{run}", "oval"), "no standard path"),
+        (("follow", "emulated:worn", "{run}", "oval"), "no standard path; standard are circle-8s"),
         (("follow", "emulated:worn", "{run}", "circle-0.5s"), "give the path more time there"),
         (("follow", "emulated:worn", "{run}", "circle-8s", "--controller", "magic"), "known: tracker, default"),
         (("follow", "emulated:worn", "{run}", "circle-8s", "--rate", "30", "--repeat", "2"), "known ahead"),
         (("evaluate", "--family", "--follow", "--gains", "g.json"), "--gains does not go with --follow"),
+        (("board", "board.pdf", "--measured-x", "100,2"), "write numbers with a point"),
         (("diagnose", "tcp://nowhere"), "tcp://nowhere"),
         (("diagnose", "carrier-pigeon:1"), "expected emulated:PROFILE"),
         (("diagnose", "emulated:brand-new"), "brand-new"),

@@ -59,6 +59,10 @@ def test_a_direction_is_where_the_tool_points(arm, direction):
         ({"direction": [0, 0, 1], "quaternion": [1, 0, 0, 0]}, "one of them"),
         ({"quaternion": [1, 0, 0]}, "4 finite numbers"),
         ({"angles_rad": [0, 0, np.nan]}, "3 finite numbers"),
+        (
+            {"angles_rad": [180, 0, -70]},
+            r"an angle of 180 rad \(10313 deg\), beyond two turns; angles_rad is in radians",
+        ),
         ({"direction": [0, 0, 1], "weight_m": -1.0}, "a weight"),
     ],
 )

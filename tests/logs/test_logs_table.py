@@ -11,6 +11,7 @@ import pyarrow.csv
 import pytest
 from log_samples import ARM, Sample, sample, write_sage, write_table
 
+from rejoint.arms import mycobot280
 from rejoint.logs import ImportOptions, detect, import_logs
 from rejoint.system.errors import FileError, InputError
 
@@ -117,15 +118,24 @@ def test_an_ambiguous_angle_names_its_column(tmp_path: Path):
         import_logs(source, ARM, out=tmp_path / "other", options=ImportOptions(angle_unit="deg"))
 
 
+def test_a_log_of_another_arm_is_asked_for_its_arm(tmp_path: Path):
+    with pytest.raises(FileError, match=r"no column for joint joint1, .* of mycobot280, .*; say with --arm which arm"):
+        import_logs(write_table(tmp_path / "wave.csv", sample()), mycobot280(), out=tmp_path / "logs")
+
+
 def test_degrees_called_radians_are_refused(tmp_path: Path):
     source = write_table(tmp_path / "wave.csv", sample(), scale=180 / np.pi)
-    with pytest.raises(FileError, match=r"position.*_rad is .* rad, beyond two turns; the values are surely degrees"):
+    with pytest.raises(
+        FileError, match=r"position.*_rad is .* rad, beyond two turns; .*surely degrees; .*column's name"
+    ):
         import_logs(source, ARM, out=tmp_path / "logs")
 
 
 def test_radians_called_degrees_are_refused(tmp_path: Path):
     names = {f"{g}.{j}_rad": f"{g}.{j}_deg" for g in ("position", "command") for j in ARM.joint_names}
-    with pytest.raises(FileError, match=r"no angle is beyond 0.7.* deg; the values are surely radians"):
+    with pytest.raises(
+        FileError, match=r"no angle is beyond 0.7.* deg; the values are surely radians; .*column's name"
+    ):
         import_logs(write_table(tmp_path / "wave.csv", sample(), names), ARM, out=tmp_path / "logs")
 
 

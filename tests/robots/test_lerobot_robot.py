@@ -18,6 +18,7 @@ from rejoint.robots.lab.emulator.feetech.emulate import serve_bus
 from rejoint.robots.lab.emulator.feetech.session import BusSession
 from rejoint.runs.run import Run
 from rejoint.runs.stages.posing import PosedArm
+from rejoint.system.errors import InputError
 
 ARM = load_arm("so101")
 JUDGE = Path(os.environ.get("REJOINT_JUDGE", Path(__file__).parents[2] / ".judge"))
@@ -52,6 +53,8 @@ def test_an_arm_follows_joint_goals_and_holds_where_it_is_before_and_after(tmp_p
             end = arm.position
             limited = arm.send(np.full(5, 9.0))
             assert (limited == ARM.upper).all()
+            with pytest.raises(InputError, match="beyond two turns; give radians"):
+                arm.send(np.full(5, 30.0))
             arm.send(end)
         assert np.degrees(start - ARM.rest) == pytest.approx(np.zeros(5), abs=6.0)
         assert np.degrees(end - goal) == pytest.approx(np.zeros(5), abs=1.2)

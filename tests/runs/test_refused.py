@@ -2,12 +2,13 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 import rejoint
-from rejoint.arms import Displacement, mycobot280
+from rejoint.arms import Displacement, mycobot280, so101
 from rejoint.control.comparison.targets import draw_targets
 from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.diagnosis.calibration.file import write_calibration
@@ -18,6 +19,7 @@ from runs.test_connect import a_twin
 ARM = mycobot280()
 NOBODY = "tcp://127.0.0.1:1"
 TARGETS = [[0.17, 0.0, 0.2]]
+POSES = [rejoint.Pose(place_m=(0.17, 0.0, 0.2), direction=(0.0, 0.0, -1.0))]
 
 
 @pytest.fixture
@@ -101,3 +103,34 @@ def test_a_calibration_that_shifts_a_tool_farther_than_any_wear(run: Path) -> No
     for drive in drives:
         with pytest.raises(rejoint.InputError, match=r"shifts a target by .* calibrate again"):
             drive()
+
+
+@pytest.mark.parametrize(
+    ("wrong", "why"),
+    [
+        ({"preset": "defualt"}, "no preset is called 'defualt'"),
+        ({"controllers": ["integrator", "polciy"]}, "no controller is called 'polciy'"),
+        ({"controllers": ["mine.onnx"]}, "mine.onnx: no such file"),
+        ({"controllers": ["servo-gains+push"]}, "servo-gains\\+push needs servo gains that can be tuned"),
+        ({"controllers": ["policy"], "targets": POSES}, "policy brings the tool to its place and does not turn it"),
+        ({"controllers": ["shelf"], "targets": POSES}, "shelf brings the tool to its place and does not turn it"),
+    ],
+    ids=str,
+)
+def test_a_repair_whose_comparison_or_training_cannot_be(tmp_path: Path, wrong: dict[str, Any], why: str) -> None:
+    """It would be found out after minutes of motion and a training."""
+    with pytest.raises((rejoint.InputError, rejoint.FileError), match=why):
+        rejoint.repair(NOBODY, run=tmp_path / "run", quick=True, **wrong)
+    assert not (tmp_path / "run").exists()
+
+
+def test_what_a_run_makes_for_itself_is_no_reason_to_refuse_its_repair(tmp_path: Path) -> None:
+    names = ["default", "push", "shelf", "policy", "predictive"]
+    with pytest.raises(rejoint.AddressError):  # that nobody answers is the first thing that is wrong
+        rejoint.repair(NOBODY, run=tmp_path / "run", controllers=names, quick=True)
+
+
+def test_an_arm_without_the_wire_that_is_served(tmp_path: Path) -> None:
+    run = Run.create(tmp_path / "run", "feetech://127.0.0.1:1", so101(), 0).path
+    with pytest.raises(rejoint.InputError, match="not of so101; for joint goals line by line take --stdio"):
+        rejoint.serve("feetech://127.0.0.1:1", run)

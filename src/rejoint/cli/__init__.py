@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import io
 import os
+import re
 import signal
 import sys
 import tempfile
@@ -104,11 +105,7 @@ def main() -> None:
         code = _fail(str(error), type(error).__name__, error.exit_code, json=json)
         _say_notes(error)
     except typer.TyperException as error:
-        told = getattr(error, "format_message", error.__str__)()  # names the option, which str() does not
-        context = getattr(error, "ctx", None)
-        told = told.rstrip(".") or "no command given"
-        told += f"{' See' if told.endswith('?') else '; see'} {context.command_path if context else 'rejoint'} --help"
-        code = _fail(told, "UsageError", 2, json=json)
+        code = _fail(_misused(error), "UsageError", 2, json=json)
     except BrokenPipeError:
         into_nothing(sys.stdout)
         code = 0  # whoever read our output has seen enough
@@ -123,6 +120,19 @@ def main() -> None:
     except Exception as error:  # noqa: BLE001 - a bug, wherever it is, ends in one line
         code = _unforeseen(error, json=json)
     sys.exit(code)
+
+
+def _misused(error: typer.TyperException) -> str:
+    """Say what is wrong with the words of a command, and where it says which it has."""
+    told = getattr(error, "format_message", error.__str__)()  # names the option, which str() does not
+    context = getattr(error, "ctx", None)
+    told = told.rstrip(".") or "no command given"
+    if "valid number" in told and any(map(_DECIMAL_COMMA.fullmatch, sys.argv)):
+        told += "; write numbers with a point, such as 0.5"
+    return told + f"{' See' if told.endswith('?') else '; see'} {context.command_path if context else 'rejoint'} --help"
+
+
+_DECIMAL_COMMA = re.compile(r"(--[a-z-]+=)?-?\d+,\d+")
 
 
 def _fill_closed() -> None:

@@ -19,6 +19,7 @@ from rejoint.arms import Arm, Array
 from rejoint.arms.orientation import WEIGHT, Orientation, tool_axis
 from rejoint.arms.rotations import quaternion_of, rotation_about, rotation_of
 from rejoint.arms.wire.values import to_coords, to_pose
+from rejoint.logs.runlog import TWO_TURNS
 from rejoint.system.errors import InputError
 from rejoint.system.numbers import as_floats
 
@@ -46,7 +47,7 @@ class Pose:
     direction: ArrayLike | None = None
     """(3,) in the base frame, where the tool points; it may turn about itself"""
     angles_rad: ArrayLike | None = None
-    """(3,) rx, ry, rz as in the vendor's coordinates: turned about the fixed x, then y, then z"""
+    """(3,) rx, ry, rz as in the vendor's coordinates, but in rad: turned about the fixed x, then y, then z"""
     quaternion: ArrayLike | None = None
     """(4,) w, x, y, z"""
     weight_m: float = WEIGHT
@@ -62,6 +63,10 @@ class Pose:
                 raise InputError(f"pose: {name} {value!r} is not {size} finite numbers")
             if name in ("direction", "quaternion") and not np.linalg.norm(found) > 0.0:
                 raise InputError(f"pose: {name} is zero; give one of any other length")
+            farthest = np.abs(found).max() if name == "angles" else 0.0
+            if farthest > TWO_TURNS:
+                said = f"{farthest:.4g} rad ({np.degrees(farthest):.5g} deg)"
+                raise InputError(f"pose: an angle of {said}, beyond two turns; angles_rad is in radians")
         if not (np.isfinite(self.weight_m) and self.weight_m >= 0.0):
             raise InputError(f"pose: a weight is a number of metres from 0 on, got {self.weight_m}")
 

@@ -193,7 +193,7 @@ def _check_lag(state: Track, command: Array, doubts: Doubts) -> list[str]:
             f"state: follows its commands best {at} them, expected {BELIEVED[0]:g} to {BELIEVED[1]:g} s after; this "
             "motion does not tell surely whether the clocks differ"
         ]
-    cause = "states are stamped before their commands, or on another clock" if lag.best < 0 else (
+    cause = "states are stamped before their commands or on another clock, or both are exchanged" if lag.best < 0 else (
         "commands are goals that something else moves to, or the clocks differ"
     )  # fmt: skip
     doubts.stop(

@@ -38,7 +38,7 @@ GAP_PERIODS = 5.0
 LIMIT_MARGIN = 0.35
 """[rad] chosen: about 20 deg; calibration and zero offsets explain less."""
 _OR_LOG = ", or take the times of recording (--stamp log)"
-_TIME_REMEDY = "set the time unit (--time-unit), or take another file"
+_TIME_REMEDY = "set the time unit (--time-unit, or the column's name where that says one), or take another file"
 
 
 def clean(track: Track, doubts: Doubts) -> tuple[Track, list[str]]:
@@ -120,14 +120,14 @@ def check_angles(motion: RecordedMotion, arm: Arm, doubts: Doubts) -> list[str]:
             guess = "the values are surely degrees" if motion.angle_unit == "rad" else "the unit is surely wrong"
             raise FileError(
                 track.path, f"{track.what}, {track.where(int(row))}: {track.columns[joint]} is {found:.4g} rad, "
-                f"beyond two turns; {guess}", "set --angle-unit, or the unit in the column name",
+                f"beyond two turns; {guess}", "set --angle-unit, or correct the column's name where that says a unit",
             )  # fmt: skip
     notes = _check_limits(motion.state, arm, doubts)
     extent = float(np.abs(motion.state.value).max())
     if motion.angle_unit == "deg" and np.rad2deg(extent) <= 2 * np.pi:
         doubts.stop(
             motion.state.path, f"state: no angle is beyond {np.rad2deg(extent):.3g} deg; the values are surely radians",
-            "set --angle-unit rad, or the unit in the column name",
+            "set --angle-unit rad, or correct the column's name where that says a unit",
         )  # fmt: skip
     notes += _spikes(motion.state, doubts)
     _check_speed(motion.state, arm, doubts)

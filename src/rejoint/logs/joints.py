@@ -62,7 +62,7 @@ def match_joints(
     if missing:
         raise FileError(
             path, f"{what}: no column for joint {', '.join(missing)} of {arm.name}, only {', '.join(titles) or 'none'}",
-            "say with --joints which name means which joint",
+            "say with --arm which arm it is of, or with --joints which name means which joint",
         )  # fmt: skip
     columns = [meanings.index(joint) for joint in arm.joint_names]
     dropped = tuple(title for title, meaning in zip(titles, meanings, strict=True) if meaning is None)

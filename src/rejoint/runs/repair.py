@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 from rejoint.control.comparison.recommend import Recommendation, recommend
 from rejoint.control.comparison.result import Comparison
 from rejoint.control.comparison.targets import draw_targets
+from rejoint.robots import place_of
 from rejoint.runs.chain import Chain, OnStage, StageName, stages_of, there
 from rejoint.runs.given import (
     FIRST_ROBOT,
@@ -27,6 +28,7 @@ from rejoint.runs.given import (
     arm_of,
     as_targets,
     is_batchable,
+    period_of,
     run_about,
 )
 from rejoint.runs.history.summary import summarise
@@ -35,7 +37,7 @@ from rejoint.runs.stages.again import keep_what_holds
 from rejoint.runs.stages.calibrate import calibrate
 from rejoint.runs.stages.compare import comparison_job
 from rejoint.runs.stages.comparing import Compared, ComparisonJob
-from rejoint.runs.stages.controllers import Controllers, listed
+from rejoint.runs.stages.controllers import Controllers, listed, require_possible
 from rejoint.runs.stages.diagnose import diagnose
 from rejoint.runs.stages.early import EarlyTrials
 from rejoint.runs.stages.gains import gains
@@ -47,6 +49,7 @@ from rejoint.system.numbers import as_seed
 from rejoint.system.progress import Progress, no_progress, paced
 
 if TYPE_CHECKING:
+    from rejoint.arms import Arm
     from rejoint.control.policy import Policy
     from rejoint.diagnosis.diagnosis import Diagnosis
     from rejoint.training.presets import Preset
@@ -173,7 +176,7 @@ def repair(
     MissingExtraError
         without the extras ``train`` and ``report``
     InputError
-        if the run is of another robot
+        if the run is of another robot, or there is no such preset, controller or target: before the robot is opened
     AddressError, GuardTripError, RobotError, UnsavedError
         as the stages raise them; what is finished is kept
 
@@ -187,12 +190,11 @@ def repair(
         require("rejoint repair", "train", "report")
     chosen = run.arm if isinstance(run, Run) else arm_of(robot, arm)
     controllers = listed(controllers)
+    _require_possible(robot, chosen, preset, controllers, targets, period)
     folder = newest_or_new(address_of(robot), chosen, as_seed(seed))[0] if run is None else run
     about = run_about(folder, address_of(robot), chosen, seed)
     assert about is not None  # noqa: S101 - for the type checker; a folder was given
     require_same_pace(about, quick=quick)
-    if targets is not None:  # what the arm cannot reach is known now, not after the training
-        as_targets(targets, chosen, sets=1, seed=0)
     emulated = is_batchable(robot)
     meter = None if gauge == NO_GAUGE else gauge
     files = stages_of(robot, chosen, about.folder, controllers=controllers, gauge=gauge, quick=quick)
@@ -227,6 +229,20 @@ def repair(
         finish(found)
         summarise(found)
     return Repaired(run=found)
+
+
+def _require_possible(
+    robot: RobotLike, arm: Arm, preset: str | Preset, controllers: Controllers, targets: Targets | None,
+    period: Period | None,
+) -> None:  # fmt: skip
+    """Refuse now what no stage could do: it would be found out after the arm has moved, and the policy is trained."""
+    if isinstance(preset, str):
+        from rejoint.training.presets import load_preset  # late: a process that only moves arms trains nothing
+
+        load_preset(preset)
+    turns = None if targets is None else as_targets(targets, arm, sets=1, seed=0)[1]
+    tunable = isinstance(robot, str) and place_of(robot).tunable(arm)
+    require_possible(controllers, arm, period_of(robot, period), tunable=tunable, posed=turns is not None)
 
 
 def _compare(job: Callable[[], ComparisonJob], run: Run, on_progress: Progress, ahead: EarlyTrials | None) -> Compared:

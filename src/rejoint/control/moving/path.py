@@ -248,7 +248,9 @@ def read_path(file: FilePath) -> Path:
         numbered = enumerate(csv.reader(io.StringIO(text, newline="")), start=1)
         rows = [(number, row) for number, row in numbered if any(map(str.strip, row))]
     except FileNotFoundError as error:
-        raise FileError(file, "no such file, and no standard path", "check the name") from error
+        raise FileError(
+            file, "no such file, and no standard path", "standard are circle-8s, random-0.2hz and the like"
+        ) from error
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise FileError(file, f"cannot be read as text ({error})", "give a CSV file") from error
     make = columns(rows[0][1], _HEADER) if rows else None

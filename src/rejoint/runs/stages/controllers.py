@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, TypeAlias, cast
 import numpy as np
 
 from rejoint.arms import Arm, Array
-from rejoint.control.catalogue import POLICY, PREDICTIVE, contenders, make_controller
+from rejoint.control.catalogue import POLICY, PREDICTIVE, PUSH, contenders, make_controller
 from rejoint.control.comparison.recommend import recommend
 from rejoint.control.contract import check_controller_period
 from rejoint.control.controller import Controller, heeds_turn
@@ -34,6 +34,9 @@ Controllers: TypeAlias = "Sequence[ControllerLike] | Mapping[str, ControllerLike
 """Controllers, or controllers by the name that they are to have in tables"""
 
 Factory = Callable[[Arm], Controller]
+
+_OF_A_RUN = (POLICY, PREDICTIVE, PUSH, *RIVALS)
+"""Names of controllers that need what a run has found out about its arm"""
 
 
 def recommended(run: Run) -> str:
@@ -70,11 +73,33 @@ def make_factories(
             raise unfit(controller, f"for {name} a controller, with the methods of rejoint.Controller")
         check_controller_period(controller, usual)
         if posed and not heeds_turn(controller):
-            raise InputError(
-                f"{name} brings the tool to its place and does not turn it; for targets with an orientation take "
-                f"{FeedforwardController.name}, integrator or default"
-            )
+            raise _turns_nothing(name)
     return factories
+
+
+def require_possible(
+    given: Controllers, arm: Arm, period: Period | None, *, tunable: bool, posed: bool = False
+) -> None:
+    """Refuse what `make_factories` would, before a run has made its own twin, policy and gains.
+
+    Controllers that the run will make for itself are taken as given; those under tuned gains where the servos are
+    ``tunable``.
+    """
+    named = given if isinstance(given, Mapping) else _unique(given)
+    for name, one in named.items():
+        if not (isinstance(one, str) and one in _OF_A_RUN):
+            make_factories({name: one}, arm, period, posed=posed)
+        elif one in RIVALS and not tunable:
+            raise InputError(f"{one} needs servo gains that can be tuned; an SO-101 on its own bus has them")
+        elif posed and inner_name(one) in (POLICY, PREDICTIVE):
+            raise _turns_nothing(one)
+
+
+def _turns_nothing(name: str) -> InputError:
+    return InputError(
+        f"{name} brings the tool to its place and does not turn it; for targets with an orientation take "
+        f"{FeedforwardController.name}, integrator or default"
+    )
 
 
 def _contenders(

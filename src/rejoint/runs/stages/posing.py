@@ -20,6 +20,7 @@ from rejoint.control.recording import PIECE, Cycle, recording_of
 from rejoint.control.robot import JointState, Mask, Robot
 from rejoint.control.servogains import limits_under
 from rejoint.control.start import check_ready
+from rejoint.logs.runlog import TWO_TURNS
 from rejoint.robots import open_robot
 from rejoint.runs.given import Period, RunLike, as_run
 from rejoint.runs.run import Run, exclusive
@@ -124,10 +125,15 @@ class PosedArm:
         return self._position
 
     def send(self, goal: ArrayLike) -> Array:
-        """Send joint positions (n,) [rad]; returns them as they were taken, within the joints' limits."""
+        """Send joint positions (n,) [rad]; returns them as they were taken, within the joints' limits.
+
+        InputError for positions that no joint has in radians: cut to the limits, degrees would send the arm far away.
+        """
         wanted = np.asarray(goal, dtype=float)
         if wanted.shape != (self.arm.joints,) or not np.isfinite(wanted).all():
             raise InputError(f"expected {self.arm.joints} joint positions in radians, got {goal!r}")
+        if np.abs(wanted).max() > TWO_TURNS:
+            raise InputError(f"joint positions {goal!r} are beyond two turns; give radians")
         self.check()
         return self._way.send(wanted)
 

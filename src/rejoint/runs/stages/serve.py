@@ -148,7 +148,10 @@ def serve(
     """
     about = as_run(run)
     if about.arm.joints != WIRE_JOINTS:
-        raise InputError(f"serve: the wire is that of a myCobot with {WIRE_JOINTS} joints, not of {about.arm.name}")
+        raise InputError(
+            f"serve: the wire is that of a myCobot with {WIRE_JOINTS} joints, not of {about.arm.name}; for joint goals "
+            "line by line take --stdio"
+        )
     arm = with_load(about.arm, robot, payload, tool)
     over = threading.Event() if stop is None else stop
     with exclusive(about), ExitStack() as stack:

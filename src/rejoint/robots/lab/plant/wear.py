@@ -142,8 +142,8 @@ def _fitted(base: str, arm: Arm) -> Wear:
     owner, scales = _head(_tables(text, base), base)
     if owner is not None and owner != arm.name and not scales:
         raise ProfileError(
-            f"wear {base} describes the arm {owner} alone, not {arm.name}; give --arm {owner}, or a profile that "
-            f"scales with the arm: {', '.join(n for n in wear_names() if wear_arm(n) is None)}"
+            f"wear {base} describes the arm {owner} alone, not {arm.name}; give --arm {owner} or a run of that "
+            f"arm, or a profile that scales with the arm: {', '.join(n for n in wear_names() if wear_arm(n) is None)}"
         )
     if scales:
         return scale_wear(parse_wear(text, name=base, joints=reference_arm().joints), arm)
