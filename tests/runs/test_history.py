@@ -1,5 +1,6 @@
 """Rows that runs and checks leave: written by many at once, read in place, damaged one by one."""
 
+import math
 import os
 import signal
 import threading
@@ -215,6 +216,17 @@ def test_a_repair_or_a_moved_arm_begin_a_new_norm(rows: list[HistoryRow], count:
     assert len(past.visits) == count
     assert past.setup == "same"
     assert past.visits[-1].measures == measures()
+
+
+@pytest.mark.parametrize(
+    ("where", "name"), [(0, "error_mm"), (0, "true_error_mm"), (1, "hysteresis_mm"), (2, "temperature_c")]
+)
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1e300])
+def test_a_check_with_what_is_no_measurement_counts_for_nothing(where: int, name: str, value: float) -> None:
+    """Not a number in a norm kept every later alarm back; what is too large ended the check in a bug."""
+    rows = [row for month in range(3) for row in rows_of(head(month), measures())]
+    rows[3 + where] = replace(rows[3 + where], **{name: value})
+    assert [one.time for one in past_of(rows, "a1", "key").visits] == [head(0).time, head(2).time]
 
 
 def test_a_repair_is_of_the_arm_that_was_checked_last_at_its_address() -> None:
