@@ -7,6 +7,7 @@ import time
 from dataclasses import replace
 from datetime import datetime, timedelta
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -184,6 +185,24 @@ def test_a_history_grows_and_begins_anew(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("stood_in")
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        ({"name": ""}, "the name of an arm has letters or digits, got ''"),  # of a variable that is not set
+        ({"name": "../"}, "the name of an arm has letters"),
+        ({"tolerance_mm": np.inf}, "the tolerance is a positive number"),
+        ({"used_h": np.inf}, "the hours of use are a finite number"),
+        ({"used_h": np.nan}, "the hours of use are a finite number"),
+    ],
+)
+def test_what_no_check_can_be_made_with_is_refused_before_anything_moves(
+    given: dict[str, Any], told: str, tmp_path: Path
+) -> None:
+    with pytest.raises(InputError, match=told):
+        rejoint.check("emulated:healthy", history=tmp_path, **given)
+    assert not list(tmp_path.iterdir())
+
+
 def test_what_a_killed_check_recorded_is_kept_by_the_next_one(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     home = tmp_path / "checks" / "mine"
 

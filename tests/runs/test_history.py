@@ -1,5 +1,6 @@
 """Rows that runs and checks leave: written by many at once, read in place, damaged one by one."""
 
+import math
 import os
 import signal
 import threading
@@ -155,6 +156,29 @@ def test_a_folder_that_goes_while_it_is_looked_for_is_left_out(tmp_path: Path, m
     assert not unread
 
 
+def test_rows_are_found_through_links_and_below_names_of_any_encoding_each_once(tmp_path: Path) -> None:
+    """Checks on a larger disk began a new norm each time, and a folder called in Latin-1 ended every command."""
+    place = tmp_path / "disk" / "checks"
+    put(place, "a1/t", rows_of(head(), measures()))
+    lab = tmp_path / "lab"
+    lab.mkdir()
+    (lab / "checks").symlink_to(place)
+    (lab / "again").symlink_to(place / "a1")
+    (place / "back").symlink_to(lab)
+    for _ in range(2):  # read, and taken from the copy
+        rows, unread = find_rows(lab)
+        assert ([row.arm for row in rows if not row.joint], unread) == (["a1"], ())
+    put(place, "a2/t", rows_of(head(1, arm="a2"), measures()))
+    try:
+        (place / "a2").rename(os.fsdecode(os.fsencode(place) + b"/a\xe4"))
+    except OSError:
+        pytest.skip("this file system knows no such name")
+    for _ in range(2):
+        rows, unread = find_rows(lab)
+        assert [row.arm for row in rows if not row.joint] == ["a1"]
+        assert [("a\\xe4" in one, one.isascii()) for one in unread] == [(True, True)]
+
+
 def test_what_was_read_once_is_a_copy_and_no_more(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The copy follows files that come, change and go, and is made anew where it is damaged or missing."""
     paths = [put(tmp_path / "checks", f"a{i}/t", rows_of(head(i, arm=f"a{i}"), measures())) for i in range(3)]
@@ -192,6 +216,17 @@ def test_a_repair_or_a_moved_arm_begin_a_new_norm(rows: list[HistoryRow], count:
     assert len(past.visits) == count
     assert past.setup == "same"
     assert past.visits[-1].measures == measures()
+
+
+@pytest.mark.parametrize(
+    ("where", "name"), [(0, "error_mm"), (0, "true_error_mm"), (1, "hysteresis_mm"), (2, "temperature_c")]
+)
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1e300])
+def test_a_check_with_what_is_no_measurement_counts_for_nothing(where: int, name: str, value: float) -> None:
+    """Not a number in a norm kept every later alarm back; what is too large ended the check in a bug."""
+    rows = [row for month in range(3) for row in rows_of(head(month), measures())]
+    rows[3 + where] = replace(rows[3 + where], **{name: value})
+    assert [one.time for one in past_of(rows, "a1", "key").visits] == [head(0).time, head(2).time]
 
 
 def test_a_repair_is_of_the_arm_that_was_checked_last_at_its_address() -> None:
@@ -397,7 +432,10 @@ def test_rows_are_asked_in_sql_where_they_lie(tmp_path: Path) -> None:
     many(tmp_path, 3, 4)
     damaged = put(tmp_path, "damaged", rows_of(head(), measures()))
     damaged.write_bytes(b"PAR1")
-    names, rows = ask(tmp_path, "select arm, count(*) n from history where joint = '' group by arm order by arm")
+    left_out: list[str] = []
+    words = "select arm, count(*) n from history where joint = '' group by arm order by arm"
+    names, rows = ask(tmp_path, words, left_out.append)
+    assert [str(damaged) in one for one in left_out] == [True]
     assert names == ["arm", "n"]
     assert rows == [("arm-000", 4), ("arm-001", 4), ("arm-002", 4)]
     for query in ("select nothing from history", "", "-- nothing"):
@@ -424,6 +462,35 @@ def test_a_query_takes_now_in_utc_as_rows_are_wherever_it_is_asked(
         monkeypatch.undo()
         time.tzset()
     assert off < 600.0
+
+
+def test_an_answer_has_times_of_now_without_a_package_for_zones(tmp_path: Path) -> None:
+    pytest.importorskip("duckdb")
+    many(tmp_path, 1, 1)
+    names, ((now, one, rows),) = ask(tmp_path, """select now() as "a""b", 1 as "a""b", count(*) from history""")
+    assert (names, one, rows > 1) == (['a"b', 'a"b', "count_star()"], 1, True)
+    assert now.tzinfo is None
+    assert abs(now - utc_now()) < timedelta(minutes=10)
+
+
+@pytest.mark.parametrize(
+    "query",
+    [
+        "delete from history",
+        "update history set arm = 'x' returning arm",
+        "create table mine as select 1",
+        "select * from enable_logging('QueryLog', storage = 'stdout')",
+        "call enable_logging('QueryLog', storage = 'file', storage_path = '{}/log')",  # ended the whole process
+    ],
+)
+def test_a_query_that_would_write_is_refused_rather_than_said_to_have_done_it(query: str, tmp_path: Path) -> None:
+    pytest.importorskip("duckdb")
+    many(tmp_path, 1, 1)
+    ask(tmp_path, "select 1")
+    before = sorted(tmp_path.rglob("*"))
+    with pytest.raises(InputError, match="--sql"):
+        ask(tmp_path, query.format(tmp_path))
+    assert sorted(tmp_path.rglob("*")) == before
 
 
 def test_a_query_without_end_can_be_interrupted(tmp_path: Path) -> None:

@@ -113,7 +113,7 @@ def history(
     if sql is not None:
         from rejoint.logs.history.sql import ask
 
-        names, answer = ask(folder, sql)
+        names, answer = ask(folder, sql, lambda problem: terminal.say(f"left out: {problem}"))
         terminal.table(
             f"{len(answer)} rows", names, [["" if one is None else str(one) for one in row] for row in answer]
         )

@@ -20,13 +20,13 @@ from rejoint.system.files import TOML_MOST, read_bounded
 def read_toml(path: Path, known: tuple[str, ...], remedy: str) -> TomlTable:
     """Read a TOML file whose top may have the keys ``known``; FileError, with ``remedy`` where there is none."""
     try:
-        text = read_bounded(path, TOML_MOST, remedy).decode()
+        text = read_bounded(path, TOML_MOST, remedy).decode("utf-8-sig")
         data = tomllib.loads(text)
     except FileNotFoundError as error:
         raise FileError(path, "there is no such file", remedy) from error
     except (OSError, UnicodeDecodeError) as error:
         raise FileError(path, f"it cannot be read ({error})", remedy) from error
-    except (RecursionError, tomllib.TOMLDecodeError) as error:
+    except (RecursionError, ValueError) as error:  # of a number with thousands of digits it says no more than that
         raise FileError(path, f"it is not TOML: {error}", "correct the file") from error
     return TomlTable(path=path, text=text, data=data, header="", index=0, known=known)
 

@@ -41,6 +41,7 @@ may_repair = true
 
 def write_fleet(folder: Path, text: str = TEXT) -> Path:
     """Write the file, and the description of its second arm."""
+    folder.mkdir(exist_ok=True)
     write_arm_toml(folder / "own.toml", OWN)
     (folder / "FLEET.toml").write_text(text)
     return folder / "FLEET.toml"
@@ -93,6 +94,12 @@ def test_the_file_in_the_docs_says_what_holds_where_nothing_is_said(tmp_path: Pa
         ("emulated:worn?seed=2", "feetech://192.168.1.20:9000?p=16", r"two arms have the address"),
         ("emulated:worn?seed=2", "emulated worn", r"line 15: arm 2: address: unknown robot address"),
         ("own.toml", "gone.toml", r"line 16: arm 2: description: .*gone.toml.*no such file"),
+        (
+            'emulated:worn?seed=2"\ndescription = "own.toml',
+            "emulated:wron",
+            r"line 15: arm 2: address: no wear profile",
+        ),
+        ("= 3.0", f"= {'9' * 5000}", r"it is not TOML: Exceeds the limit"),
         ('"so101"', '"so102"', r"line 10: arm 1: description: .*so102"),
         ("Fri 22", "Fre 22", r"line 17: arm 2: hours: expected hours such as Mon-Fri 08:00-18:00"),
         ("08:00-18:00", "08:00-24:30", r"line 3: hours: expected two different times from 00:00 to 24:00"),
@@ -111,6 +118,18 @@ def test_what_cannot_be_used_is_named_in_one_line(tmp_path: Path, found: str, in
     with pytest.raises(FileError, match=told) as error:
         read_fleet(path)
     assert "\n" not in str(error.value)
+
+
+def test_a_file_of_notepad_is_read_and_a_tilde_is_the_home_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    text = TEXT.replace('"lab"', '"~/lab"').replace('"own.toml"', '"~/own.toml"').replace("\n", "\r\n")
+    write_fleet(tmp_path / "home", "")
+    (tmp_path / "FLEET.toml").write_text(text, encoding="utf-8-sig", newline="")
+    fleet = read_fleet(tmp_path / "FLEET.toml")
+    assert fleet.folder == tmp_path / "home" / "lab"
+    assert fleet.arms[1].description == str(tmp_path / "home" / "own.toml")
 
 
 @pytest.mark.parametrize("one", ["tcp://localhost:9311", "tcp://0.0.0.0:9311", "feetech://LOCALHOST:9311"])

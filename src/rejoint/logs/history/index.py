@@ -7,6 +7,7 @@ files take seconds to open, and a table of them does not. It is a copy; whoever 
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 
@@ -64,7 +65,7 @@ def _read(paths: dict[str, Path]) -> tuple[pa.Table, tuple[str, ...]]:
             table = read_table(path)
             tables.append(table.append_column(_FILE, pa.array([key] * len(table), pa.string())))
         except FileError as error:
-            problems.append(str(error))
+            problems.append(_plain(os.fsencode(str(error))))
     return pa.concat_tables([_INDEXED.empty_table(), *tables]).combine_chunks(), tuple(problems)
 
 
@@ -84,12 +85,37 @@ def _files(folder: Path) -> dict[str, Path]:
     What goes meanwhile, files or whole folders, is left out, as is what may not be looked into.
     """
     found = {}
-    for place in (Path(where) for where, _, names in os.walk(folder) if SUMMARY in names):
+    for place in _folders(folder):
         path = place / SUMMARY
         with suppress(OSError):
             seen = path.stat()
-            found[f"{path.relative_to(folder)} {seen.st_size} {seen.st_mtime_ns}"] = path
+            found[f"{_plain(os.fsencode(path.relative_to(folder)))} {seen.st_size} {seen.st_mtime_ns}"] = path
     return found
+
+
+def _plain(text: bytes) -> str:
+    """Return text that names a file as one that every file and terminal can hold; names may be of any encoding."""
+    return text.decode(errors="backslashreplace")
+
+
+def _folders(folder: Path) -> Iterator[Path]:
+    """Go through all folders with summary rows, links to folders as well: checks may lie on a larger disk.
+
+    None is gone through twice: a link may lead back, or to what is here as well.
+    """
+    seen = set[tuple[int, int]]()
+    for where, below, names in os.walk(folder, followlinks=True):
+        place = Path(where)
+        try:
+            own = place.stat()
+        except OSError:  # it went meanwhile
+            continue
+        if (own.st_dev, own.st_ino) in seen:
+            below.clear()
+            continue
+        seen.add((own.st_dev, own.st_ino))
+        if SUMMARY in names:
+            yield place
 
 
 def _is_of(path: Path, arm: str) -> bool:

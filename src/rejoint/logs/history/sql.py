@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,23 +15,32 @@ if TYPE_CHECKING:
     import duckdb
 
 
-def ask(folder: Path, query: str) -> tuple[list[str], list[tuple[Any, ...]]]:
+_ZONED = "TIMESTAMP WITH TIME ZONE"
+
+
+def ask(
+    folder: Path, query: str, left_out: Callable[[str], object] = lambda _: None
+) -> tuple[list[str], list[tuple[Any, ...]]]:
     """Answer a query over the table ``history``: names of the columns, and rows.
 
     The columns are those of `rejoint.logs.history.rows.HistoryRow`, times in UTC, also that of ``now()``. A damaged
-    file is left out. Nothing but the rows can be read, and nothing written. InputError for a query that DuckDB refuses,
-    FileError if there are no rows, MissingExtraError without DuckDB.
+    file is left out, and ``left_out`` called with what is wrong. Nothing but the rows can be read, and nothing written.
+    InputError for a query that DuckDB refuses, FileError if there are no rows, MissingExtraError without DuckDB.
     """
     require("rejoint history --sql", "history")
     import duckdb
 
-    table, _ = find_table(folder)
+    table, problems = find_table(folder)
+    for problem in problems:
+        left_out(problem)
     if not len(table):
         raise FileError(folder, "no run and no check has left rows here", "check an arm first: rejoint check ROBOT")
     with duckdb.connect() as connection:
         connection.from_arrow(table).to_table("history")
         connection.execute("set enable_external_access = false")
         connection.execute("set TimeZone = 'UTC'")  # as rows have it: now() would be off by the zone of this place
+        connection.execute("set lock_configuration = true")  # its log into a file would end this process
+        connection.execute("begin transaction read only")  # else it tells that rows were deleted, and they are not
         with ThreadPoolExecutor(1) as pool:  # DuckDB hears no signal while it is at work
             answer = pool.submit(_answer, connection, query)
             try:
@@ -46,4 +56,18 @@ def _answer(connection: duckdb.DuckDBPyConnection, query: str) -> tuple[list[str
     found = connection.sql(query)
     if found is None:
         raise InputError("--sql: expected a query that answers with rows")
-    return found.columns, found.fetchall()
+    return found.columns, _without_zones(found).fetchall()
+
+
+def _without_zones(found: duckdb.DuckDBPyRelation) -> duckdb.DuckDBPyRelation:
+    """Return an answer with times as rows have them: for one with a zone DuckDB wants a package that it does not bring.
+
+    The zone is UTC, so none of them changes.
+    """
+    if all(str(kind) != _ZONED for kind in found.types):
+        return found
+    columns = (
+        f"#{number}" + "::timestamp" * (str(kind) == _ZONED) + ' as "{}"'.format(name.replace('"', '""'))
+        for number, (name, kind) in enumerate(zip(found.columns, found.types, strict=True), start=1)
+    )
+    return found.project(", ".join(columns))

@@ -18,11 +18,13 @@
     hours = ["Sat 09:00-12:00"]               # optional, as are closed, tolerance_mm and the three permissions:
                                               # instead of those at the top
 
-Paths are from the folder that the file is in. Hours are by the clock of the computer that leads.
+Paths are from the folder that the file is in; ``~`` is the home folder. Hours are by the clock of the computer that
+leads.
 """
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -102,7 +104,7 @@ def read_fleet(path: Path | str) -> Fleet:
                 same = "" if arm.address == other.address else f", which is that of {other.name}, {other.address!r}"
                 raise table.error("address", f"two arms have the address {arm.address!r}{same}")
         arms.append(arm)
-    folder = home / (top.string("folder") if "folder" in top.data else FOLDER)
+    folder = _place(home, top.string("folder") if "folder" in top.data else FOLDER)
     return Fleet(path=place, folder=folder, arms=tuple(arms))
 
 
@@ -118,7 +120,7 @@ def _arm(table: TomlTable, top: TomlTable, home: Path) -> FleetArm:
     try:
         arm_of(address, description)
     except (InputError, FileError) as error:
-        raise table.error("description", str(error)) from error
+        raise table.error("address" if description is None else "description", str(error)) from error
     hours = Hours(spans=_hours(table, top, "hours").spans, closed=_hours(table, top, "closed").closed)
     return FleetArm(
         name=name, address=address, description=description, hours=hours,
@@ -154,4 +156,9 @@ def _description(table: TomlTable, home: Path) -> str | None:
     if "description" not in table.data:
         return None
     text = table.string("description")
-    return text if text in CATALOGUE else str(home / text)
+    return text if text in CATALOGUE else str(_place(home, text))
+
+
+def _place(home: Path, text: str) -> Path:
+    """Return a path of the file as seen from its folder; ``~`` is the home folder, as on the command line."""
+    return home / os.path.expanduser(text)  # noqa: PTH111 - that of Path fails where there is no home folder

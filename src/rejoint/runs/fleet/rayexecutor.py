@@ -24,7 +24,7 @@ from rejoint.runs.fleet.rayworker import PULSE, ArmHolder, Reports, work_in_task
 from rejoint.runs.fleet.work import Lost, Work, WorkOutcome
 from rejoint.system.errors import InputError, RejointError, first_line
 from rejoint.system.extras import require
-from rejoint.system.stopping import SIGNALS, check, pause
+from rejoint.system.stopping import check, noted, pause
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -51,8 +51,7 @@ class RayExecutor:
         self._training_cpus, self._running = training_cpus, {}  # type: float, dict[Any, tuple[Work, Any]]
         self._refused: list[tuple[Work, WorkOutcome | Lost]] = []
         self._show: Callable[[dict[str, tuple[float, str]]], object] | None = None
-        with _own_signals():
-            self._ray = _started(address, cpus, {arm.resource: 1.0 for arm in real})
+        self._ray = _begun(address, cpus, {arm.resource: 1.0 for arm in real})
         try:
             self.cpus = int(self._ray.cluster_resources().get("CPU", 0))
             self._require_reached(real, address)
@@ -114,7 +113,8 @@ class RayExecutor:
 
     def close(self) -> None:
         """Let all processes go; a cluster stays."""
-        self._ray.shutdown()
+        with noted():  # for a second Ctrl-C as for the first, see `_begun`
+            self._ray.shutdown()
 
     def _ended(self, reference: Any) -> tuple[Work, WorkOutcome | Lost]:  # noqa: ANN401 - of Ray
         work, holder = self._running.pop(reference)
@@ -147,8 +147,7 @@ class RayTasks:
     def __init__(self, address: str | None = None) -> None:
         """Start Ray, or connect to it; InputError where there is no such cluster."""
         require("--on ray", "fleet")
-        with _own_signals():
-            self._ray = _started(address, None, {})
+        self._ray = _begun(address, None, {})
         self.cpus = max(int(self._ray.cluster_resources().get("CPU", 1)), 1)
         self._widest = max(node["Resources"].get("CPU", 0.0) for node in self._ray.nodes() if node["Alive"])
 
@@ -156,7 +155,8 @@ class RayTasks:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._ray.shutdown()  # a cluster stays
+        with noted():
+            self._ray.shutdown()  # a cluster stays
 
     def each(
         self, work: Callable[[T], R], items: Sequence[T], done: Callable[[int], object] = lambda _: None, *,
@@ -201,9 +201,27 @@ def has_token() -> bool:
     return os.environ.get("RAY_AUTH_MODE") != "disabled" and (named or Path("~/.ray/auth_token").expanduser().exists())
 
 
+def _begun(address: str | None, cpus: int | None, resources: dict[str, float]) -> Any:  # noqa: ANN401
+    """Start Ray, or connect to it, whole or not at all: a wish to end that comes meanwhile is met afterwards.
+
+    What interrupts it in between leaves threads that nobody ends, and the process ends in a segmentation fault.
+    """
+    with noted():
+        with _own_signals():
+            ray = _started(address, cpus, resources)
+        try:
+            check()
+        except BaseException:
+            ray.shutdown()
+            raise
+    return ray
+
+
 def _started(address: str | None, cpus: int | None, resources: dict[str, float]) -> Any:  # noqa: ANN401
     """Start Ray on this machine for this process alone, or connect to a cluster; returns the module."""
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # Ray tells nobody
+    # Its handler of faults takes SIGTERM for one while Ray starts, and aborts the process three seconds later.
+    os.environ.setdefault("RAY_DISABLE_FAILURE_SIGNAL_HANDLER", "1")
     os.environ.setdefault("RAY_worker_niceness", "0")  # else 15: whatever else runs here would delay control loops
     if address is None:  # nobody else may send it work: nobody from outside, and nobody on this machine
         if "ray" not in sys.modules:  # it looks at these when it is imported
@@ -235,26 +253,16 @@ def _started(address: str | None, cpus: int | None, resources: dict[str, float])
 
 @contextmanager
 def _own_signals() -> Iterator[None]:
-    """Keep the handlers of signals, which Ray replaces; what its own heard meanwhile is heard by them."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = {signum: signal.getsignal(signum) for signum in SIGNALS}
-
-    def give_back() -> None:
-        for signum, handler in before.items():
-            signal.signal(signum, handler)
-
+    """Keep the handlers of signals inside: Ray's own would end this process in the middle of its start."""
+    set_handler = signal.signal
+    main = threading.current_thread() is threading.main_thread()  # no other thread sets any
     try:
+        if main:
+            signal.signal = lambda signum, _: signal.getsignal(signum)  # type: ignore[assignment]
         yield
-    except SystemExit as ended:
-        give_back()
-        if ended.code == signal.SIGTERM:
-            signal.raise_signal(signal.SIGTERM)
-            check()
-        raise
     finally:
-        give_back()
+        if main:
+            signal.signal = set_handler
 
 
 def _last_line(error: BaseException) -> str:

@@ -15,6 +15,8 @@ from rejoint.runs.history.owners import owners
 MOVED, SET_UP = "moved", "set up"
 """Why a new norm begins with a check: the arm was moved, or has another description"""
 
+_MOST = 1e6
+"""Bound of all that a check measures, in millimetres and degrees (chosen: a kilometre)"""
 _TOOL = ("error_mm", "repeatability_mm", "approach_mm", "true_error_mm", "true_approach_mm", "temperature_c")
 
 
@@ -81,7 +83,12 @@ def _worst(found: Outlook, joint: str) -> str:
 
 
 def _measures(head: HistoryRow, joints: Sequence[HistoryRow]) -> CheckMeasures | None:
-    """Put a check together from its rows; None where something is missing in them."""
+    """Put a check together from its rows; None where something is missing in them, or no measurement.
+
+    Another program may have written them, and one that is not a number would keep every later change from being seen.
+    """
+    if not all(map(_believable, (head, *joints))):
+        return None
     needed = (head.error_mm, head.repeatability_mm, head.approach_mm)
     if None in needed or not joints:
         return None
@@ -92,3 +99,9 @@ def _measures(head: HistoryRow, joints: Sequence[HistoryRow]) -> CheckMeasures |
             return None
         found.append(JointCheck(**values))
     return CheckMeasures(joints=tuple(found), **{name: getattr(head, name) for name in _TOOL})
+
+
+def _believable(row: HistoryRow) -> bool:
+    """Tell whether all that a row of a check measures is a number of a believable size, where it is there."""
+    values = (getattr(row, name) for name in (*_TOOL, *JointCheck.__annotations__) if name != "joint")
+    return all(value is None or abs(value) <= _MOST for value in values)

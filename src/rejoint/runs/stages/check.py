@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import os
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
@@ -144,8 +145,12 @@ def check(
     """
     if repeat < 1:
         raise InputError(f"check: repeat is 1 or more, got {repeat}")
-    if tolerance_mm is not None and not tolerance_mm > 0.0:
+    if tolerance_mm is not None and not 0.0 < tolerance_mm < math.inf:
         raise InputError(f"check: the tolerance is a positive number of millimetres, got {tolerance_mm}")
+    if used_h is not None and not 0.0 <= used_h < math.inf:
+        raise InputError(f"check: the hours of use are a finite number from 0, got {used_h}")
+    if name is not None and not any(map(str.isalnum, name)):  # a variable of a script that is not set, say
+        raise InputError(f"check: the name of an arm has letters or digits, got {name!r}; leave it out or give one")
     address, chosen = address_of(robot), arm_of(robot, arm)
     key = name_of(address, chosen.name)
     head = HistoryRow(
