@@ -383,7 +383,7 @@ def test_the_balance_counts_and_the_message_tells_the_push():
     time, said = pushed(-0.5, held, before_deg=4.0)
     assert np.isfinite(time)
     assert "at a push of 4.5 deg, and in its diagnosis it stood up to 1.0" in said
-    assert "no load tells" in said
+    assert "no load tells whether it is stuck, held or loaded more than in its diagnosis" in said
 
 
 def test_bands_that_make_no_sense_are_refused():

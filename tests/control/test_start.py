@@ -68,6 +68,56 @@ def test_an_arm_in_no_state_to_be_driven_is_not_moved(robot, why):
     assert robot.sent == []
 
 
+class Crossed(Standing):
+    """Tells ``told(q)`` of where it is, and its servos take 5 degrees in a period, as in an arm of full speed."""
+
+    def __init__(self, told, position):
+        super().__init__(position)
+        self.told, self.stops = told, 0
+
+    def read(self):
+        state = super().read()
+        return replace(state, position=self.told(state.position))
+
+    def step(self, command, active):
+        before = self.position
+        super().step(command, active)
+        self.position = before + np.clip(command[0] - before, -np.radians(5.0), np.radians(5.0))
+        return self.read()
+
+    def stop(self):
+        self.stops += 1
+
+
+def reversed_in(joint):
+    return lambda q: np.where(np.arange(6) == joint, -q, q)
+
+
+@pytest.mark.parametrize(
+    ("told", "start_deg", "joint"),
+    [
+        (reversed_in(1), [0.0, -60.0, -60.0, 0.0, 0.0, 0.0], "joint2"),
+        (reversed_in(0), [0.0, 0.0, -60.0, 0.0, 0.0, 0.0], "joint1"),
+        (lambda q: q[:, [0, 2, 1, 3, 4, 5]], [0.0, -20.0, -60.0, 0.0, 0.0, 0.0], "joint[23]"),
+    ],
+    ids=["turned round", "turned round, from where that does not show", "exchanged"],
+)
+def test_a_joint_that_goes_where_it_is_not_sent_is_stopped_at_once(told, start_deg, joint):
+    robot = Crossed(told, np.radians(start_deg))
+    with pytest.raises(NotReadyError, match=f"{joint} was sent no farther than .* its reading is another joint's"):
+        begin(robot)
+    gone = np.degrees(np.abs(robot.position - np.radians(start_deg))).max()
+    assert robot.stops == 1
+    assert gone < 40.0
+
+
+@pytest.mark.parametrize("wear", ["worn?payload=0.25", "worn?seed=3&payload=0.25", "play-in-loop", "so101"])
+def test_an_arm_may_sag_from_the_place_at_which_it_is_taken_over(wear):
+    robot = open_robot(f"emulated:{wear}")
+    for _ in range(2):
+        begin(robot)
+
+
 def test_the_first_motion_is_slow():
     robot = Standing(ARM.rest + 0.5)
     recording = begin(robot)

@@ -139,6 +139,18 @@ def test_encoder_noise_is_measured(log):
         assert found.noise_rad.low < 0.005 < found.noise_rad.high
 
 
+@pytest.mark.parametrize("every", [1, 2], ids=["25 ms", "50 ms"])
+def test_noise_is_not_taken_for_hunting_and_hunting_not_for_noise(log, every):
+    names = ("time", "position", "command", "target", "true_tcp")
+    thinned = dataclasses.replace(log, **{name: getattr(log, name)[::every] for name in names})
+    rng = np.random.default_rng(1)
+    noisy = dataclasses.replace(thinned, position=thinned.position + rng.normal(scale=0.009, size=(len(thinned), 6)))
+    assert all(row.hunting_rad.value == 0.0 for row in measure(ARM, noisy).joints)
+    swing = 0.009 * 2**0.5 * np.sin(2 * np.pi * 4.0 * thinned.time)
+    hunting = dataclasses.replace(thinned, position=thinned.position + swing[:, None])
+    assert all(row.hunting_rad.low > 0.006 for row in measure(ARM, hunting).joints)
+
+
 def test_a_log_on_disk_is_as_good(tmp_path, log, measured):
     write_log(tmp_path / "log.parquet", log)
     assert measure(ARM, read_log(tmp_path / "log.parquet")) == measured

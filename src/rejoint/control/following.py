@@ -300,6 +300,7 @@ class Following:
             push, width = np.degrees(abs(track["push"])), np.degrees(track["width"])
             seen += f", at a push of {push:.1f} deg, and in its diagnosis it stood up to {width:.1f}"
         return (
-            f"{seen}; no load tells whether it is stuck or its encoder is dead; support the arm, switch it off, turn "
-            f"{name} by hand and see whether its reading changes"
+            f"{seen}; no load tells whether it is stuck, held or loaded more than in its diagnosis, or its encoder is "
+            f"dead; if nothing holds or loads the arm, support it, switch it off, turn {name} by hand and see whether "
+            "its reading changes"
         )

@@ -44,6 +44,9 @@ MIN_SWEEP = 0.1
 _MIN_STEP = 0.02
 """[rad] motion below which an overshoot is not expressed as a fraction of it (chosen)."""
 
+CHANCE = 3.0
+"""Standard errors from which a correlation is none of chance (chosen)."""
+
 
 def sweep_fit(data: ExcitationLog, joint: int, delay: float) -> LinearFit | None:
     """Fit the sweeps of a joint: coefficients (d/k [s], F/k [rad], J/k [s^2], 1/k [rad/(N m)], offset [rad]).
@@ -148,7 +151,11 @@ def hunting(data: ExcitationLog, joint: int) -> Estimate | None:
 
 
 def _repeating_share(pieces: list[Array]) -> float:
-    """Largest correlation, 0 to 1, of the pieces with themselves one to five readings earlier."""
+    """Largest correlation, 0 to 1, of the pieces with themselves one to five readings earlier; 0 for noise.
+
+    A line that was taken out of a piece leaves a correlation even in noise, the larger the shorter the piece is. What
+    counts has to differ from that by more than chance.
+    """
     power = sum(float((piece**2).sum()) for piece in pieces)
     if power <= 0.0:
         return 0.0
@@ -157,8 +164,22 @@ def _repeating_share(pieces: list[Array]) -> float:
         longer = [piece for piece in pieces if len(piece) > shift]
         both = sum(float((piece[shift:] * piece[:-shift]).sum()) for piece in longer)
         base = sum(float((piece[shift:] ** 2).sum() + (piece[:-shift] ** 2).sum()) / 2 for piece in longer)
-        shares.append(abs(both) / base if base > 0.0 else 0.0)
-    return min(max(shares), 1.0)
+        pairs = sum(len(piece) - shift for piece in longer)
+        if base > 0.0:
+            off = abs(both / base - _share_of_noise([len(piece) for piece in longer], shift))
+            shares.append(abs(both) / base if off * pairs**0.5 > CHANCE else 0.0)
+    return min(max(shares, default=0.0), 1.0)
+
+
+def _share_of_noise(lengths: list[int], shift: int) -> float:
+    """Correlation with itself ``shift`` readings earlier of white noise without its line, in pieces of ``lengths``."""
+    both = base = 0.0
+    for length in lengths:
+        line = np.linalg.qr(np.stack([np.ones(length), np.arange(length)], axis=1))[0]
+        left = np.eye(length) - line @ line.T
+        both += float(np.trace(left, -shift))
+        base += float(np.trace(left)) - float(np.diag(left)[:shift].sum() + np.diag(left)[-shift:].sum()) / 2
+    return both / base
 
 
 def noise(data: ExcitationLog, joint: int) -> Estimate | None:

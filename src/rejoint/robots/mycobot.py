@@ -143,12 +143,18 @@ class MyCobotBus(Bus):
         """
         if not isinstance(self.address, TcpAddress):
             return
+        found = "no time was left"
         while self.clock.now() < deadline:
             self._drain(QUIET)
-            with contextlib.suppress(NoReplyError, ImpossibleReplyError, StaleReplyError):
+            try:
                 if self._call("get_fresh_mode") in (0, 1) and not self._drain(QUIET):
                     return
-        raise ConnectionLostError(f"{self.address}: answers are out of step")
+                found = "answers arrive that nobody asked for"
+            except (NoReplyError, ImpossibleReplyError, StaleReplyError) as error:
+                found = str(error).removeprefix(f"{self.address}: ")
+        raise ConnectionLostError(
+            f"{self.address}: answers stay away, or come late, in pieces or in disorder ({found})"
+        )
 
     def close(self) -> None:
         """Drop the client."""

@@ -36,8 +36,14 @@ def judge(position: Array, arm: Arm) -> None:
     if unreadable.any():
         names = ", ".join(name for name, bad in zip(arm.joint_names, unreadable, strict=True) if bad)
         raise ImpossibleReplyError(f"the servos of {names} cannot be read")
-    if ((position < arm.lower - RANGE_MARGIN) | (position > arm.upper + RANGE_MARGIN)).any():
-        raise ImpossibleReplyError(f"joint angles {np.degrees(position).tolist()} deg are outside the arm's range")
+    outside = (position < arm.lower - RANGE_MARGIN) | (position > arm.upper + RANGE_MARGIN)
+    if outside.any():
+        j = int(np.argmax(outside))
+        angle, low, high = np.degrees([position[j], arm.lower[j], arm.upper[j]])
+        raise ImpossibleReplyError(
+            f"{arm.joint_names[j]} reads {angle:.1f} deg, outside the arm's range of {low:.0f} to {high:.0f} deg by "
+            f"more than {np.degrees(RANGE_MARGIN):.0f}: it fell or was pushed there, or its zero or the answer is wrong"
+        )
 
 
 class Continuity:

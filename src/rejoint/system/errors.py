@@ -88,7 +88,7 @@ class PowerLostError(ConnectionLostError):
 
 
 class NotReadyError(RobotError):
-    """The robot is in no state to be driven: nothing was moved, or it was only brought to rest."""
+    """The robot is in no state to be driven: nothing was moved, or it was only on its way to rest."""
 
 
 class NotReachedError(RejointError, TimeoutError):

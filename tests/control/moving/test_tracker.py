@@ -38,9 +38,9 @@ def worn_servos(count=1):
     return Servos(**{name: np.tile(row, (count, 1)) for name, row in rows.items()}, delay=np.full(count, 0.022))
 
 
-def drive(make, guides, seed=0):
+def drive(make, guides, seed=0, **wire):
     start = PathPostures(ARM, np.stack([guide.path.place[0] for guide in guides])).last
-    robot = EmulatedRobot(ARM, [load_wear("worn", ARM)] * len(guides), seed=seed, start=start)
+    robot = EmulatedRobot(ARM, [load_wear("worn", ARM)] * len(guides), seed=seed, start=start, **wire)
     dwell = 2.0 + max(guide.path.duration for guide in guides)
     return follow(robot, make(), Routes(guides), Schedule(dwell=dwell, sent=start))
 
@@ -73,6 +73,12 @@ def test_a_worn_arm_follows_a_circle_better_than_one_that_is_sent_it():
     for b, guide in enumerate(guides):
         assert judge(ARM, tracked, guide, b).encoder.rms < 1.5e-3
         assert judge(ARM, sent, guide, b).encoder.rms > 10e-3
+
+
+def test_a_wire_that_grows_slower_does_not_make_the_arm_swing():
+    guide = Ahead(path=standard_path("circle-8s", ARM))
+    slower = drive(lambda: Tracker(ARM, worn_servos(), period=0.025), [guide], period=(0.050, 0.050))
+    assert judge(ARM, slower, guide, 0).encoder.rms < 2.0e-3
 
 
 def test_the_tool_on_a_path_is_known_by_a_model_where_nobody_sees_it():

@@ -25,6 +25,7 @@ _LEAST_DELAY = 0.02
 """[s] that is believed where gains are chosen: a fit may put a part of it into the damping (that of an emulated SO-101
 said 9 ms where it has 20, and joint 1 swung by 2 deg)"""
 _RELIEF_DAMPING = 0.01  # [m] keeps what heavy joints take over finite (chosen: a fifth of the usual)
+_SLOWER = 1.2  # times the usual period up to which a wire is as quick as ever (chosen: its jitter)
 _SMOOTHING = 0.1  # share of the newest period in their mean (chosen)
 
 
@@ -88,7 +89,7 @@ class Tracker:
         begin = inputs.aims(now)[0], turns and turns[0]
         self._postures, self._seen = (PathPostures(self._arm, *begin, home=self.home) for _ in range(2))
         self._observer = PushObserver(self._arm, self._servos, self._gains.trust, self._usual)
-        self._pace, self._firmness = Pace(), self._firm(self._observer.mass)
+        self._pace = Pace()
         self._pace.begin(inputs.state.time, np.ones(count, dtype=bool))
         self._wanted = self._expected = inputs.sent.copy()
         self._missed = np.zeros((count, 3))  # [m] by light joints, smoothed
@@ -112,11 +113,15 @@ class Tracker:
         push = np.clip(observer.push, -gains.push_limit, gains.push_limit)
         damping = gains.damping + gains.slow_damping * np.exp(-((motion.speed / gains.slow) ** 2))
         held = gains.stiffness * away + damping * speed
-        return limit_position(self._arm, self._wanted - push - self._firmness * held)
+        return limit_position(self._arm, self._wanted - push - self._firm(observer.mass) * held)
 
     def _firm(self, mass: Array) -> Array:
-        """Share (B, n) of the gains that joints of this ``mass`` (B, n) [kg m^2] bear at the delay and the period."""
-        late = (np.maximum(self._servos.delay, _LEAST_DELAY) + 0.5 * self._usual)[:, None]
+        """Share (B, n) of the gains that joints of this ``mass`` (B, n) [kg m^2] bear at the delay and the period.
+
+        A wire that grows slower on the way makes joints swing, with their readings as late as their commands.
+        """
+        slower = np.maximum(self._period - _SLOWER * self._usual, 0.0)
+        late = (np.maximum(self._servos.delay, _LEAST_DELAY) + 0.5 * self._usual + slower)[:, None]
         most = (self._gains.pace / late) ** 2 * mass / self._servos.stiffness - 1.0
         return np.clip(most / self._gains.stiffness, 0.0, 1.0)
 
