@@ -47,8 +47,7 @@ class TrainingOptions:
     agents: int | None = None
     """the preset's own number by default"""
     threads: int = 2
-    """of simulation and learning; with another number of them sums are taken in another order, and the policy
-    differs in its last digits"""
+    """of the simulation; the policy does not depend on it"""
     iterations: int | None = None
     """updates; the preset's own number by default"""
     checkpoint_every: int = 10

@@ -70,7 +70,7 @@ def train(
     seed
         of the networks, the arms that are drawn, and the exploration; by default that of the run, else 0
     threads
-        of simulation and learning; with another number the policy differs in its last digits
+        of the simulation; the policy does not depend on it
     resume
         whether to go on from a checkpoint of this very training in the run
     quick
