@@ -83,6 +83,10 @@ def install() -> None:
         _note.hook, sys.unraisablehook = sys.unraisablehook, _unraisable
 
 
+def _installed() -> bool:
+    return any(signal.getsignal(signum) is _handle for signum in SIGNALS)
+
+
 def close() -> None:
     """Be deaf from now on: the program is ending because it was asked to, and says so without being cut short."""
     for signum in SIGNALS:
@@ -156,9 +160,10 @@ def _drop() -> None:
 def raise_again() -> None:
     """Raise once more what was raised and swallowed, as by a library that takes any error for a missing part of it.
 
-    For what a command calls as its work goes on, in the main thread: there it would not if somebody had heard.
+    For what a command calls as its work goes on, in the main thread: there it would not if somebody had heard. A
+    program that we are a part of may go on after what it was interrupted in.
     """
-    raised, hears = _note.raised, threading.current_thread() is threading.main_thread()
+    raised, hears = _note.raised, threading.current_thread() is threading.main_thread() and _installed()
     if raised is not None and hears and not _note.noted and sys.exc_info()[1] is None:
         raise raised
 
