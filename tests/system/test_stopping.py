@@ -15,6 +15,8 @@ PRELUDE = """
 import ctypes, os, signal, sys, time
 from rejoint.system import stopping
 
+signal.signal(signal.SIGHUP, signal.SIG_DFL)  # nohup, under which a suite may run, has it ignored
+
 @ctypes.CFUNCTYPE(None)
 def callback():
     os.kill(os.getpid(), signal.SIGTERM)
