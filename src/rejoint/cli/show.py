@@ -12,7 +12,7 @@ from rejoint.control.comparison.failure import failure
 from rejoint.control.comparison.recommend import Recommendation
 from rejoint.control.comparison.result import Comparison, DirectionVariation, PoseAccuracy
 from rejoint.control.servogains import in_words
-from rejoint.diagnosis.calibration.gate import astray
+from rejoint.diagnosis.calibration.gate import DISTURBED, astray, disturbed
 from rejoint.logs.runfolder.effort import Effort, cost
 
 if TYPE_CHECKING:
@@ -84,6 +84,8 @@ def calibration(terminal: Terminal, found: Calibrated) -> None:
             f"  ! Measurement {row + 1} ({place} mm) does not fit to the others: read wrong, or touched hard? Measure "
             "it again."
         )
+    if disturbed(own.suspects, own.points):
+        terminal.result(f"  ! {DISTURBED}")
     if found.reversal:
         terminal.say(
             f"Reversal value at the tool (ISO 230-2, from {len(found.reversal)} postures): mean "

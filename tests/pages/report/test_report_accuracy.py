@@ -13,6 +13,7 @@ from rejoint.arms.urdf import at_targets
 from rejoint.control.accuracy import TrueError
 from rejoint.control.comparison.result import DirectionVariation, PoseAccuracy, TargetErrors
 from rejoint.diagnosis.calibration.file import read_calibration, write_calibration
+from rejoint.diagnosis.calibration.gate import DISTURBED
 from rejoint.diagnosis.calibration.measurementfile import write_measurements
 from rejoint.diagnosis.calibration.procedure import reversals
 from rejoint.logs.runfolder.folder import RunFolder
@@ -47,6 +48,15 @@ def test_every_point_stands_with_both_of_its_errors(calibrated):
         assert float(page.places[f"{row} / off the calibration [mm]"]) == pytest.approx(1e3 * after, rel=0.06)
         assert float(page.places[f"{row} / z [mm]"]) == pytest.approx(1e3 * measured.point[i, 2], abs=0.051)
         assert " to " in page.places[f"{row} / off the calibration [mm] / small"]
+
+
+def test_many_that_do_not_fit_are_no_mistakes_of_a_hand(calibrated, tmp_path):
+    _, calibration, measured, page = calibrated
+    assert DISTURBED not in page.words
+    folder = RunFolder(tmp_path)
+    write_calibration(folder.calibration, dataclasses.replace(calibration, suspects=(5, 6, 7)))
+    write_measurements(folder.measurements, calibration.arm, measured)
+    assert DISTURBED in shown(folder.path)[0].words
 
 
 def test_suspects_reversal_and_source_are_told(calibrated):

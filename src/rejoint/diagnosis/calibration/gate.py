@@ -30,6 +30,11 @@ are tens of degrees apart, visits of one from two sides have one number)"""
 WRONG = 2.9
 """Standard deviations of a normal distribution whose chance is that of a right point being called wrong (chosen: of
 ten right points, one arm in fifty has one)"""
+DISTURBED = (
+    "So many do not fit that something changed between them: a horn that slipped, an encoder that jumped, an arm or a "
+    "camera that was moved. Look at the arm, and measure all of them again."
+)
+"""What is said where `disturbed` holds"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -66,6 +71,14 @@ def astray(arm: Arm, after: Array) -> bool:
     A fifth of them may be: a slip of the pen at a single point is named, and spoils no other.
     """
     return bool(np.quantile(after, 0.8, method="lower") > ASTRAY * reach(arm))
+
+
+def disturbed(suspects: tuple[int, ...], points: int) -> bool:
+    """Tell whether so many of ``points`` do not fit to the others that it is not they that are wrong.
+
+    From three and a quarter of them on: mistakes of a hand come one at a time.
+    """
+    return len(suspects) >= max(3, points / 4)
 
 
 def merge_repeats(measured: Measurements) -> Measurements:

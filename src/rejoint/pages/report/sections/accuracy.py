@@ -7,7 +7,7 @@ import numpy as np
 from rejoint.arms import Array, tcp_position
 from rejoint.arms.kinematics import GRAVITY
 from rejoint.diagnosis.calibration.calibration import Calibration
-from rejoint.diagnosis.calibration.gate import astray
+from rejoint.diagnosis.calibration.gate import DISTURBED, astray, disturbed
 from rejoint.diagnosis.calibration.measurements import Measurements
 from rejoint.diagnosis.calibration.preload import RISE, WEDGE, preload
 from rejoint.diagnosis.calibration.procedure import reversals
@@ -71,9 +71,8 @@ def reversal_words(found: Calibration, measured: Measurements) -> str:
 
 def _suspects(found: Calibration) -> tuple[str, ...]:
     cause = "did the arm still move" if found.source == "camera" else "read wrong, or touched hard"
-    return tuple(
-        f"Measurement {row + 1} does not fit to the others: {cause}? Measure it again." for row in found.suspects
-    )
+    lines = (f"Measurement {row + 1} does not fit to the others: {cause}? Measure it again." for row in found.suspects)
+    return (*lines, DISTURBED) if disturbed(found.suspects, found.points) else tuple(lines)
 
 
 def _in_base(found: Calibration, measured: Measurements) -> Array:
