@@ -36,8 +36,8 @@ SWITCH_INTERVAL = 1e-4
 steps; with its default of 5 ms a worker whose step is done waits for all that the other one computes)"""
 
 LEARNING_THREADS = 1
-"""(chosen: an update learns in 0.14 s; on two threads that sleep while they wait for one another in 0.22 s, and on two
-that turn in place in 0.10 s, but in 0.36 s where another program is busy, and in seconds where several are)"""
+"""Of torch (chosen: two that sleep while they wait for one another are slower than one, also on idle cores; two that
+turn in place are quicker there, and many times slower beside other programs)"""
 
 _CHECKPOINT_FORMAT = 5
 

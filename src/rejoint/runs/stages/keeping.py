@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import datetime
+from pathlib import Path
 
 from rejoint.control.playback import Playback
 from rejoint.control.recording import recording_of
@@ -17,10 +18,14 @@ from rejoint.system.files import unused
 
 
 def start_journal(run: Run, name: str, robot: Robot, label: str, rows: int = 0) -> Journal:
-    """Start the journal of a run log whose name ends with the time; no log takes the place of another."""
-    path = unused(run.folder.log(f"{name}-{datetime.now():%Y%m%d-%H%M%S}"))
+    """Start the journal of a run log whose name ends with the time."""
     return Journal.begin(
-        path, arm=run.arm.name, joint_names=run.arm.joint_names, robot=robot.address, label=label, rows=rows
+        _dated(run, name),
+        arm=run.arm.name,
+        joint_names=run.arm.joint_names,
+        robot=robot.address,
+        label=label,
+        rows=rows,
     )
 
 
@@ -33,7 +38,7 @@ def kept_if_stopped(run: Run | None, name: str) -> Iterator[None]:
         partial = recording_of(error)
         if run is not None and partial is not None and len(partial.time):
             part = "begin" if partial.controller == Playback.name else partial.controller
-            path = unused(run.folder.log(f"{name}-{datetime.now():%Y%m%d-%H%M%S}"))
+            path = _dated(run, name)
             try:
                 write_log(path, partial.log(0, f"{name}/{part}/stopped"))
             except FileError as full:  # the first error is the one to report
@@ -41,3 +46,8 @@ def kept_if_stopped(run: Run | None, name: str) -> Iterator[None]:
             else:
                 error.add_note(f"What was recorded until then: {path}")
         raise
+
+
+def _dated(run: Run, name: str) -> Path:
+    """Return where a log whose name ends with the time goes; none takes the place of another."""
+    return unused(run.folder.log(f"{name}-{datetime.now():%Y%m%d-%H%M%S}"))
