@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rejoint.control.comparison.protocols import STANDS_FOR
 from rejoint.control.comparison.racing import Race
 from rejoint.control.comparison.result import Comparison, ControllerRow, HoldRow, PoseAccuracy, Stay
 from rejoint.pages.report.numerals import NEVER, UNKNOWN, interval, number, spread
@@ -223,7 +224,8 @@ def _crossings(comparison: Comparison) -> str:
         )
     return (
         f"{what}: the protocol of Park et al. 2024. The next target is set at the first crossing of "
-        f"{protocol.threshold * MM:g} mm or after {protocol.dwell:g} s; the error is the one at that moment, mean ± "
+        f"{protocol.threshold * MM:g} mm or after {protocol.dwell:g} s, which count in full where an arm stood for "
+        f"{STANDS_FOR:g} s under one command and was not waited for; the error is the one at that moment, mean ± "
         "standard deviation."
     )
 
